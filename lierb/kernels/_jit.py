@@ -1,0 +1,217 @@
+"""The one place with Numba options: formulas in @njit code, the `Plan` tag, and the disk cache.
+
+A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
+result's type, and then for its instructions, and both times the formula is run once on traced numbers
+(`lanes.Lane`). Loops over rows and stages, tuples and structural zeros thus cost nothing at run time,
+and Numba's type inference never sees the formula's inside (a third of the compile time).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from filelock import FileLock
+from llvmlite import ir
+from numba import types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import (
+    NativeValue,
+    lower_builtin,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+from lierb.kernels import lanes
+from lierb.kernels.lanes import ArrayRef, Index, Lane, LaneType
+from lierb.kernels.zero import ZERO, is_zero
+
+# error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
+# function, because the options of its first caller leak into a helper that has none.
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+
+
+class ZeroType(types.Type):
+    """Numba type of `ZERO`: no data."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Zero")
+
+
+register_model(ZeroType)(models.OpaqueModel)
+ZERO_TYPE = ZeroType()
+
+
+# ---- tags: values whose Numba type says everything ---------------------------------------------
+
+
+class Tag:
+    """A hashable description that compiled code is specialised on.
+
+    Its `repr` and the stamp of the package's sources make up the name of its Numba type, and so the
+    key of the disk cache: an edited source, another number of lanes or another tableau can never
+    find each other's machine code. (Module globals, by contrast, are not in Numba's key.)
+    """
+
+
+class TagType(types.Type):
+    def __init__(self, tag: Tag) -> None:
+        self.tag = tag
+        digest = hashlib.sha256(repr(tag).encode()).hexdigest()[:16]
+        super().__init__(name=f"{type(tag).__name__}<{source_stamp()},{digest}>")
+
+
+register_model(TagType)(models.OpaqueModel)
+
+
+@cache
+def _tag_type(tag: Tag) -> TagType:
+    return TagType(tag)
+
+
+@typeof_impl.register(Tag)
+def _typeof_tag(tag: Tag, context: Any) -> TagType:
+    return _tag_type(tag)
+
+
+@unbox(TagType)
+def _unbox_tag(ty: TagType, obj: Any, context: Any) -> NativeValue:
+    return NativeValue(context.context.get_dummy_value())
+
+
+@cache
+def source_stamp() -> str:
+    """Digest of every source that compiled code depends on, and of the compilers."""
+    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+# ---- the disk cache ----------------------------------------------------------------------------
+
+_ready: set[tuple[Any, Tag]] = set()
+_compiling = threading.Lock()
+
+
+def ensure_compiled(dispatcher: Any, tag: Tag, *args: Any) -> None:
+    """Compile `dispatcher` for (tag, *args), or load it from the disk cache, once a process.
+
+    Numba's cache index has neither lock nor check on load: two processes that write it at once can
+    pair one's entry with the other's code. Hence a file lock around whatever may load or save.
+    """
+    if (dispatcher, tag) in _ready or not hasattr(dispatcher, "compile"):
+        return
+    with _compiling:
+        if (dispatcher, tag) not in _ready:
+            with _cache_lock(dispatcher):
+                dispatcher.compile(tuple(numba.typeof(a) for a in (tag, *args)))
+            _ready.add((dispatcher, tag))
+
+
+@contextmanager
+def _cache_lock(dispatcher: Any) -> Iterator[None]:
+    folder = Path(dispatcher.stats.cache_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder / "lierb.lock"):
+        _prune(folder, dispatcher.py_func)
+        yield
+
+
+def _prune(folder: Path, function: Callable[..., Any]) -> None:
+    """Delete code that other versions of the sources left behind: no tag can ask for it again."""
+    module = function.__module__.rsplit(".", 1)[-1]
+    mark = folder / f"{module}.{function.__qualname__}.stamp"
+    if mark.exists() and mark.read_text() == source_stamp():
+        return
+    for entry in folder.glob(f"{module}.{function.__qualname__}-*.nb[ic]"):
+        entry.unlink(missing_ok=True)
+    mark.write_text(source_stamp())
+
+
+# ---- formulas in @njit code --------------------------------------------------------------------
+
+
+def kernel(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags."""
+    seen: dict[tuple[types.Type, ...], types.Type] = {}
+
+    class Template(AbstractTemplate):
+        def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+            args = tuple(types.unliteral(a) for a in args)
+            if args not in seen:
+                seen[args] = _result_type(formula, self.context, args)
+            return signature(seen[args], *args)
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        traced = [_to_trace(context, builder, t, v) for t, v in zip(sig.args, values, strict=True)]
+        return _from_trace(context, builder, sig.return_type, formula(*traced))
+
+    infer_global(formula)(Template)
+    lower_builtin(formula, types.VarArg(types.Any))(lower)
+    return formula
+
+
+def _result_type(
+    formula: Callable[..., Any], typing: Any, args: tuple[types.Type, ...]
+) -> types.Type:
+    """Type of formula(*args), found by a trace into a function that is thrown away."""
+    from numba.core.registry import cpu_target
+
+    context = cpu_target.target_context
+    function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
+    builder = ir.IRBuilder(function.append_basic_block())
+    values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]
+    traced = [_to_trace(context, builder, t, v) for t, v in zip(args, values, strict=True)]
+    return _type_of_trace(formula(*traced))
+
+
+def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:
+    if isinstance(ty, TagType):
+        return ty.tag
+    if isinstance(ty, ZeroType):
+        return ZERO
+    if isinstance(ty, types.BaseTuple):
+        members = [builder.extract_value(value, i) for i in range(len(ty))]
+        return tuple(_to_trace(context, builder, t, v) for t, v in zip(ty, members, strict=True))
+    if isinstance(ty, types.Integer):
+        return Index(builder, context.cast(builder, value, ty, types.intp))
+    if isinstance(ty, types.Float):
+        return Lane(builder, context.cast(builder, value, ty, types.float64))
+    if isinstance(ty, LaneType):
+        return Lane(builder, value)
+    if isinstance(ty, types.Array) and ty.layout == "C" and ty.dtype == types.float64:
+        return ArrayRef(context, builder, ty, value)
+    raise numba.errors.TypingError(
+        f"lierb's formulas take numbers, tuples of numbers and arrays, not {ty}"
+    )
+
+
+def _type_of_trace(result: Any) -> types.Type:
+    if result is None:
+        return types.none
+    if isinstance(result, tuple):
+        return types.Tuple([_type_of_trace(x) for x in result])
+    if is_zero(result):
+        return ZERO_TYPE
+    return (
+        LaneType(result.lanes) if isinstance(result, Lane) and result.lanes > 1 else types.float64
+    )
+
+
+def _from_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, result: Any) -> Any:
+    if result is None or is_zero(result):
+        return context.get_dummy_value()
+    if isinstance(result, tuple):
+        members = [_from_trace(context, builder, t, x) for t, x in zip(ty, result, strict=True)]
+        return context.make_tuple(builder, ty, members)
+    return result.value if isinstance(result, Lane) else ir.Constant(lanes.DOUBLE, float(result))

@@ -1,0 +1,164 @@
+"""What a formula may use besides + - * /: one function, every number type.
+
+The number types are float (or NumPy scalar), NumPy array, `Zero`, and the traced `Lane`. A formula
+that keeps to these functions runs unchanged as plain Python, over whole arrays, and as SIMD code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from lierb.kernels import lanes
+from lierb.kernels.lanes import ArrayRef, Index, Lane, Mask, Predicate
+from lierb.kernels.zero import ZERO, is_zero
+
+PI = 3.141592653589793
+
+
+def _traced(*numbers: Any) -> bool:
+    return any(isinstance(x, Lane) for x in numbers)
+
+
+def fma(a: Any, b: Any, c: Any) -> Any:
+    """a·b + c, rounded once where traced for a CPU that can; a·b + c rounded twice in plain Python."""
+    if is_zero(a) or is_zero(b):
+        return c
+    if is_zero(c):
+        return a * b
+    if _traced(a, b, c) and lanes.HAS_FMA:
+        return lanes.call_intrinsic("fma", a, b, c)
+    return a * b + c
+
+
+def sqrt(x: Any) -> Any:
+    if is_zero(x):
+        return ZERO
+    return lanes.call_intrinsic("sqrt", x) if _traced(x) else np.sqrt(x)
+
+
+def absolute(x: Any) -> Any:
+    if is_zero(x):
+        return ZERO
+    return lanes.call_intrinsic("fabs", x) if _traced(x) else np.abs(x)
+
+
+def rint(x: Any) -> Any:
+    """Nearest integer, ties to even."""
+    return lanes.call_intrinsic("rint", x) if _traced(x) else np.rint(x)
+
+
+def floor(x: Any) -> Any:
+    return lanes.call_intrinsic("floor", x) if _traced(x) else np.floor(x)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """The smaller one; the other one if one is NaN."""
+    return (
+        lanes.call_intrinsic("minnum", a, b) if _traced(a, b) else np.fmin(_number(a), _number(b))
+    )
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """The larger one; the other one if one is NaN."""
+    a, b = _number(a), _number(b)
+    return lanes.call_intrinsic("maxnum", a, b) if _traced(a, b) else np.fmax(a, b)
+
+
+def _number(x: Any) -> Any:
+    return 0.0 if is_zero(x) else x
+
+
+def where(mask: Any, a: Any, b: Any) -> Any:
+    """`a` where the mask holds, `b` elsewhere, lane by lane; tuples member by member."""
+    if isinstance(a, tuple):
+        return tuple(where(mask, x, y) for x, y in zip(a, b, strict=True))
+    if is_zero(a, b):
+        return ZERO
+    if isinstance(mask, Mask):
+        return lanes.select(mask, _number(a), _number(b))
+    if isinstance(mask, np.ndarray):
+        return np.where(mask, _number(a), _number(b))
+    return a if mask else b
+
+
+def all_lanes(mask: Any) -> Any:
+    """Whether the mask holds in every lane: something to `branch` on."""
+    return mask.reduced("and") if isinstance(mask, Mask) else bool(np.all(mask))
+
+
+def any_lanes(mask: Any) -> Any:
+    """Whether the mask holds in some lane: something to `branch` on."""
+    return mask.reduced("or") if isinstance(mask, Mask) else bool(np.any(mask))
+
+
+def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    """`then()` or `otherwise()`, of which only one is computed; both give tuples of one shape.
+
+    For speed alone: a lane's bits must be the same on either side, or they would depend on the
+    neighbours that share its pack.
+    """
+    if not isinstance(predicate, Predicate):
+        return then() if predicate else otherwise()
+    shapes: list[Any] = []
+
+    def flat(side: Callable[[], Any]) -> Callable[[], list[Any]]:
+        def run() -> list[Any]:
+            result = side()
+            shapes.append(result)
+            return [_number(x) for x in flatten(result)]
+
+        return run
+
+    merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise)))
+    return _refill(shapes[0], merged)
+
+
+def flatten(numbers: Any) -> list[Any]:
+    """The members of nested tuples, in order."""
+    if isinstance(numbers, tuple):
+        return [x for part in numbers for x in flatten(part)]
+    return [numbers]
+
+
+def _refill(shape: Any, members: Any) -> Any:
+    if isinstance(shape, tuple):
+        return tuple(_refill(part, members) for part in shape)
+    return next(members)
+
+
+def real(index: Any) -> Any:
+    """An integer as a double."""
+    return index.real() if isinstance(index, Index) else float(index)
+
+
+def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
+    """A pack of `width` consecutive doubles from `index` on; one number in plain Python."""
+    return array.load(index, width) if isinstance(array, ArrayRef) else array[index]
+
+
+def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
+    """Write a pack to `width` consecutive places from `index` on."""
+    if isinstance(array, ArrayRef):
+        array.store(index, _number(number), width)
+    else:
+        array[index] = _number(number)
+
+
+def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
+    """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
+    return array.gather(axis, place, width) if isinstance(array, ArrayRef) else array[place]
+
+
+def scatter(
+    array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
+) -> None:
+    """Write lane i of each pack at its place moved by i along `axis`, as far as the array reaches."""
+    numbers = [_number(x) for x in numbers]
+    if isinstance(array, ArrayRef):
+        array.scatter(axis, places, numbers, width)
+    else:
+        for place, number in zip(places, numbers, strict=True):
+            array[place] = number

@@ -1,0 +1,187 @@
+"""Scalar functions of θ², θ = ‖ξ‖, on which exp, dexp and dexp⁻¹ are built, and the angles' own.
+
+    sinc = sin θ/θ     a = (1 − cos θ)/θ²      b = (θ − sin θ)/θ³
+    a₁ = a′/θ          b₁ = b′/θ
+    c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
+
+Three forms, each where it loses nothing: five Taylor terms below 0.1 rad (a time step's angles); up
+to π the entire alternating series with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); the closed forms
+above. One small-angle threshold for all of them would be wrong: at θ = 1e-4 the closed forms of b₁
+and c₁ are off by factors of 150 and 1900. `tests/kernels/test_coefficients.py` measures the errors.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import factorial
+from typing import Any, NamedTuple
+
+from lierb.kernels.arithmetic import (
+    PI,
+    all_lanes,
+    branch,
+    floor,
+    fma,
+    maximum,
+    minimum,
+    rint,
+    sqrt,
+    where,
+)
+from lierb.kernels.arithmetic import absolute as abs_
+
+SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
+SERIES = PI**2  # θ² up to which the entire series is used
+
+
+class Coefficients(NamedTuple):
+    sinc: Any
+    a: Any
+    b: Any
+    a1: Any
+    b1: Any
+    c0: Any
+    c1: Any
+
+
+def _alternating(terms: int, term: Any) -> tuple[float, ...]:
+    return tuple(float((-1) ** k * Fraction(term(k))) for k in range(terms))
+
+
+SINC_TERMS = _alternating(5, lambda k: Fraction(1, factorial(2 * k + 1)))
+A_TERMS = _alternating(14, lambda k: Fraction(1, factorial(2 * k + 2)))
+B_TERMS = _alternating(13, lambda k: Fraction(1, factorial(2 * k + 3)))
+A1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 4)))
+B1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 5)))
+E_TERMS = _alternating(12, lambda k: Fraction(2 * k + 2, factorial(2 * k + 6)))  # e = 2a c₁
+
+# c₀ = Σ |B₂ₖ₊₂| zᵏ/(2k+2)!, with the Bernoulli numbers |B₂| … |B₁₂|
+_BERNOULLI = [Fraction(*q) for q in ((1, 6), (1, 30), (1, 42), (1, 30), (5, 66), (691, 2730))]
+_C0 = [number / factorial(2 * k + 2) for k, number in enumerate(_BERNOULLI)]
+C0_TERMS = tuple(float(c) for c in _C0[:5])
+C1_TERMS = tuple(float(2 * (k + 1) * c) for k, c in enumerate(_C0[1:]))
+
+
+def horner(z: Any, terms: tuple[float, ...]) -> Any:
+    """Σ terms[k] zᵏ."""
+    total: Any = terms[-1]
+    for term in terms[-2::-1]:
+        total = fma(z, total, term)
+    return total
+
+
+def coefficients(z: Any) -> Coefficients:
+    """All coefficient functions at z = θ² < 4π².
+
+    A caller takes what it needs: what is left over is dropped when the formula is compiled.
+    """
+    small = z < SMALL
+    every = branch(all_lanes(small), lambda: _short(z), lambda: where(small, _short(z), _long(z)))
+    return Coefficients(*every)
+
+
+def _short(z: Any) -> tuple[Any, ...]:
+    return (
+        horner(z, SINC_TERMS),
+        horner(z, A_TERMS[:5]),
+        horner(z, B_TERMS[:5]),
+        horner(z, A1_TERMS[:5]),
+        horner(z, B1_TERMS[:5]),
+        horner(z, C0_TERMS),
+        horner(z, C1_TERMS),
+    )
+
+
+def _long(z: Any) -> tuple[Any, ...]:
+    # each form is fed arguments it can bear: the other's lanes are thrown away
+    return where(z < SERIES, _entire(minimum(z, SERIES)), _closed(maximum(z, 1.0)))
+
+
+def _entire(z: Any) -> tuple[Any, ...]:
+    a, b = horner(z, A_TERMS), horner(z, B_TERMS)
+    a1, b1 = horner(z, A1_TERMS), horner(z, B1_TERMS)
+    half_inverse = 0.5 / a
+    return (1.0 - z * b, a, b, a1, b1, -a1 * half_inverse, horner(z, E_TERMS) * half_inverse)
+
+
+def _closed(z: Any) -> tuple[Any, ...]:
+    theta = sqrt(z)
+    s, c = sincos(0.5 * theta)
+    sinc = 2.0 * s * c / theta
+    a2 = 4.0 * s * s / z  # 2a; 1 − cos θ = 2 sin²(θ/2) does not cancel
+    a = 0.5 * a2
+    b = (1.0 - sinc) / z
+    a1 = (sinc - a2) / z
+    b1 = (a - 3.0 * b) / z
+    c0 = (a2 - sinc) / (a2 * z)
+    c1 = (1.0 + sinc - 2.0 * a2) / (a2 * z * z)
+    return (sinc, a, b, a1, b1, c0, c1)
+
+
+# ---- trigonometric functions on every number type ----------------------------------------------
+# Kernel and reduction constants as in FreeBSD msun (k_sin.c, k_cos.c, e_rem_pio2.c, s_atan.c).
+
+_SIN = (
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+_COS = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
+_ATAN = (
+    3.33333333333329318027e-01,
+    -1.99999999998764832476e-01,
+    1.42857142725034663711e-01,
+    -1.11111104054623557880e-01,
+    9.09088713343650656196e-02,
+    -7.69187620504482999495e-02,
+    6.66107313738753120669e-02,
+    -5.83357013379057348645e-02,
+    4.97687799461593236017e-02,
+    -3.65315727442169155270e-02,
+    1.62858201153657823623e-02,
+)
+_HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_TAN_PI_8 = 0.41421356237309503
+
+
+def sincos(x: Any) -> tuple[Any, Any]:
+    """sin x and cos x for |x| ≤ 1e5 rad, by Cody–Waite reduction to [−π/4, π/4]."""
+    quarters = rint(x * (2.0 / PI))
+    y = x
+    for part in _HALF_PI:
+        y = fma(-quarters, part, y)
+    z = y * y
+    s = fma(y * z, horner(z, _SIN), y)
+    c = fma(z * z, horner(z, _COS), fma(-0.5, z, 1.0))
+    quadrant = quarters - 4.0 * floor(quarters * 0.25)
+    odd = (quadrant == 1.0) | (quadrant == 3.0)
+    sine, cosine = where(odd, (c, s), (s, c))
+    return (
+        where(quadrant >= 2.0, -sine, sine),
+        where((quadrant == 1.0) | (quadrant == 2.0), -cosine, cosine),
+    )
+
+
+def atan2(y: Any, x: Any) -> Any:
+    """Angle of (x, y) in [−π, π] rad; 0 at the origin."""
+    ax, ay = abs_(x), abs_(y)
+    steep = ay > ax
+    low, high = minimum(ax, ay), maximum(ax, ay)
+    far = low > _TAN_PI_8 * high  # then atan t = π/4 + atan((t − 1)/(t + 1))
+    top, bottom = where(far, (low - high, low + high), (low, high))
+    t = top / where(bottom > 0.0, bottom, 1.0)
+    z = t * t
+    angle = fma(-(t * z), horner(z, _ATAN), t) + where(far, 0.25 * PI, 0.0)
+    angle = where(steep, 0.5 * PI - angle, angle)
+    angle = where(x < 0.0, PI - angle, angle)
+    return where(y < 0.0, -angle, angle)

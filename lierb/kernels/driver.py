@@ -1,0 +1,304 @@
+"""The compiled driver: blocks of L bodies, in parallel, from one step number to another.
+
+Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body] with the bodies
+padded to a multiple of L; histories are [column][time][body] or [time][body][component], unpadded,
+and become Arrow columns as they are. Between two calls everything about a body lives in `carried`:
+cutting a run into calls changes no bit.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from numba import njit, prange
+
+from lierb.kernels import _jit
+from lierb.kernels.arithmetic import (
+    absolute,
+    fma,
+    load,
+    maximum,
+    real,
+    scatter,
+    sqrt,
+    store,
+    where,
+)
+from lierb.kernels.measures import Measures, measure
+from lierb.kernels.newton_euler import Body, Parameters
+from lierb.kernels.plan import Plan
+from lierb.kernels.stepper import ZERO6, State, accelerate, pose_of, step
+
+# ---- columns -----------------------------------------------------------------------------------
+
+INPUT_WIDTHS = {
+    "mass": 1, "inertia": 9, "com": 3, "gravity": 3, "ground_frame": 12, "body_frame": 12,
+    "pitch": 1, "pose": 12, "twist": 6,
+}  # fmt: skip
+INPUT_COLUMNS = sum(INPUT_WIDTHS.values())
+
+OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
+
+CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V, Record
+SUMMARY_COLUMNS = 11 + 18  # Record, R, r, ω, v
+ERROR_COLUMNS = (
+    "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
+    "orthogonality_error", "energy",
+)  # fmt: skip
+
+
+class Record(NamedTuple):
+    """What a run remembers of a body; squares as in `Measures`."""
+
+    position: Any
+    rotation: Any
+    velocity: Any
+    rotation_rate: Any
+    orthogonality: Any
+    energy_drift: Any
+    last_position: Any
+    last_rotation: Any
+    first_energy: Any
+    status: Any
+    failed_step: Any
+
+
+LARGEST = 1.7976931348623157e308
+NAN = float("nan")
+
+
+# ---- formulas on one block ---------------------------------------------------------------------
+
+
+def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
+    return [load(array, (c, first), plan.lanes) for c in range(count)]
+
+
+def _parameters(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
+    parts = {}
+    start = 0
+    for name, width in INPUT_WIDTHS.items():
+        parts[name] = tuple(numbers[start : start + width])
+        start += width
+    parameters = Parameters(
+        mass=parts["mass"][0],
+        inertia=parts["inertia"],
+        com=parts["com"],
+        gravity=parts["gravity"],
+        ground=_pose(parts["ground_frame"]),
+        body=_pose(parts["body_frame"]),
+        pitch=parts["pitch"][0],
+    )
+    return parameters, _pose(parts["pose"]), parts["twist"]
+
+
+def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
+    return numbers[:9], numbers[9:]
+
+
+def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
+    parameters, _, _ = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    return plan.space.body(parameters)
+
+
+def initial_state(plan: Plan, inputs: Any, first: Any) -> State:
+    parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
+    return State(chart, ZERO6 if plan.is_local else tuple(0.0 * v for v in velocity), velocity)
+
+
+def initial_record(plan: Plan, body: Body, state: State) -> Record:
+    """Maxima so far: nothing, as numbers of the state's own type."""
+    nothing = 0.0 * body[0]
+    start = measure(plan, Body(*body), pose_of(plan, State(*state)), state[2])
+    return Record(*(nothing,) * 8, start.energy, nothing, nothing)
+
+
+def load_carried(plan: Plan, carried: Any, first: Any) -> tuple[State, Record]:
+    numbers = tuple(_columns(plan, carried, CARRIED_COLUMNS, first))
+    x = ZERO6 if plan.is_local else numbers[12:18]
+    return State(_pose(numbers[:12]), x, numbers[18:24]), Record(*numbers[24:])
+
+
+def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
+    numbers = [*state[0][0], *state[0][1], *state[1], *state[2], *record]
+    for c, number in enumerate(numbers):
+        store(carried, (c, first), number, plan.lanes)
+
+
+def advance(
+    plan: Plan, body: Body, state: State, record: Record, k: Any, h: Any
+) -> tuple[State, Record]:
+    """Step number k; a body that fails keeps its status and step, and is NaN from then on."""
+    state, record = State(*state), Record(*record)
+    moved, singular = step(plan, Body(*body), state, h)
+    total = moved.velocity[0]
+    for number in (*moved.velocity[1:], *moved.x, *moved.chart[0], *moved.chart[1]):
+        total = total + number
+    finite = absolute(total) <= LARGEST  # false for NaN
+    now = where(singular > 0.5, float(SINGULAR), where(finite, float(OK), float(NON_FINITE)))
+    fresh = (now > 0.0) & (record.status == OK)
+    status = where(fresh, now, record.status)
+    failed_step = where(fresh, real(k), record.failed_step)
+    velocity = where(status == OK, moved.velocity, (NAN,) * 6)  # spreads to the pose by itself
+    return (
+        moved._replace(velocity=velocity),
+        record._replace(status=status, failed_step=failed_step),
+    )
+
+
+def observe(plan: Plan, body: Body, state: State, record: Record) -> tuple[Measures, Record]:
+    """The measures now, and the record with its maxima raised to them where they are finite."""
+    record, state = Record(*record), State(*state)
+    now = measure(plan, Body(*body), pose_of(plan, state), state.velocity)
+    alive = record.status == OK
+
+    def raised(old: Any, new: Any) -> Any:
+        return where(alive & (new <= LARGEST), maximum(old, new), old)
+
+    return now, record._replace(
+        position=raised(record.position, now.position),
+        rotation=raised(record.rotation, now.rotation),
+        velocity=raised(record.velocity, now.velocity),
+        rotation_rate=raised(record.rotation_rate, now.rotation_rate),
+        orthogonality=raised(record.orthogonality, now.orthogonality),
+        energy_drift=raised(record.energy_drift, absolute(now.energy - record.first_energy)),
+        last_position=where(alive, now.position, NAN),
+        last_rotation=where(alive, now.rotation, NAN),
+    )
+
+
+def store_errors(
+    plan: Plan, record: Record, now: Measures, errors: Any, row: Any, first: Any
+) -> None:
+    """One row of the history's scalar columns, in the order of ERROR_COLUMNS."""
+    record, now = Record(*record), Measures(*now)
+    alive = record.status == OK
+    numbers = (
+        sqrt(now.position), sqrt(now.rotation), sqrt(now.velocity), sqrt(now.rotation_rate),
+        now.energy - record.first_energy, sqrt(now.orthogonality), now.energy,
+    )  # fmt: skip
+    places = [(c, row, first) for c in range(len(numbers))]
+    scatter(errors, 2, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
+
+
+def user_state(
+    plan: Plan, inputs: Any, state: State, record: Record, first: Any
+) -> tuple[Any, ...]:
+    """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
+    parameters, _, _ = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    state = State(*state)
+    pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), state.velocity)
+    return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
+
+
+def store_state(
+    plan: Plan,
+    inputs: Any,
+    state: State,
+    record: Record,
+    states: Any,
+    row: Any,
+    first: Any,
+    column: Any,
+) -> None:
+    """One row of the history's state: R, r, ω and v, each [time][body][component]."""
+    numbers = user_state(plan, inputs, state, record, first)
+    for array, part in zip(
+        states, (numbers[:9], numbers[9:12], numbers[12:15], numbers[15:]), strict=True
+    ):
+        scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
+
+
+def store_multipliers(
+    plan: Plan, body: Body, state: State, record: Record, multipliers: Any, row: Any, first: Any
+) -> None:
+    """One row of the history's λ, [time][body][row of the joint]."""
+    if not plan.multipliers:
+        return
+    state = State(*state)
+    _, found, _ = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity)
+    alive = Record(*record).status == OK
+    places = [(row, first, c) for c in range(len(found))]
+    if places:
+        scatter(multipliers, 1, places, where(alive, found, (NAN,) * len(found)), plan.lanes)
+
+
+def store_summary(
+    plan: Plan, inputs: Any, state: State, record: Record, summary: Any, first: Any
+) -> None:
+    squares, rest = tuple(record)[:5], tuple(record)[5:]
+    drift, last, others = rest[0], rest[1:3], rest[3:]
+    numbers = [*map(sqrt, squares), drift, *map(sqrt, last), *others]
+    for c, number in enumerate([*numbers, *user_state(plan, inputs, state, record, first)]):
+        store(summary, (c, first), number, plan.lanes)
+
+
+for _formula in (
+    load_body, initial_state, initial_record, load_carried, store_carried, advance, observe,
+    store_errors, store_state, store_multipliers, store_summary,
+):  # fmt: skip
+    _jit.kernel(_formula)
+
+
+# ---- the loop over steps and the loop over blocks ------------------------------------------------
+
+
+@njit(**_jit.OPTIONS)
+def _until(k: int, every: int, end: int) -> int:
+    """Steps from k to the next multiple of `every`, or to the end."""
+    return min(every - k % every, end - k)
+
+
+@njit(**_jit.OPTIONS)
+def integrate_block(
+    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers, first,
+    offset, begin, stop, last, h, measure_every, save_every,
+):  # fmt: skip
+    """Steps begin … stop of the block whose first body is `first` (`offset` + `first` in histories)."""
+    body = load_body(plan, inputs, first)
+    if begin == 0:
+        state = initial_state(plan, inputs, first)
+        record = initial_record(plan, body, state)
+    else:
+        state, record = load_carried(plan, carried, first)
+    column = offset + first
+    k = begin
+    fresh = begin == 0
+    while True:
+        save = save_every > 0 and (k % save_every == 0 or k == last)
+        if fresh and (save or k % measure_every == 0 or k == last):
+            now, seen = observe(plan, body, state, record)
+            if k % measure_every == 0 or k == last:
+                record = seen
+            if save:
+                row = (k + save_every - 1) // save_every
+                store_errors(plan, record, now, errors, row, column)
+                if rotations.shape[0] > 0:
+                    states = (rotations, places, omegas, velocities)
+                    store_state(plan, inputs, state, record, states, row, first, column)
+                store_multipliers(plan, body, state, record, multipliers, row, column)
+        if k >= stop:
+            break
+        ahead = _until(k, measure_every, stop)
+        if save_every > 0:
+            ahead = min(ahead, _until(k, save_every, stop))
+        for _ in range(ahead):
+            k += 1
+            state, record = advance(plan, body, state, record, k, h)
+        fresh = True
+    store_carried(plan, carried, first, state, record)
+    store_summary(plan, inputs, state, record, summary, first)
+
+
+@njit(parallel=True, cache=True, **_jit.OPTIONS)
+def integrate_blocks(
+    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers, lanes,
+    offset, begin, stop, last, h, measure_every, save_every,
+):  # fmt: skip
+    """Steps begin … stop of every body; `last` is the run's last step."""
+    for block in prange(inputs.shape[1] // lanes):
+        integrate_block(
+            plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
+            multipliers, block * lanes, offset, begin, stop, last, h, measure_every, save_every,
+        )  # fmt: skip

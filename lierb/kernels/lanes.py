@@ -1,0 +1,383 @@
+"""Lane packs: L bodies side by side in one SIMD register, as a number that formulas compute with.
+
+A `Lane` stands for an LLVM value, `<L x double>` or `double`, while a formula is being traced: each
+operator emits the instruction and returns the result. No instruction carries a fast-math flag: with
+`contract` LLVM may or may not fuse a product depending on what else uses it, and a body's bits would
+depend on what is recorded. Fused multiply-adds are written as `fma` in the formulas instead.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import llvmlite.binding as llvm
+from llvmlite import ir
+from numba import config, types
+from numba.core import cgutils
+from numba.extending import models, register_model
+
+DOUBLE = ir.DoubleType()
+BIT = ir.IntType(1)
+INT32 = ir.IntType(32)
+
+
+def _host_features() -> frozenset[str]:
+    """CPU features that Numba compiles for (its own override respected)."""
+    if config.CPU_FEATURES is not None:
+        return frozenset(f[1:] for f in config.CPU_FEATURES.split(",") if f.startswith("+"))
+    if config.CPU_NAME == "generic":
+        return frozenset()
+    return frozenset(name for name, present in llvm.get_host_cpu_features().items() if present)
+
+
+def _default_lanes() -> int:
+    """Doubles in one vector register: 8 with AVX-512, 4 with AVX, 2 otherwise."""
+    override = os.environ.get("LIERB_LANES")
+    if override is not None:
+        if override not in {"1", "2", "4", "8"}:
+            raise ValueError(f"LIERB_LANES must be 1, 2, 4 or 8, got {override!r}")
+        return int(override)
+    if "avx512f" in CPU_FEATURES:
+        return 8
+    return 4 if "avx" in CPU_FEATURES else 2
+
+
+CPU_FEATURES = _host_features()
+IS_X86 = llvm.get_process_triple().split("-")[0] in {"x86_64", "i386", "i686", "amd64"}
+# Without the instruction, llvm.fma would call libm once a lane.
+HAS_FMA = "fma" in CPU_FEATURES or not IS_X86
+DEFAULT_LANES = 1 if config.DISABLE_JIT else _default_lanes()
+
+
+# ---- the Numba type that carries lanes between traced formulas ---------------------------------
+
+
+class LaneType(types.Type):
+    """Numba type of a pack of `lanes` doubles."""
+
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        super().__init__(name=f"Lane<{lanes}>")
+
+
+@register_model(LaneType)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, fe_type: LaneType) -> None:
+        super().__init__(manager, fe_type, ir.VectorType(DOUBLE, fe_type.lanes))
+
+
+# ---- traced numbers ----------------------------------------------------------------------------
+
+
+def _splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
+    vector = ir.VectorType(value.type, lanes)
+    undefined = ir.Constant(vector, ir.Undefined)
+    first = builder.insert_element(undefined, value, ir.Constant(INT32, 0))
+    return builder.shuffle_vector(
+        first, undefined, ir.Constant(ir.VectorType(INT32, lanes), [0] * lanes)
+    )
+
+
+def _constant(like: ir.Type, value: float) -> ir.Constant:
+    if isinstance(like, ir.VectorType):
+        return ir.Constant(like, [float(value)] * like.count)
+    return ir.Constant(like, float(value))
+
+
+def _same_type(builder: ir.IRBuilder, operands: Sequence[Any]) -> list[ir.Value]:
+    """LLVM values of one type: the widest among `operands`; Python numbers become constants."""
+    traced = [x.value.type for x in operands if isinstance(x, Lane)]
+    widest = next((t for t in traced if isinstance(t, ir.VectorType)), traced[0])
+
+    def convert(x: Any) -> ir.Value:
+        if not isinstance(x, Lane):
+            return _constant(widest, x)
+        if x.value.type == widest:
+            return x.value
+        return _splat(builder, x.value, widest.count)
+
+    return [convert(x) for x in operands]
+
+
+def _emits(method: str) -> Any:
+    def operator(self: Lane, other: Any) -> Any:
+        if not isinstance(other, (Lane, int, float)):
+            return NotImplemented
+        return Lane(
+            self.builder, getattr(self.builder, method)(*_same_type(self.builder, (self, other)))
+        )
+
+    return operator
+
+
+def _emits_reflected(method: str) -> Any:
+    def operator(self: Lane, other: Any) -> Any:
+        if not isinstance(other, (int, float)):
+            return NotImplemented
+        return Lane(
+            self.builder, getattr(self.builder, method)(*_same_type(self.builder, (other, self)))
+        )
+
+    return operator
+
+
+def _compares(symbol: str) -> Any:
+    def operator(self: Lane, other: Any) -> Any:
+        if not isinstance(other, (Lane, int, float)):
+            return NotImplemented
+        operands = _same_type(self.builder, (self, other))
+        return Mask(self.builder, self.builder.fcmp_ordered(symbol, *operands))
+
+    return operator
+
+
+class Lane:
+    """A traced double, or pack of doubles. Comparisons are ordered: false where a NaN takes part."""
+
+    __slots__ = ("builder", "value")
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
+        self.builder = builder
+        self.value = value
+
+    @property
+    def lanes(self) -> int:
+        return self.value.type.count if isinstance(self.value.type, ir.VectorType) else 1
+
+    __add__, __radd__ = _emits("fadd"), _emits_reflected("fadd")
+    __sub__, __rsub__ = _emits("fsub"), _emits_reflected("fsub")
+    __mul__, __rmul__ = _emits("fmul"), _emits_reflected("fmul")
+    __truediv__, __rtruediv__ = _emits("fdiv"), _emits_reflected("fdiv")
+    __lt__, __le__ = _compares("<"), _compares("<=")
+    __gt__, __ge__ = _compares(">"), _compares(">=")
+    __eq__ = _compares("==")
+
+    def __neg__(self) -> Lane:
+        return Lane(self.builder, self.builder.fneg(self.value))
+
+    def __bool__(self) -> bool:
+        raise TypeError("a lane pack has no single truth value: use where(mask, a, b), not if")
+
+    def widened(self, lanes: int) -> Lane:
+        """The same number in every one of `lanes` lanes."""
+        if self.lanes == lanes:
+            return self
+        return Lane(self.builder, _splat(self.builder, self.value, lanes))
+
+
+class Mask:
+    """A traced truth value per lane."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
+        self.builder = builder
+        self.value = value
+
+    def _combine(self, other: Any, method: str) -> Mask:
+        if isinstance(other, Mask):
+            return Mask(self.builder, getattr(self.builder, method)(self.value, other.value))
+        neutral = method == "and_"  # True & m = m, False | m = m
+        if bool(other) == neutral:
+            return self
+        ty = self.value.type
+        bits = [int(other)] * ty.count if isinstance(ty, ir.VectorType) else int(other)
+        return Mask(self.builder, ir.Constant(ty, bits))
+
+    def __and__(self, other: Any) -> Mask:
+        return self._combine(other, "and_")
+
+    def __or__(self, other: Any) -> Mask:
+        return self._combine(other, "or_")
+
+    __rand__, __ror__ = __and__, __or__
+
+    def __bool__(self) -> bool:
+        raise TypeError("a lane mask has no single truth value: use where(mask, a, b), not if")
+
+    def reduced(self, kind: str) -> Predicate:
+        """One truth value for the whole pack: kind "and" (all lanes) or "or" (any lane)."""
+        if not isinstance(self.value.type, ir.VectorType):
+            return Predicate(self.builder, self.value)
+        signature = ir.FunctionType(BIT, [self.value.type])
+        name = f"llvm.vector.reduce.{kind}.v{self.value.type.count}i1"
+        function = cgutils.get_or_insert_function(self.builder.module, signature, name)
+        return Predicate(self.builder, self.builder.call(function, [self.value]))
+
+
+class Predicate:
+    """A traced truth value of the whole pack, fit for a branch."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
+        self.builder = builder
+        self.value = value
+
+    def __bool__(self) -> bool:
+        raise TypeError("the truth of a traced predicate is known at run time only: use branch()")
+
+
+def call_intrinsic(name: str, *operands: Any) -> Lane:
+    """`llvm.<name>` on lanes, scalars and constants mixed."""
+    builder = next(x.builder for x in operands if isinstance(x, Lane))
+    values = _same_type(builder, operands)
+    ty = values[0].type
+    suffix = f"v{ty.count}f64" if isinstance(ty, ir.VectorType) else "f64"
+    signature = ir.FunctionType(ty, [ty] * len(values))
+    function = cgutils.get_or_insert_function(builder.module, signature, f"llvm.{name}.{suffix}")
+    return Lane(builder, builder.call(function, values))
+
+
+def select(mask: Mask, a: Any, b: Any) -> Lane:
+    """Lane by lane: `a` where the mask holds, `b` elsewhere."""
+    builder = mask.builder
+    count = mask.value.type.count if isinstance(mask.value.type, ir.VectorType) else 1
+    like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
+
+    def convert(x: Any) -> ir.Value:
+        return x.widened(count).value if isinstance(x, Lane) else _constant(like, x)
+
+    return Lane(builder, builder.select(mask.value, convert(a), convert(b)))
+
+
+def branch_on(
+    predicate: Predicate,
+    then: Callable[[], Sequence[Any]],
+    otherwise: Callable[[], Sequence[Any]],
+) -> list[Lane]:
+    """Emit both sides as blocks, of which one runs; each returns the same number of numbers."""
+    builder = predicate.builder
+    with builder.if_else(predicate.value) as (first, second):
+        with first:
+            left = list(then())
+            left_block = builder.block
+        with second:
+            right = list(otherwise())
+            right_block = builder.block
+    merged = []
+    for a, b in zip(left, right, strict=True):
+        widest = _widest_type((a, b))
+        phi = builder.phi(widest)
+        phi.add_incoming(_at_end_of(left_block, a, widest), left_block)
+        phi.add_incoming(_at_end_of(right_block, b, widest), right_block)
+        merged.append(Lane(builder, phi))
+    return merged
+
+
+def _widest_type(numbers: Sequence[Any]) -> ir.Type:
+    found = [x.value.type for x in numbers if isinstance(x, Lane)] or [DOUBLE]
+    return next((t for t in found if isinstance(t, ir.VectorType)), found[0])
+
+
+def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:
+    if not isinstance(x, Lane):
+        return _constant(ty, x)
+    if x.value.type == ty:
+        return x.value
+    builder = ir.IRBuilder(block)
+    builder.position_before(block.terminator)
+    return _splat(builder, x.value, ty.count)
+
+
+# ---- traced integers and arrays ----------------------------------------------------------------
+
+
+class Index:
+    """A traced integer (intp), for array positions."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
+        self.builder = builder
+        self.value = value
+
+    def real(self) -> Lane:
+        return Lane(self.builder, self.builder.sitofp(self.value, DOUBLE))
+
+
+class ArrayRef:
+    """A C-contiguous float64 array of any dimension, read and written a pack at a time."""
+
+    __slots__ = ("builder", "data", "shape", "index_type")
+
+    def __init__(
+        self, context: Any, builder: ir.IRBuilder, ty: types.Array, value: ir.Value
+    ) -> None:
+        array = context.make_array(ty)(context, builder, value)
+        self.builder = builder
+        self.data = array.data
+        self.shape = cgutils.unpack_tuple(builder, array.shape, ty.ndim)
+        self.index_type = self.shape[0].type
+
+    def _as_value(self, i: Any) -> ir.Value:
+        return i.value if isinstance(i, Index) else ir.Constant(self.index_type, i)
+
+    def _pointer(self, index: Sequence[Any]) -> ir.Value:
+        offset = self._as_value(index[0])
+        for i, extent in zip(index[1:], self.shape[1:], strict=True):
+            offset = self.builder.add(self.builder.mul(offset, extent), self._as_value(i))
+        return self.builder.gep(self.data, [offset])
+
+    def load(self, index: Sequence[Any], lanes: int) -> Lane:
+        """`lanes` consecutive doubles from `index` on."""
+        pointer = self._pointer(index)
+        if lanes > 1:
+            pointer = self.builder.bitcast(pointer, ir.VectorType(DOUBLE, lanes).as_pointer())
+        return Lane(self.builder, self.builder.load(pointer, align=8))
+
+    def store(self, index: Sequence[Any], number: Any, lanes: int) -> None:
+        """Write a pack to `lanes` consecutive places from `index` on."""
+        ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
+        value = number.widened(lanes).value if isinstance(number, Lane) else _constant(ty, number)
+        pointer = self._pointer(index)
+        if lanes > 1:
+            pointer = self.builder.bitcast(pointer, ty.as_pointer())
+        self.builder.store(value, pointer, align=8)
+
+    def gather(self, axis: int, place: Sequence[Any], lanes: int) -> Lane:
+        """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
+        builder = self.builder
+        start = self._as_value(place[axis])
+        last = builder.sub(self.shape[axis], ir.Constant(self.index_type, 1))
+        pack: ir.Value = ir.Constant(ir.VectorType(DOUBLE, lanes), ir.Undefined)
+        for lane in range(lanes):
+            moved = builder.add(start, ir.Constant(self.index_type, lane))
+            moved = builder.select(builder.icmp_signed("<", moved, last), moved, last)
+            element = builder.load(
+                self._pointer([*place[:axis], Index(builder, moved), *place[axis + 1 :]])
+            )
+            if lanes == 1:
+                return Lane(builder, element)
+            pack = builder.insert_element(pack, element, ir.Constant(INT32, lane))
+        return Lane(builder, pack)
+
+    def scatter(
+        self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
+    ) -> None:
+        """Write lane i of each pack at its place moved by i along `axis`, as far as the array reaches."""
+        builder = self.builder
+        packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
+        buffer = cgutils.alloca_once(builder, packs)
+        zero = ir.Constant(INT32, 0)
+        for n, number in enumerate(numbers):
+            ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
+            value = (
+                number.widened(lanes).value if isinstance(number, Lane) else _constant(ty, number)
+            )
+            pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), zero])
+            builder.store(value, builder.bitcast(pointer, ty.as_pointer()), align=8)
+        start = self._as_value(places[0][axis])
+        room = builder.sub(self.shape[axis], start)
+        width = ir.Constant(self.index_type, lanes)
+        count = builder.select(builder.icmp_signed("<", room, width), room, width)
+        with cgutils.for_range(builder, count) as loop:
+            moved = Index(builder, builder.add(start, loop.index))
+            for n, place in enumerate(places):
+                pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), loop.index])
+                target = self._pointer([*place[:axis], moved, *place[axis + 1 :]])
+                builder.store(builder.load(pointer), target, align=8)

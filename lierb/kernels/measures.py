@@ -1,0 +1,49 @@
+"""How well a body keeps its constraints, its energy and its rotation matrix's orthogonality."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.arithmetic import fma
+from lierb.kernels.constraints import (
+    position_error_squared,
+    rate_errors_squared,
+    rotation_error_squared,
+)
+from lierb.kernels.newton_euler import Body
+from lierb.kernels.plan import Plan
+from lierb.kernels.stepper import Pose
+from lierb.kernels.vec import IDENTITY, Vec, mat_t_mat
+from lierb.kernels.zero import ZERO
+
+
+class Measures(NamedTuple):
+    """Squares, but for the energy: the root is taken once, of the largest."""
+
+    position: Any  # m²
+    rotation: Any
+    velocity: Any  # m²/s²
+    rotation_rate: Any  # rad²/s²
+    orthogonality: Any  # ‖QᵀQ − I‖², Frobenius
+    energy: Any  # J
+
+
+def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Measures:
+    x = plan.space.kinematics(body, pose, velocity)
+    rate, turning_rate = rate_errors_squared(plan.rows, x, body.pitch, velocity)
+    return Measures(
+        position_error_squared(plan.rows, x, body.pitch),
+        rotation_error_squared(plan.rows, x),
+        rate,
+        turning_rate,
+        _orthogonality_squared(pose[0]),
+        plan.space.energy(body, pose, velocity),
+    )
+
+
+def _orthogonality_squared(q: Any) -> Any:
+    total: Any = ZERO
+    for entry, one in zip(mat_t_mat(q, q), IDENTITY, strict=True):
+        excess = entry - one
+        total = fma(excess, excess, total)
+    return total

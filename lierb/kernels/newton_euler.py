@@ -1,0 +1,225 @@
+"""The rigid body in the frames that make its joint simplest, and Newton–Euler in both c-spaces.
+
+Joint axes. Every problem is brought to the joint's own frames before the first step and taken back
+after the last: Q = GᵣᵀRBᵣ turns the body's joint frame to the ground's. Rows of the constraint
+Jacobian are then unit vectors and rows of Q, however the joint is tilted.
+
+- On SE(3) the body frame *is* the joint frame: D = G⁻¹CB = (Q, d). Both c-space and method are
+  equivariant under this change (left and right translations), so the motion is the same.
+- On SO(3)×R³ only rotations are: C = (Q, s) with s the place of the body frame's origin, and
+  d = s + Q p with p the joint's point seen from there. That p ≠ 0 is what makes constraints drift.
+
+Momentum is balanced at the centre of mass, c from the body frame's origin, where M is block-diagonal:
+the saddle point's M⁻¹ is Θ⁻¹, 1/m and two cross products for any c.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from lierb.kernels import se3, so3xr3
+from lierb.kernels.arithmetic import fma
+from lierb.kernels.vec import (
+    ZERO3,
+    Mat,
+    Vec,
+    add,
+    cross,
+    dot,
+    inverse_symmetric,
+    mat_mat,
+    mat_mat_t,
+    mat_t_mat,
+    mat_t_vec,
+    mat_vec,
+    scale,
+    sub,
+)
+
+Pose = tuple[Mat, Vec]
+
+
+class Parameters(NamedTuple):
+    """A body and its joint as the user gives them (SI; rotation matrices row by row)."""
+
+    mass: Any
+    inertia: Mat  # about the body frame's origin
+    com: Vec  # centre of mass in the body frame
+    gravity: Vec  # in the ground frame
+    ground: Pose  # joint frame seen from the ground
+    body: Pose  # joint frame seen from the body
+    pitch: Any  # m/rad
+
+
+class Body(NamedTuple):
+    """The same in joint axes, as the equations of motion want it."""
+
+    mass: Any
+    inertia: Mat  # Θ about the centre of mass
+    inertia_inverse: Mat
+    com: Vec  # c, from the body frame's origin
+    arm: Vec  # p, from the body frame's origin to the joint's point
+    gravity: Vec  # in the ground's joint frame
+    energy_origin: Any  # potential energy at the ground's joint frame, J
+    pitch: Any
+
+
+class Kinematics(NamedTuple):
+    """What constraint rows are made of."""
+
+    q: Mat
+    d: Vec  # the joint's point in the ground's joint frame
+    omega: Vec
+    arm: Vec
+    point_rate: Vec  # Qᵀ ḋ
+    point_bias: Vec  # Qᵀ d̈ at zero acceleration V̇
+    is_body_fixed: bool  # velocity of the body frame in body axes (v), or in the ground's (ṙ)
+
+    def translation(self, ground: Vec, body: Vec) -> Vec:
+        """Translational part of a row along a direction, given in ground and in body axes."""
+        return body if self.is_body_fixed else ground
+
+
+def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
+    """Turn to joint axes; `origin`, from which c is counted, is in the user's body frame."""
+    to_joint = p.body[0]
+    steiner = scale(p.mass, unit_inertia(p.com))
+    about_com = sub(p.inertia, steiner)
+    inertia = mat_t_mat(to_joint, mat_mat(about_com, to_joint))
+    return Body(
+        mass=p.mass,
+        inertia=inertia,
+        inertia_inverse=inverse_symmetric(inertia),
+        com=mat_t_vec(to_joint, sub(p.com, origin)),
+        arm=arm,
+        gravity=mat_t_vec(p.ground[0], p.gravity),
+        energy_origin=-p.mass * dot(p.gravity, p.ground[1]),
+        pitch=p.pitch,
+    )
+
+
+def unit_inertia(c: Vec) -> Mat:
+    """(c·c) I − c cᵀ, the inertia of a unit mass at c."""
+    x, y, z = c
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = -(x * y), -(x * z), -(y * z)
+    return (yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
+
+
+def response(body: Body, torque: Vec, force: Vec) -> Vec:
+    """M⁻¹ of a wrench about the centre of mass, in body axes: (Θ⁻¹τ, f/m + c × Θ⁻¹τ)."""
+    alpha = mat_vec(body.inertia_inverse, torque)
+    return alpha + add(scale(1.0 / body.mass, force), cross(body.com, alpha))
+
+
+def row_response(body: Body, row: Vec) -> Vec:
+    """M⁻¹ Jᵀ for one row of J, a wrench about the body frame's origin."""
+    torque, force = row[:3], row[3:]
+    return response(body, sub(torque, cross(body.com, force)), force)
+
+
+def kinetic_energy(body: Body, omega: Vec, com_velocity: Vec) -> Any:
+    turning = dot(omega, mat_vec(body.inertia, omega))
+    return 0.5 * fma(body.mass, dot(com_velocity, com_velocity), turning)
+
+
+def _potential_energy(body: Body, com: Vec) -> Any:
+    return body.energy_origin - body.mass * dot(body.gravity, com)
+
+
+class SE3:
+    """Velocity (ω, v), both in body axes; v is that of the body frame's origin."""
+
+    group: ModuleType = se3
+
+    @staticmethod
+    def body(p: Parameters) -> Body:
+        return _body(p, origin=p.body[1], arm=ZERO3)
+
+    @staticmethod
+    def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), (turn, point) = p.ground, p.body
+        q = mat_t_mat(ground, mat_mat(pose[0], turn))
+        d = mat_t_vec(ground, sub(add(pose[1], mat_vec(pose[0], point)), origin))
+        omega = mat_t_vec(turn, twist[:3])
+        return (q, d), omega + mat_t_vec(turn, add(twist[3:], cross(twist[:3], point)))
+
+    @staticmethod
+    def to_user_axes(p: Parameters, pose: Pose, velocity: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), (turn, point) = p.ground, p.body
+        r = mat_mat(ground, mat_mat_t(pose[0], turn))
+        place = sub(add(origin, mat_vec(ground, pose[1])), mat_vec(r, point))
+        omega = mat_vec(turn, velocity[:3])
+        return (r, place), omega + sub(mat_vec(turn, velocity[3:]), cross(omega, point))
+
+    @staticmethod
+    def kinematics(body: Body, pose: Pose, velocity: Vec) -> Kinematics:
+        omega, v = velocity[:3], velocity[3:]
+        return Kinematics(pose[0], pose[1], omega, ZERO3, v, cross(omega, v), is_body_fixed=True)
+
+    @staticmethod
+    def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
+        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESE3, about the centre of mass)."""
+        omega = velocity[:3]
+        com_velocity = add(velocity[3:], cross(omega, body.com))
+        gyroscopic = cross(mat_vec(body.inertia, omega), omega)
+        fall = sub(mat_t_vec(pose[0], body.gravity), cross(omega, com_velocity))
+        alpha = mat_vec(body.inertia_inverse, gyroscopic)
+        return alpha + add(fall, cross(body.com, alpha))
+
+    @staticmethod
+    def energy(body: Body, pose: Pose, velocity: Vec) -> Any:
+        omega = velocity[:3]
+        moving = kinetic_energy(body, omega, add(velocity[3:], cross(omega, body.com)))
+        return moving + _potential_energy(body, add(pose[1], mat_vec(pose[0], body.com)))
+
+
+class SO3xR3:
+    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's. The body frame is at the centre of mass."""
+
+    group: ModuleType = so3xr3
+
+    @staticmethod
+    def body(p: Parameters) -> Body:
+        arm = mat_t_vec(p.body[0], p.body[1])
+        return _body(p, origin=p.com, arm=arm)._replace(com=ZERO3)
+
+    @staticmethod
+    def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), turn = p.ground, p.body[0]
+        q = mat_t_mat(ground, mat_mat(pose[0], turn))
+        s = mat_t_vec(ground, sub(pose[1], origin))
+        rate = mat_t_vec(ground, mat_vec(pose[0], twist[3:]))
+        return (q, s), mat_t_vec(turn, twist[:3]) + rate
+
+    @staticmethod
+    def to_user_axes(p: Parameters, pose: Pose, velocity: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), turn = p.ground, p.body[0]
+        r = mat_mat(ground, mat_mat_t(pose[0], turn))
+        place = add(origin, mat_vec(ground, pose[1]))
+        return (r, place), mat_vec(turn, velocity[:3]) + mat_vec(
+            turn, mat_t_vec(pose[0], velocity[3:])
+        )
+
+    @staticmethod
+    def kinematics(body: Body, pose: Pose, velocity: Vec) -> Kinematics:
+        q, omega = pose[0], velocity[:3]
+        swing = cross(omega, body.arm)
+        rate = add(mat_t_vec(q, velocity[3:]), swing)
+        d = add(pose[1], mat_vec(q, body.arm))
+        return Kinematics(q, d, omega, body.arm, rate, cross(omega, swing), is_body_fixed=False)
+
+    @staticmethod
+    def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
+        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESO3xR3)."""
+        omega = velocity[:3]
+        gyroscopic = cross(mat_vec(body.inertia, omega), omega)
+        return mat_vec(body.inertia_inverse, gyroscopic) + body.gravity
+
+    @staticmethod
+    def energy(body: Body, pose: Pose, velocity: Vec) -> Any:
+        return kinetic_energy(body, velocity[:3], velocity[3:]) + _potential_energy(body, pose[1])
+
+
+CSPACES: dict[str, type[SE3] | type[SO3xR3]] = {"SE3": SE3, "SO3xR3": SO3xR3}

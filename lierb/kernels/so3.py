@@ -1,0 +1,97 @@
+"""The rotation group SO(3). R: 9 entries row by row; ξ, ω: 3 components, rad and rad/s."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.arithmetic import fma, where
+from lierb.kernels.coefficients import Coefficients, atan2, coefficients
+from lierb.kernels.vec import (
+    IDENTITY,
+    Mat,
+    Vec,
+    axpy,
+    cross,
+    dot,
+    mat_mat,
+    mat_vec,
+    neg,
+    norm,
+    scale,
+    transpose,
+)
+
+identity: Mat = IDENTITY
+
+
+def angle_coefficients(xi: Vec) -> Coefficients:
+    """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    return coefficients(dot(xi, xi))
+
+
+def compose(r1: Mat, r2: Mat) -> Mat:
+    """R₁ R₂."""
+    return mat_mat(r1, r2)
+
+
+def inverse(r: Mat) -> Mat:
+    """R⁻¹ = Rᵀ."""
+    return transpose(r)
+
+
+def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
+    """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues)."""
+    k = k or angle_coefficients(xi)
+    x, y, z = xi
+    ax, ay, az = k.a * x, k.a * y, k.a * z
+    sx, sy, sz = k.sinc * x, k.sinc * y, k.sinc * z
+    xx, yy, zz = ax * x, ay * y, az * z
+    return (
+        1.0 - (yy + zz), fma(ax, y, -sz), fma(ax, z, sy),
+        fma(ax, y, sz), 1.0 - (xx + zz), fma(ay, z, -sx),
+        fma(ax, z, -sy), fma(ay, z, sx), 1.0 - (xx + yy),
+    )  # fmt: skip
+
+
+def log(r: Mat) -> Vec:
+    """The ξ with exp ξ = R and ‖ξ‖ ≤ π.
+
+    By the quaternion whose largest component is formed first, so that nothing cancels at any angle.
+    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive (the
+    first of them, where several are).
+    """
+    # 4 q² for each component; the largest is at least 1
+    w2, x2 = 1.0 + r[0] + r[4] + r[8], 1.0 + r[0] - r[4] - r[8]
+    y2, z2 = 1.0 - r[0] + r[4] - r[8], 1.0 - r[0] - r[4] + r[8]
+    wx, wy, wz = r[7] - r[5], r[2] - r[6], r[3] - r[1]
+    xy, xz, yz = r[1] + r[3], r[2] + r[6], r[5] + r[7]
+    q = where(y2 >= z2, (wy, xy, y2, yz), (wz, xz, yz, z2))
+    q = where((x2 >= y2) & (x2 >= z2), (wx, x2, xy, xz), q)
+    q = where((w2 >= x2) & (w2 >= y2) & (w2 >= z2), (w2, wx, wy, wz), q)
+    q = where(q[0] < 0.0, neg(q), q)
+    n = norm(q[1:])
+    return scale(2.0 * atan2(n, q[0]) / where(n > 0.0, n, 1.0), q[1:])
+
+
+def Ad(r: Mat, x: Vec) -> Vec:
+    """Ad_R x = R x."""
+    return mat_vec(r, x)
+
+
+def ad(x: Vec, y: Vec) -> Vec:
+    """[x, y] = x × y."""
+    return cross(x, y)
+
+
+def dexp(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
+    """Right-trivialised differential of exp: w + a ξ×w + b ξ×(ξ×w)  (Müller, eq. dexpSO3)."""
+    k = k or angle_coefficients(xi)
+    xw = cross(xi, w)
+    return axpy(k.b, cross(xi, xw), axpy(k.a, xw, w))
+
+
+def dexpinv(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
+    """Inverse of dexp: w − ½ ξ×w + c₀ ξ×(ξ×w), ‖ξ‖ < 2π  (Müller, eq. dexpInvSO3)."""
+    k = k or angle_coefficients(xi)
+    xw = cross(xi, w)
+    return axpy(k.c0, cross(xi, xw), axpy(-0.5, xw, w))
