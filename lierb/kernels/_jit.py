@@ -1,9 +1,9 @@
 """The one place with Numba options: formulas in @njit code, the `Plan` tag, and the disk cache.
 
 A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
-result's type, and then for its instructions, and both times the formula is run once on traced numbers
-(`lanes.Lane`). Loops over rows and stages, tuples and structural zeros thus cost nothing at run time,
-and Numba's type inference never sees the formula's inside (a third of the compile time).
+result's type, and then for its instructions, and both times the formula runs once on traced numbers
+(`lanes.Lane`). Loops over rows and stages, tuples and structural zeros thus cost nothing at run
+time, and Numba's type inference never sees the inside of a formula.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def _traced(*numbers: Any) -> bool:
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
-    """a·b + c, rounded once where traced for a CPU that can; a·b + c rounded twice in plain Python."""
+    """a·b + c, rounded once where traced for a CPU that can; rounded twice in plain Python."""
     if is_zero(a) or is_zero(b):
         return c
     if is_zero(c):
@@ -155,7 +155,7 @@ def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
 def scatter(
     array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
 ) -> None:
-    """Write lane i of each pack at its place moved by i along `axis`, as far as the array reaches."""
+    """Write lane i of each pack at its place moved by i along `axis`, while inside the array."""
     numbers = [_number(x) for x in numbers]
     if isinstance(array, ArrayRef):
         array.scatter(axis, places, numbers, width)

@@ -5,7 +5,7 @@
     c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
 
 Three forms, each where it loses nothing: five Taylor terms below 0.1 rad (a time step's angles); up
-to π the entire alternating series with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); the closed forms
+to π the entire alternating series with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms
 above. One small-angle threshold for all of them would be wrong: at θ = 1e-4 the closed forms of b₁
 and c₁ are off by factors of 150 and 1900. `tests/kernels/test_coefficients.py` measures the errors.
 """

@@ -1,8 +1,8 @@
 """The compiled driver: blocks of L bodies, in parallel, from one step number to another.
 
-Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body] with the bodies
-padded to a multiple of L; histories are [column][time][body] or [time][body][component], unpadded,
-and become Arrow columns as they are. Between two calls everything about a body lives in `carried`:
+Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body], with the
+bodies padded to a multiple of L; histories are [column][time][body] or [time][body][component],
+unpadded, and become Arrow columns as they are. Between two calls everything about a body lives in `carried`:
 cutting a run into calls changes no bit.
 """
 
@@ -15,7 +15,6 @@ from numba import njit, prange
 from lierb.kernels import _jit
 from lierb.kernels.arithmetic import (
     absolute,
-    fma,
     load,
     maximum,
     real,
@@ -252,10 +251,10 @@ def _until(k: int, every: int, end: int) -> int:
 
 @njit(**_jit.OPTIONS)
 def integrate_block(
-    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers, first,
-    offset, begin, stop, last, h, measure_every, save_every,
+    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
+    first, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
-    """Steps begin … stop of the block whose first body is `first` (`offset` + `first` in histories)."""
+    """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories)."""
     body = load_body(plan, inputs, first)
     if begin == 0:
         state = initial_state(plan, inputs, first)
@@ -293,8 +292,8 @@ def integrate_block(
 
 @njit(parallel=True, cache=True, **_jit.OPTIONS)
 def integrate_blocks(
-    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers, lanes,
-    offset, begin, stop, last, h, measure_every, save_every,
+    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
+    lanes, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
     """Steps begin … stop of every body; `last` is the run's last step."""
     for block in prange(inputs.shape[1] // lanes):

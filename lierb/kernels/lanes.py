@@ -2,8 +2,8 @@
 
 A `Lane` stands for an LLVM value, `<L x double>` or `double`, while a formula is being traced: each
 operator emits the instruction and returns the result. No instruction carries a fast-math flag: with
-`contract` LLVM may or may not fuse a product depending on what else uses it, and a body's bits would
-depend on what is recorded. Fused multiply-adds are written as `fma` in the formulas instead.
+`contract` LLVM may or may not fuse a product depending on what else uses it, and a body's bits
+would depend on what is recorded. Fused multiply-adds are written as `fma` in the formulas instead.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _compares(symbol: str) -> Any:
 
 
 class Lane:
-    """A traced double, or pack of doubles. Comparisons are ordered: false where a NaN takes part."""
+    """A traced double, or pack of doubles. Comparisons are ordered: false with a NaN."""
 
     __slots__ = ("builder", "value")
     __array_ufunc__ = None
@@ -359,7 +359,7 @@ class ArrayRef:
     def scatter(
         self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
     ) -> None:
-        """Write lane i of each pack at its place moved by i along `axis`, as far as the array reaches."""
+        """Write lane i of each pack at its place moved by i along `axis`, while inside."""
         builder = self.builder
         packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
         buffer = cgutils.alloca_once(builder, packs)

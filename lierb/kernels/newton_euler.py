@@ -9,8 +9,8 @@ Jacobian are then unit vectors and rows of Q, however the joint is tilted.
 - On SO(3)×R³ only rotations are: C = (Q, s) with s the place of the body frame's origin, and
   d = s + Q p with p the joint's point seen from there. That p ≠ 0 is what makes constraints drift.
 
-Momentum is balanced at the centre of mass, c from the body frame's origin, where M is block-diagonal:
-the saddle point's M⁻¹ is Θ⁻¹, 1/m and two cross products for any c.
+Momentum is balanced at the centre of mass, c from the body frame's origin, where M is
+block-diagonal: the saddle point's M⁻¹ is Θ⁻¹, 1/m and two cross products for any c.
 """
 
 from __future__ import annotations
@@ -176,7 +176,7 @@ class SE3:
 
 
 class SO3xR3:
-    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's. The body frame is at the centre of mass."""
+    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's; the body frame at the COM."""
 
     group: ModuleType = so3xr3
 

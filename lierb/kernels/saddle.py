@@ -21,7 +21,7 @@ def solve(
 ) -> tuple[Vec, tuple[Any, ...], Any]:
     """V̇, λ and a mask of singular bodies, from J, η and the free acceleration M⁻¹(ad_Vᵀ M V + W).
 
-    Schur complement S = J M⁻¹ Jᵀ, factored as L D Lᵀ: no square roots, and blind to the rows' units.
+    Schur complement S = J M⁻¹ Jᵀ, factored as L D Lᵀ: no square roots, and no row units.
     """
     m = len(rows)
     responses = [row_response(body, row) for row in rows]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from lierb.kernels.arithmetic import fma, where
 from lierb.kernels.coefficients import Coefficients, atan2, coefficients
 from lierb.kernels.vec import (

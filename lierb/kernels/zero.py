@@ -1,7 +1,7 @@
 """`ZERO`: a component that is zero by structure, not by value.
 
-0·x → ZERO and 0 + x → x are decided when a formula is traced or run, so a general SE(3) formula that
-is given structural zeros folds down to the subgroup's own, with no code for any subgroup.
+0·x → ZERO and 0 + x → x are decided when a formula is traced or run, so a general SE(3) formula
+that is given structural zeros folds down to the subgroup's own, with no code for any subgroup.
 """
 
 from __future__ import annotations

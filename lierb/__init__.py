@@ -1,0 +1,19 @@
+"""lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
+
+from lierb import errors, joints, lie
+from lierb.api import Result, integrate
+from lierb.model import Body, Problem
+from lierb.provenance import package_version
+from lierb.tableaus import ButcherTableau
+
+__version__ = package_version()
+__all__ = [
+    "Body",
+    "ButcherTableau",
+    "Problem",
+    "Result",
+    "errors",
+    "integrate",
+    "joints",
+    "lie",
+]

@@ -1,0 +1,266 @@
+"""`integrate`: check → pack → run → Arrow. No formula here."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike
+
+from lierb import checks, run
+from lierb.arrays import Array, as_numbers, as_poses
+from lierb.errors import ArgumentError, TimeGridError, unknown_name
+from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
+from lierb.kernels.lanes import DEFAULT_LANES
+from lierb.kernels.newton_euler import CSPACES
+from lierb.kernels.plan import Plan
+from lierb.model import Problem
+from lierb.provenance import provenance
+from lierb.tableaus import ButcherTableau, tableau_of
+
+UPDATES = ("local", "global")
+RECORDS = ("state", "energy", "multipliers")
+CHECKS = ("raise", "warn", "off")
+STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
+
+UNITS = {
+    "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
+    "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
+    "energy": "J", "R": "1", "r": "m", "omega": "rad/s", "v": "m/s",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Result:
+    """What `integrate` gives back; its tables are pyarrow's.
+
+    summary: one row per body.   errors: one row per saved time and body, time-major; None without
+    `save_every`.
+    """
+
+    summary: pa.Table
+    errors: pa.Table | None
+
+    def __repr__(self) -> str:
+        rows = "no history" if self.errors is None else f"{self.errors.num_rows} history rows"
+        return f"<lierb.Result: {self.summary.num_rows} bodies, {rows}>"
+
+
+def integrate(
+    problem: Problem,
+    *,
+    twist0: ArrayLike,
+    pose0: Any = None,
+    dt: float,
+    t_end: float,
+    method: str | ButcherTableau = "RK4",
+    cspace: str = "SE3",
+    update: str = "local",
+    save_every: int | None = None,
+    measure_every: int = 1,
+    record: Iterable[str] = (),
+    check: str = "raise",
+    threads: int | None = None,
+    progress: bool | Callable[[int, int], None] | None = None,
+) -> Result:
+    """Integrate one body, or every body of a batch, from 0 to t_end.
+
+    problem : the body, its joint and gravity; each batched, (n, …), or shared.
+    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t = 0, rad/s and m/s; see `Joint.twist`.
+    pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint.
+    dt, t_end : s; t_end must be a whole number of steps.
+    method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
+    cspace : "SE3" (screw motions) or "SO3xR3" (rotation and position decoupled).
+    update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
+    save_every : steps between rows of `errors`. Default: no history.
+    measure_every : steps between samples of the maxima in `summary`.
+    record : extra columns of `errors`: "state", "energy", "multipliers".
+    check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
+    threads : how many to use in this call. Default: Numba's number.
+    progress : True for a bar on stderr (needs `lierb[cli]`), False for none, or a function of
+        (body-steps done, body-steps in all). Default: a bar on a terminal after two seconds.
+
+    Raises subclasses of `lierb.errors.LierbError` (a ValueError) before anything runs. A body that
+    fails on the way gets a status in `summary` and leaves the others untouched.
+
+    >>> import lierb
+    >>> body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
+    >>> top = lierb.Problem(body, lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0)))
+    >>> twist0 = top.joint.twist(omega=(6.28, 3.14, 0.63))
+    >>> result = lierb.integrate(top, twist0=twist0, dt=1e-3, t_end=0.1)
+    >>> result.summary["status"].to_pylist()
+    ['ok']
+    """
+    if not isinstance(problem, Problem):
+        raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
+    _check_names(cspace, update, check)
+    recorded = _checked_record(record, save_every)
+    tableau = tableau_of(method)
+    steps = _checked_grid(dt, t_end, save_every, measure_every)
+    twists = as_numbers("twist0", twist0, (6,))
+    poses = problem.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
+    count = problem.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
+    if cspace == "SO3xR3":
+        checks.require_central_com(problem)
+    if check != "off":
+        _report(checks.violation(problem, poses, twists, count), check)
+    plan = Plan(
+        lanes=DEFAULT_LANES,
+        rows=problem.joint.rows,
+        cspace=cspace,
+        update=update,
+        stages=tableau.A,  # type: ignore[arg-type]
+        weights=tableau.b,  # type: ignore[arg-type]
+        multipliers="multipliers" in recorded,
+    )
+    grid = run.Grid(float(dt), steps, int(measure_every), int(save_every or 0))
+    inputs = run.Inputs.of(problem, poses, twists, count)
+    output = run.integrate(plan, inputs, grid, "state" in recorded, threads, progress)
+    metadata = provenance(
+        problem,
+        twist0=twists,
+        pose0=poses,
+        plan=plan,
+        options={
+            "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
+            "update": update, "save_every": save_every, "measure_every": measure_every,
+            "record": list(recorded), "check": check,
+        },
+    )  # fmt: skip
+    return Result(
+        _summary_table(output, grid, metadata),
+        _errors_table(output, grid, recorded, plan, metadata) if save_every else None,
+    )
+
+
+# ---- arguments ---------------------------------------------------------------------------------
+
+
+def _check_names(cspace: str, update: str, check: str) -> None:
+    for argument, got, known in (
+        ("cspace", cspace, tuple(CSPACES)),
+        ("update", update, UPDATES),
+        ("check", check, CHECKS),
+    ):
+        if got not in known:
+            raise unknown_name(argument, got, known)
+
+
+def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:
+    names = (record,) if isinstance(record, str) else tuple(record)
+    for name in names:
+        if name not in RECORDS:
+            raise unknown_name("record", name, RECORDS)
+    if names and save_every is None:
+        raise ArgumentError(f"record={names} adds columns to the history; give save_every= as well")
+    return tuple(name for name in RECORDS if name in names)
+
+
+def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every: int) -> int:
+    for name, seconds in (("dt", dt), ("t_end", t_end)):
+        if not (
+            isinstance(seconds, (int, float, np.number)) and np.isfinite(seconds) and seconds > 0
+        ):
+            raise TimeGridError(f"{name}={seconds!r}; expected a positive time in s")
+    for name, every in (("save_every", save_every), ("measure_every", measure_every)):
+        whole = isinstance(every, (int, np.integer)) and not isinstance(every, bool)
+        if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
+            raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
+    steps = round(t_end / dt)
+    if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt * max(1.0, steps * 1e-6):
+        below = max(int(t_end / dt), 1)
+        raise TimeGridError(
+            f"t_end={t_end!r} s is no multiple of dt={dt!r} s; the nearest are "
+            f"{below * dt!r} and {(below + 1) * dt!r}"
+        )
+    return steps
+
+
+def _report(error: ValueError | None, check: str) -> None:
+    if error is None:
+        return
+    if check == "raise":
+        raise error
+    from lierb.errors import InconsistentStateWarning
+
+    warnings.warn(str(error), InconsistentStateWarning, stacklevel=3)
+
+
+# ---- tables ------------------------------------------------------------------------------------
+
+
+def _field(name: str, array: pa.Array, unit: str | None = None) -> pa.Field:
+    unit = unit or UNITS.get(name.removesuffix("_max").removesuffix("_final"))
+    return pa.field(name, array.type, metadata={"unit": unit} if unit else None)
+
+
+def _table(
+    columns: dict[str, pa.Array], metadata: dict[str, Any], units: dict[str, str]
+) -> pa.Table:
+    schema = pa.schema(
+        [_field(name, array, units.get(name)) for name, array in columns.items()],
+        metadata={"lierb": json.dumps(metadata)},
+    )
+    return pa.Table.from_arrays(list(columns.values()), schema=schema)
+
+
+def _vectors(array: Array) -> pa.Array:
+    """fixed_size_list over the last axis, without a copy."""
+    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
+
+
+def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any]) -> pa.Table:
+    s = output.summary
+    failed = s["status"] != OK
+    status = pa.DictionaryArray.from_arrays(
+        pa.array(s["status"].astype(np.int8)),
+        pa.array([STATUS_NAMES[i] for i in sorted(STATUS_NAMES)]),
+    )
+    columns = {
+        "body": pa.array(np.arange(len(failed), dtype=np.int64)),
+        "status": status,
+        "t": pa.array(np.where(failed, s["failed_step"] * grid.dt, grid.steps * grid.dt)),
+    }
+    for name in run.SUMMARY_SCALARS:
+        if name not in ("status", "failed_step", "first_energy"):
+            columns[name] = pa.array(s[name])
+    for name in run.STATE_WIDTHS:
+        columns[name] = _vectors(s[name])
+    order = [
+        "body", "status", "t", "position_error_max", "position_error_final", "rotation_error_max",
+        "rotation_error_final", "velocity_error_max", "rotation_rate_error_max",
+        "energy_drift_max", "orthogonality_error_max", "R", "r", "omega", "v",
+    ]  # fmt: skip
+    return _table({name: columns[name] for name in order}, metadata, {})
+
+
+def _errors_table(
+    output: run.Output,
+    grid: run.Grid,
+    recorded: tuple[str, ...],
+    plan: Plan,
+    metadata: dict[str, Any],
+) -> pa.Table:
+    saved = grid.saved_steps()
+    count = output.errors.shape[2]
+    columns = {
+        "body": pa.array(np.tile(np.arange(count, dtype=np.int64), len(saved))),
+        "step": pa.array(np.repeat(saved, count)),
+        "t": pa.array(np.repeat(saved * grid.dt, count)),
+    }
+    for c, name in enumerate(ERROR_COLUMNS):
+        if name != "energy" or "energy" in recorded:
+            columns[name] = pa.array(output.errors[c].reshape(-1))
+    if "state" in recorded:
+        for name, array in zip(run.STATE_WIDTHS, output.states, strict=True):
+            columns[name] = _vectors(array)
+    units = {}
+    if "multipliers" in recorded:
+        columns["lambda"] = _vectors(output.multipliers)
+        units["lambda"] = ", ".join(row.unit for row in plan.rows) or "none"
+    return _table(columns, metadata, units)

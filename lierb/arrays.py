@@ -1,0 +1,123 @@
+"""User arrays ↔ the tuples of components that formulas take: one array a component, any batch.
+
+Componentwise arithmetic gives a body the same bits alone and in any batch; `matmul` need not.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lierb.errors import ArgumentError, PoseError, body_label
+from lierb.kernels.vec import Mat, Vec, dot, mat_t_mat
+
+Array = NDArray[np.float64]
+Pose = tuple[Mat, Vec]
+
+ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoever made R
+
+
+def as_numbers(argument: str, value: ArrayLike, *tails: tuple[int, ...]) -> Array:
+    """`value` as float64 with a shape that ends in one of `tails`, after at most one batch axis."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
+    fits = any(
+        array.ndim - len(tail) in (0, 1) and array.shape[array.ndim - len(tail) :] == tail
+        for tail in tails
+    )
+    if not fits:
+        expected = " or ".join(f"{_shape(tail)} or {_shape(('n', *tail))}" for tail in tails)
+        raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise ArgumentError(
+            f"{argument}{list(where) if where else ''} is {array[where]}; expected finite numbers"
+        )
+    return array
+
+
+def _shape(sizes: tuple[Any, ...]) -> str:
+    return f"({', '.join(map(str, sizes))}{',' if len(sizes) == 1 else ''})"
+
+
+def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
+    """Common length of the batch axes; None if there are none. Values: (array, item axes)."""
+    found: dict[str, int] = {}
+    for name, entry in arguments.items():
+        array, item_axes = entry if isinstance(entry, tuple) else (entry, 0)
+        if array.ndim > item_axes:
+            found[name] = array.shape[0]
+    sizes = set(found.values()) - {1}
+    if len(sizes) > 1:
+        listed = ", ".join(f"{name} has {size}" for name, size in found.items() if size != 1)
+        raise ArgumentError(f"batched arguments differ in their number of bodies: {listed}")
+    return sizes.pop() if sizes else (1 if found else None)
+
+
+def components(array: Array, axes: int = 1) -> Vec:
+    """The entries of the last `axes` axes, row by row."""
+    flat = array.reshape(*array.shape[: array.ndim - axes], -1)
+    return tuple(flat[..., i] for i in range(flat.shape[-1]))
+
+
+def assembled(parts: Vec, *shape: int) -> Array:
+    """Inverse of `components`: last axis, or axes of `shape`."""
+    columns = np.broadcast_arrays(*(np.asarray(p, dtype=np.float64) for p in map(_number, parts)))
+    stacked = np.stack(columns, axis=-1)
+    return stacked.reshape(*stacked.shape[:-1], *shape) if shape else stacked
+
+
+def _number(x: Any) -> Any:
+    return x if isinstance(x, (float, np.ndarray, np.generic)) else 0.0
+
+
+def pose_components(pose: Array) -> Pose:
+    return components(pose[..., :3, :3], 2), components(pose[..., :3, 3])
+
+
+def pose_matrix(pose: Pose) -> Array:
+    """4×4 homogeneous matrices."""
+    r, p = assembled(pose[0], 3, 3), assembled(pose[1])
+    batch = np.broadcast_shapes(r.shape[:-2], p.shape[:-1])
+    matrix = np.zeros((*batch, 4, 4))
+    matrix[..., :3, :3] = r
+    matrix[..., :3, 3] = p
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def as_poses(argument: str, value: Any) -> Array:
+    """4×4 rigid motions from arrays or from SciPy's `RigidTransform` or `Rotation`."""
+    if hasattr(value, "as_matrix"):
+        value = value.as_matrix()
+        if value.shape[-2:] == (3, 3):  # a Rotation: about the origin
+            value = pose_matrix((components(value, 2), (0.0, 0.0, 0.0)))
+    poses = as_numbers(argument, value, (4, 4))
+    check_rotations(argument, poses[..., :3, :3])
+    if not np.array_equal(
+        poses[..., 3, :], np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*poses.shape[:-2], 4))
+    ):
+        raise PoseError(f"{argument} must be homogeneous matrices with last row (0, 0, 0, 1)")
+    return poses
+
+
+def check_rotations(argument: str, matrices: Array) -> None:
+    """Raise unless each is orthogonal and right-handed."""
+    r = components(matrices, 2)
+    gram = mat_t_mat(r, r)
+    excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(gram))
+    errors = np.atleast_1d(np.sqrt(dot(excess, excess)))
+    handed = np.atleast_1d(np.linalg.det(matrices))
+    bad = np.flatnonzero((errors > ROTATION_TOLERANCE) | (handed < 0.0))
+    if bad.size:
+        first = int(bad[0])
+        label = body_label(argument, first, errors.size)
+        what = "is a reflection" if handed[first] < 0.0 else f"has ‖RᵀR − I‖ = {errors[first]:.2g}"
+        raise PoseError(
+            f"the rotation of {label} {what}; expected a rotation matrix to {ROTATION_TOLERANCE:g}"
+        )

@@ -1,0 +1,56 @@
+"""What the public face raises. Every message says what, where, got, expected and a remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class LierbError(ValueError):
+    """Base of all of lierb's errors about arguments."""
+
+
+class ArgumentError(LierbError):
+    """An argument has the wrong shape, type or value."""
+
+
+class UnknownNameError(LierbError):
+    """A name (joint row, method, c-space, …) that does not exist."""
+
+
+class InertiaError(LierbError):
+    """A mass or inertia that no rigid body has."""
+
+
+class PoseError(LierbError):
+    """A pose that is no rigid motion, or does not close the joint."""
+
+
+class TwistError(LierbError):
+    """A twist that violates the joint."""
+
+
+class TimeGridError(LierbError):
+    """dt, t_end, save_every or measure_every that make no grid."""
+
+
+class InconsistentStateWarning(UserWarning):
+    """With check="warn": the pose or twist violates the joint."""
+
+
+class ForkError(RuntimeError):
+    """The process was forked after its threads had started; they do not exist in the child."""
+
+
+def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNameError:
+    """The error for a name outside `known`, with the nearest one suggested."""
+    names = list(known)
+    lowered = {name.lower(): name for name in names}
+    near = get_close_matches(str(got).lower(), list(lowered), n=1, cutoff=0.4)
+    hint = f" Did you mean {lowered[near[0]]!r}?" if near else ""
+    return UnknownNameError(f"{argument}={got!r} is unknown; choose from {', '.join(names)}.{hint}")
+
+
+def body_label(argument: str, body: int, count: int) -> str:
+    """`twist0[17]`, or `twist0` where there is only one."""
+    return f"{argument}[{body}]" if count > 1 else argument

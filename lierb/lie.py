@@ -1,0 +1,133 @@
+"""The Lie groups for their own sake, on arrays with any leading batch shape.
+
+`lierb.lie.so3`, `.se3` and `.so3xr3` share one interface. Vectors of the algebra hold the angular
+part first (rad, then m); elements of the group are matrices, R (…, 3, 3) or C (…, 4, 4). For
+SO(3)×R³ the 4×4 matrix only holds (R, r): it composes by `so3xr3.compose`, not by matrix product.
+
+The formulas themselves, on tuples of numbers, are in `lierb.kernels.so3`, `.se3` and `.so3xr3`, and
+can be called from your own @njit code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import Array
+from lierb.errors import ArgumentError
+from lierb.kernels import _jit
+from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
+from lierb.kernels.lanes import DEFAULT_LANES
+
+
+@dataclass(frozen=True)
+class Group:
+    """A Lie group of rotations or rigid motions.
+
+    name: "so3", "se3" or "so3xr3".   size: 3 for 3×3 matrices, 4 for 4×4.   dim: 3 or 6.
+    All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` and
+    `RigidTransform` for group elements, and raise ArgumentError for a wrong shape.
+    """
+
+    name: str
+    size: int
+    dim: int
+
+    def exp(self, X: ArrayLike) -> Array:
+        """exp: (…, dim) → group element. ‖ξ‖ is not limited (accurate to 1e5 rad).
+
+        >>> import lierb
+        >>> lierb.lie.se3.exp([0, 0, 0, 1.0, 2.0, 3.0])[:3, 3].tolist()
+        [1.0, 2.0, 3.0]
+        """
+        return self._call("exp", X)
+
+    def log(self, C: Any) -> Array:
+        """The X with exp X = C and ‖ξ‖ ≤ π, (…, dim).
+
+        At ‖ξ‖ = π the component of ξ largest in size is positive (the first, where several are).
+        """
+        return self._call("log", C)
+
+    def compose(self, C1: Any, C2: Any) -> Array:
+        """The product C₁C₂ of the group."""
+        return self._call("compose", C1, C2)
+
+    def inverse(self, C: Any) -> Array:
+        """C⁻¹."""
+        return self._call("inverse", C)
+
+    def Ad(self, C: Any, X: ArrayLike | None = None) -> Array:
+        """Ad_C X, (…, dim); without X the matrix Ad_C, (…, dim, dim)."""
+        return self._call("Ad", C, X) if X is not None else self._matrix("Ad", C, 2)
+
+    def ad(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
+        """The bracket [X, Y] = ad_X Y, (…, dim); without Y the matrix ad_X."""
+        return self._call("ad", X, Y) if Y is not None else self._matrix("ad", X, 1)
+
+    def dexp(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
+        """Right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X; without Y its matrix."""
+        return self._call("dexp", X, Y) if Y is not None else self._matrix("dexp", X, 1)
+
+    def dexpinv(self, X: ArrayLike, V: ArrayLike | None = None) -> Array:
+        """dexp_X⁻¹ V for ‖ξ‖ < 2π; without V its matrix."""
+        return self._call("dexpinv", X, V) if V is not None else self._matrix("dexpinv", X, 1)
+
+    @property
+    def identity(self) -> Array:
+        return np.eye(self.size)
+
+    def _matrix(self, function: str, first: Any, item_axes: int) -> Array:
+        """The matrix of a linear function, column by column."""
+        element = self._operand(function, "g" if item_axes == 2 else "x", first)
+        columns = self._call(function, np.expand_dims(element, -1 - item_axes), np.eye(self.dim))
+        return np.ascontiguousarray(np.swapaxes(columns, -1, -2))
+
+    def _call(self, function: str, *given: Any) -> Array:
+        kinds, result_kind = SIGNATURES[function]
+        operands = [self._operand(function, kind, x) for kind, x in zip(kinds, given, strict=True)]
+        axes = [2 if kind == "g" else 1 for kind in kinds]
+        try:
+            batch = np.broadcast_shapes(
+                *(x.shape[: x.ndim - n] for x, n in zip(operands, axes, strict=True))
+            )
+        except ValueError:
+            shapes = " and ".join(str(x.shape) for x in operands)
+            raise ArgumentError(
+                f"{self.name}.{function}: shapes {shapes} do not broadcast"
+            ) from None
+        rows = [
+            np.ascontiguousarray(np.broadcast_to(x, batch + x.shape[x.ndim - n :])).reshape(
+                -1, width(self.name, k)
+            )
+            for x, n, k in zip(operands, axes, kinds, strict=True)
+        ]
+        out = np.empty((len(rows[0]), width(self.name, result_kind)))
+        tag = LieFunction(self.name, function, DEFAULT_LANES)
+        arguments = (rows[0], rows[-1], out, tag.lanes)
+        _jit.ensure_compiled(apply, tag, *arguments)
+        with np.errstate(all="ignore"):
+            apply(tag, *arguments)
+        shape = (self.dim,) if result_kind == "x" else (self.size, self.size)
+        return out.reshape(*batch, *shape)
+
+    def _operand(self, function: str, kind: str, given: Any) -> Array:
+        shape = (self.dim,) if kind == "x" else (self.size, self.size)
+        if kind == "g" and hasattr(given, "as_matrix"):
+            given = given.as_matrix()
+        array = np.asarray(given, dtype=np.float64)
+        if array.shape[-len(shape) :] != shape:
+            expected = ", ".join(map(str, shape))
+            raise ArgumentError(
+                f"{self.name}.{function}: an argument has shape {array.shape}; "
+                f"expected (…, {expected})"
+            )
+        return array
+
+
+so3 = Group("so3", 3, 3)
+se3 = Group("se3", 4, 6)
+so3xr3 = Group("so3xr3", 4, 6)

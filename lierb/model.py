@@ -1,0 +1,179 @@
+"""Bodies and problems: what is integrated, in SI units, checked when it is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import (
+    Array,
+    as_numbers,
+    as_poses,
+    assembled,
+    batch_size,
+    components,
+    pose_components,
+)
+from lierb.errors import ArgumentError, InertiaError, body_label
+from lierb.joints import Joint
+from lierb.kernels.constraints import jacobian
+from lierb.kernels.newton_euler import SE3, Parameters, unit_inertia
+from lierb.kernels.saddle import solve
+
+SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
+TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Body:
+    """A rigid body, or one per member of a batch.
+
+    mass : number or (n,), kg.
+    inertia : (3,) or (n, 3) principal moments, (3, 3) or (n, 3, 3) matrices, kg m², about the body
+        frame's origin and in its axes. A shape (3, 3) is one matrix.
+    com : (3,) or (n, 3), m, centre of mass in the body frame. Default: its origin.
+
+    Raises InertiaError for a mass or inertia that no body has, ArgumentError for wrong shapes.
+
+    >>> import lierb
+    >>> lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531)).inertia.shape
+    (3, 3)
+    """
+
+    mass: Array
+    inertia: Array
+    com: Array
+
+    def __init__(self, mass: ArrayLike, inertia: ArrayLike, com: ArrayLike | None = None) -> None:
+        masses = as_numbers("mass", mass, ())
+        moments = as_numbers("inertia", inertia, (3,), (3, 3))
+        if not (moments.ndim >= 2 and moments.shape[-2:] == (3, 3)):
+            moments = moments[..., :, None] * np.eye(3)
+        centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
+        batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
+        _check_mass(masses)
+        moments = _checked_symmetric(moments)
+        about_com = components(moments, 2)
+        shift = unit_inertia(components(centre))
+        _check_physical(
+            assembled(tuple(i - masses * s for i, s in zip(about_com, shift, strict=True)), 3, 3)
+        )
+        for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
+            object.__setattr__(self, name, value)
+
+
+def _check_mass(masses: Array) -> None:
+    bad = np.flatnonzero(np.atleast_1d(masses) <= 0.0)
+    if bad.size:
+        label = body_label("mass", int(bad[0]), masses.size)
+        raise InertiaError(
+            f"{label} is {np.atleast_1d(masses)[bad[0]]} kg; expected a positive mass"
+        )
+
+
+def _checked_symmetric(moments: Array) -> Array:
+    flat = moments.reshape(-1, 3, 3)
+    size = np.abs(flat).max(axis=(1, 2))
+    skew = np.abs(flat - flat.transpose(0, 2, 1)).max(axis=(1, 2))
+    bad = np.flatnonzero(skew > SYMMETRY_TOLERANCE * size)
+    if bad.size:
+        label = body_label("inertia", int(bad[0]), len(flat))
+        raise InertiaError(
+            f"{label} is not symmetric: entries differ by {skew[bad[0]]:.3g} kg m²; "
+            "give (I + I.T) / 2 (a shape (3, 3) is read as one matrix, not as three bodies)"
+        )
+    return (0.5 * (flat + flat.transpose(0, 2, 1))).reshape(moments.shape)
+
+
+def _check_physical(about_com: Array) -> None:
+    """Positive definite, and no principal moment above the sum of the two others."""
+    flat = about_com.reshape(-1, 3, 3)
+    principal = np.linalg.eigvalsh(flat)
+    for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} is not positive definite: its "
+            f"principal moments about the centre of mass are {_listed(principal[body])} kg m²"
+        )
+    excess = principal[:, 2] - principal[:, 0] - principal[:, 1]
+    for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2])[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} belongs to no rigid body: the largest "
+            f"of the principal moments {_listed(principal[body])} kg m² about the centre of mass "
+            "exceeds the sum of the two others"
+        )
+
+
+def _listed(numbers: Array) -> str:
+    return ", ".join(f"{x:.6g}" for x in numbers)
+
+
+def _require(argument: str, value: object, kind: type, expected: str) -> None:
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{argument} must be {expected}, got {value!r}")
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Problem:
+    """A body, the joint that holds it to the ground, and gravity.
+
+    gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
+    """
+
+    body: Body
+    joint: Joint
+    gravity: Array
+
+    def __init__(self, body: Body, joint: Joint, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        _require("body", body, Body, "a lierb.Body")
+        _require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
+        field = as_numbers("gravity", gravity, (3,))
+        object.__setattr__(self, "body", body)
+        object.__setattr__(self, "joint", joint)
+        object.__setattr__(self, "gravity", field)
+        self.batch_size()
+
+    def batch_size(self, **more: Any) -> int | None:
+        """Number of bodies that the batched arguments ask for; None where none is batched."""
+        return batch_size(
+            mass=self.body.mass,
+            inertia=(self.body.inertia, 2),
+            com=(self.body.com, 1),
+            ground_frame=(self.joint.ground_frame, 2),
+            body_frame=(self.joint.body_frame, 2),
+            pitch=self.joint.pitch,
+            gravity=(self.gravity, 1),
+            **more,
+        )
+
+    def parameters(self) -> Parameters:
+        """The problem as formulas take it, one array per component."""
+        return Parameters(
+            mass=self.body.mass,
+            inertia=components(self.body.inertia, 2),
+            com=components(self.body.com),
+            gravity=components(self.gravity),
+            ground=pose_components(self.joint.ground_frame),
+            body=pose_components(self.joint.body_frame),
+            pitch=self.joint.pitch,
+        )
+
+    def project(self, twist: ArrayLike, pose: Any = None) -> Array:
+        """The nearest twist that satisfies the joint, in the kinetic-energy metric.
+
+        twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : as in `integrate`.
+        Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+        """
+        given = components(as_numbers("twist", twist, (6,)))
+        pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
+        parameters = self.parameters()
+        body = SE3.body(parameters)
+        placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)
+        x = SE3.kinematics(body, placed, velocity)
+        rows = [jacobian(r, x, body.pitch) for r in self.joint.rows]
+        with np.errstate(all="ignore"):
+            feasible, _, _ = solve(body, rows, [0.0] * len(rows), velocity)
+        _, projected = SE3.to_user_axes(parameters, placed, feasible)
+        return assembled(projected)

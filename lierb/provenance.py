@@ -1,0 +1,72 @@
+"""Where a table came from: the whole problem, the method, versions, the machine."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+from lierb.arrays import Array
+from lierb.kernels.plan import Plan
+from lierb.model import Problem
+
+LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
+
+
+@cache
+def package_version() -> str:
+    try:
+        return version("lierb")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@cache
+def machine() -> dict[str, Any]:
+    return {
+        "lierb": package_version(),
+        "numba": numba.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "cpu": llvm.get_host_cpu_name(),
+        "platform": platform.platform(),
+    }
+
+
+def provenance(
+    problem: Problem, *, twist0: Array, pose0: Array, plan: Plan, options: dict[str, Any]
+) -> dict[str, Any]:
+    joint = problem.joint
+    return {
+        **machine(),
+        "lanes": plan.lanes,
+        "options": options,
+        "tableau": {"A": plan.stages, "b": plan.weights},
+        "problem": {
+            "mass": _described(problem.body.mass),
+            "inertia": _described(problem.body.inertia),
+            "com": _described(problem.body.com),
+            "gravity": _described(problem.gravity),
+            "joint": joint.name,
+            "rows": [str(row) for row in joint.rows],
+            "ground_frame": _described(joint.ground_frame),
+            "body_frame": _described(joint.body_frame),
+            "pitch": _described(joint.pitch),
+            "twist0": _described(twist0),
+            "pose0": _described(pose0),
+        },
+        "units": "SI: kg, m, s, rad, N, N m, J",
+    }
+
+
+def _described(array: Array) -> Any:
+    if array.size <= LISTED:
+        return array.tolist()
+    digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+    return {"shape": list(array.shape), "sha256": digest}
