@@ -1,0 +1,68 @@
+"""Problems that several test files integrate: the paper's box, tilted frames, every joint."""
+
+from __future__ import annotations
+
+import numpy as np
+import reference_numbers as ref
+
+import lierb
+
+# Joints whose motions are a subgroup of SE(3): kept exactly there.
+SUBGROUP_JOINTS = [name for name, entry in lierb.joints.JOINTS.items() if entry.subgroup]
+PITCH = 0.07  # m/rad
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+def rotation(*xi: float) -> np.ndarray:
+    return lierb.lie.so3.exp(xi)
+
+
+def frame(xi, point) -> np.ndarray:
+    """A joint frame turned by the rotation vector xi, at a point."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(*xi)
+    matrix[:3, 3] = point
+    return matrix
+
+
+# Nothing is aligned with anything, and the joint is away from both origins.
+GROUND_FRAME = frame((0.4, -1.1, 0.7), (0.3, -0.2, 0.5))
+BODY_FRAME = frame((-0.9, 0.5, 1.3), (-0.15, 0.0375, 0.02))
+
+
+def box(turned: bool = False) -> lierb.Body:
+    """The paper's box; `turned`, its inertia is a full matrix."""
+    inertia = np.diag(ref.BOX_INERTIA)
+    turn = rotation(0.3, -0.8, 0.5)
+    return lierb.Body(ref.BOX_MASS, turn @ inertia @ turn.T if turned else inertia)
+
+
+def joint(name: str, ground_frame=GROUND_FRAME, body_frame=BODY_FRAME) -> lierb.joints.Joint:
+    """A catalogue joint in tilted frames."""
+    entry = lierb.joints.JOINTS[name]
+    options = {"pitch": PITCH} if "pitch" in entry.options else {}
+    return entry(ground_frame=ground_frame, body_frame=body_frame, **options)
+
+
+def tilted(name: str, gravity=GRAVITY) -> tuple[lierb.Problem, np.ndarray]:
+    """A turned box on a tilted joint, and a lively twist that the joint allows."""
+    problem = lierb.Problem(box(turned=True), joint(name), gravity)
+    return problem, problem.project((2 * np.pi, np.pi, 0.2 * np.pi, 0.4, 0.3, -1.0))
+
+
+def top() -> tuple[lierb.Problem, np.ndarray]:
+    """The heavy top of Brüls and Cardona."""
+    held = lierb.joints.spherical(body_point=-np.array(ref.TOP_CENTRE_OF_MASS))
+    problem = lierb.Problem(lierb.Body(ref.TOP_MASS, ref.TOP_INERTIA), held, ref.TOP_GRAVITY)
+    return problem, held.twist(omega=ref.TOP_OMEGA_0)
+
+
+def column(table, name: str) -> np.ndarray:
+    """A column of an Arrow table as an array, (rows,) or (rows, width)."""
+    return np.array(table[name].to_pylist())
+
+
+def final(result: lierb.Result, name: str) -> np.ndarray:
+    """The only body's entry of the summary."""
+    (value,) = result.summary[name].to_pylist()
+    return np.array(value)

@@ -1,0 +1,170 @@
+"""A body's bits depend on its own inputs and the kind of CPU, and on nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, joint
+
+import lierb
+from lierb import api, run
+from lierb.kernels.driver import NON_FINITE, SINGULAR
+
+STEPS = 50
+SUMMARY = [
+    "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
+    "energy_drift_max", "orthogonality_error_max", "position_error_final", "t",
+]  # fmt: skip
+
+
+def _twists(count: int, seed: int = 11) -> np.ndarray:
+    """From slow to fast: at dt = 1e-2 the steps' angles lie on both sides of every cut-over."""
+    rng = np.random.default_rng(seed)
+    omega = rng.standard_normal((count, 3)) * 10.0 ** rng.uniform(-1.5, 2.3, (count, 1))
+    return joint("spherical").twist(omega=omega)
+
+
+def _problem(count: int | None = None) -> lierb.Problem:
+    """Shared parameters, or the same ones for each of `count` bodies."""
+    body = box(turned=True)
+    if count is None:
+        return lierb.Problem(body, joint("spherical"), GRAVITY)
+
+    def each(array):
+        return np.broadcast_to(array, (count, *np.shape(array))).copy()
+
+    held = joint("spherical", each(GROUND_FRAME), each(BODY_FRAME))
+    own = lierb.Body(each(body.mass), each(body.inertia))
+    return lierb.Problem(own, held, each(GRAVITY))
+
+
+def _run(twist0, problem=None, **options) -> lierb.Result:
+    options = {"dt": 1e-2, "t_end": STEPS * 1e-2, "check": "off"} | options
+    return lierb.integrate(problem or _problem(), twist0=twist0, **options)
+
+
+def _bits(result: lierb.Result) -> np.ndarray:
+    """Every number of the summary, as integers: −0 and NaN count as themselves."""
+    rows = [np.array(result.summary[name].to_pylist(), dtype=float)[:, None] for name in SUMMARY]
+    rows += [
+        np.array(result.summary[name].to_pylist(), dtype=float) for name in ("R", "r", "omega", "v")
+    ]
+    return np.concatenate(rows, axis=1).view(np.int64)
+
+
+TWISTS = _twists(1000)
+
+
+@pytest.fixture(scope="module")
+def expected() -> np.ndarray:
+    return _bits(_run(TWISTS))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 17])
+def test_bits_do_not_depend_on_batch_size(count, expected):
+    np.testing.assert_array_equal(_bits(_run(TWISTS[:count])), expected[:count])
+
+
+def test_bits_do_not_depend_on_place_in_batch(expected):
+    order = np.random.default_rng(2).permutation(len(TWISTS))
+    np.testing.assert_array_equal(_bits(_run(TWISTS[order])), expected[order])
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 4, 8])
+def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
+    monkeypatch.setattr(api, "DEFAULT_LANES", lanes)
+    np.testing.assert_array_equal(_bits(_run(TWISTS)), expected)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_bits_do_not_depend_on_threads(threads, expected):
+    import numba
+
+    if threads > numba.config.NUMBA_NUM_THREADS:
+        pytest.skip("one core only")
+    np.testing.assert_array_equal(_bits(_run(TWISTS, threads=threads)), expected)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"save_every": 1},
+        {"save_every": 7},
+        {"save_every": 1, "record": ["state", "energy"]},
+        {"save_every": 3, "record": ["state", "energy", "multipliers"]},
+    ],
+    ids=str,
+)
+def test_bits_do_not_depend_on_history_and_record(options, expected):
+    np.testing.assert_array_equal(_bits(_run(TWISTS[:100], **options)), expected[:100])
+
+
+def test_bits_do_not_depend_on_sharing_of_parameters(expected):
+    own = _problem(len(TWISTS))
+    np.testing.assert_array_equal(_bits(_run(TWISTS, own)), expected)
+
+
+@pytest.mark.parametrize(("bodies", "block_steps"), [(64, 8), (1000, 1), (17, 10_000)])
+def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch):
+    monkeypatch.setattr(run, "CHUNK_BODIES", bodies)
+    monkeypatch.setattr(run, "FIRST_CALL_BLOCK_STEPS", block_steps)
+    monkeypatch.setattr(run, "CALL_SECONDS", 0.0)
+    np.testing.assert_array_equal(_bits(_run(TWISTS[:100])), expected[:100])
+
+
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+@pytest.mark.parametrize("update", ["local", "global"])
+def test_lanes_do_not_matter_in_any_form(cspace, update, monkeypatch):
+    """Re-charting too goes lane by lane."""
+    results = []
+    for lanes in (1, api.DEFAULT_LANES):
+        monkeypatch.setattr(api, "DEFAULT_LANES", lanes)
+        results.append(_bits(_run(TWISTS[:64], cspace=cspace, update=update)))
+    np.testing.assert_array_equal(*results)
+
+
+# ---- failures ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("victim", [0, 3, 16])
+@pytest.mark.parametrize("fault", [np.nan, np.inf, 1e200])
+def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, expected):
+    """Fed to the runner directly: the public face lets no NaN in."""
+    inputs = run.Inputs.of(_problem(), _problem().joint.closed_pose, TWISTS[:17].copy(), 17)
+    inputs.columns[-1][victim, 1] = fault
+    plan = api.Plan(
+        api.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
+        lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
+    )  # fmt: skip
+    output = run.integrate(plan, inputs, run.Grid(1e-2, STEPS, 1, 0))
+    others = np.arange(17) != victim
+    state = np.concatenate([output.summary[name] for name in run.STATE_WIDTHS], axis=1)
+    np.testing.assert_array_equal(state[others].view(np.int64), expected[:17, len(SUMMARY) :][others])
+    assert output.summary["status"][victim] == NON_FINITE
+    assert output.summary["failed_step"][victim] >= 1
+    assert np.isnan(state[victim]).all()
+    assert (output.summary["status"][others] == 0).all()
+
+
+def test_an_overflowing_body_gets_its_status_and_time():
+    """Euler with a step far too long: the body spins up until it overflows."""
+    fast = np.concatenate([_twists(4), joint("spherical").twist(omega=[(3e3, 2e3, 1e3)])])
+    result = _run(fast, dt=0.5, t_end=200.0, method="Euler")
+    statuses = result.summary["status"].to_pylist()
+    assert statuses[-1] == "non_finite"
+    failed_at = result.summary["t"][4].as_py()
+    assert 0.0 < failed_at < 200.0
+    assert np.isnan(result.summary["r"][4].as_py()).all()
+    assert np.isfinite(result.summary["position_error_max"][4].as_py())
+
+
+def test_a_singular_configuration_is_marked():
+    """Q₃₂ = 0 and Q₂₃ = 0 and Q₃₃ = 0 at once ask for more than a rotation can give."""
+    held = lierb.joints.from_rows(["Q32", "Q31", "Q33"])
+    problem = lierb.Problem(lierb.Body(1.0, (0.1, 0.2, 0.25)), held)
+    result = lierb.integrate(
+        problem, twist0=[(0.3, 0.2, 0.5, 0, 0, 0)] * 3, dt=1e-2, t_end=0.1, check="off"
+    )
+    assert set(result.summary["status"].to_pylist()) == {"singular"}
+    np.testing.assert_array_equal(result.summary["t"].to_numpy(), 1e-2)
+    assert SINGULAR == 1

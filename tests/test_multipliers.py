@@ -1,0 +1,153 @@
+"""λ and the saddle point: hand calculations, Newton–Euler's residual, redundant and bad rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import oracle
+import pytest
+from cases import GRAVITY, PITCH, box, column, joint, tilted
+
+import lierb
+from lierb.kernels.constraints import Row, acceleration, jacobian
+from lierb.kernels.newton_euler import CSPACES
+from lierb.kernels.plan import Plan
+from lierb.kernels.saddle import solve
+from lierb.kernels.stepper import accelerate
+from lierb.kernels.zero import is_zero
+from lierb.tableaus import TABLEAUS
+
+
+def test_steady_pendulum_pulls_with_weight_and_centrifugal_force():
+    """Hanging rod turning about e₂: the axis carries m g cos φ + m ω² l along the rod."""
+    mass, length, omega = 1.3, 0.8, 2.1
+    held = lierb.joints.revolute(body_point=(0, 0, length), axis=(0, 1, 0))
+    problem = lierb.Problem(lierb.Body(mass, (0.02, 0.02, 0.01)), held, GRAVITY)
+    result = lierb.integrate(
+        problem, twist0=held.twist(omega=(0, omega, 0)), dt=1e-3, t_end=1.0, save_every=50,
+        method="DOP853", record=["state", "multipliers"],
+    )  # fmt: skip
+    rotations = column(result.errors, "R").reshape(-1, 3, 3)
+    rates = column(result.errors, "omega")[:, 1]
+    # −λ is the ground's force on the body, in the ground's joint frame
+    axes = held.ground_frame[:3, :3]
+    forces = -column(result.errors, "lambda")[:, :3] @ axes.T
+    towards_axis = rotations[:, :, 2]
+    cosine = rotations[:, 2, 2]
+    along = np.einsum("ti,ti->t", forces, towards_axis)
+    # closed form; the state itself is good to 1e-12
+    np.testing.assert_allclose(along, mass * 9.81 * cosine + mass * rates**2 * length, rtol=1e-11)
+
+
+ROWS = {name: held.rows for name, held in lierb.joints.JOINTS.items() if held.rows}
+ROWS["pin_in_slot_body"] = tuple(map(Row.parse, ("Qtd2", "Qtd3", "Omega1", "Omega2")))
+
+
+def _random_state(rows, cspace: str, seed: int = 5):
+    rng = np.random.default_rng(seed)
+    rk4 = TABLEAUS["RK4"]
+    plan = Plan(1, rows, cspace, "local", rk4.A, rk4.b, multipliers=True)
+    problem = lierb.Problem(box(turned=True), joint("screw"), GRAVITY)
+    body = plan.space.body(problem.parameters())
+    q = tuple(lierb.lie.so3.exp(rng.standard_normal(3)).ravel())
+    pose = (q, tuple(0.3 * rng.standard_normal(3)))
+    return plan, body, pose, tuple(rng.standard_normal(6))
+
+
+def _number(entry) -> float:
+    return 0.0 if is_zero(entry) else float(entry)
+
+
+def _mass_matrix(body, cspace: str) -> np.ndarray:
+    inertia, com = np.reshape(body.inertia, (3, 3)).astype(float), np.zeros(3)
+    if cspace == "SE3":
+        com = np.array(body.com, dtype=float)
+    hat = np.cross(com, np.eye(3)).T  # hat @ x = com × x
+    m = float(body.mass)
+    about_origin = inertia - m * hat @ hat
+    return np.block([[about_origin, m * hat], [-m * hat, m * np.eye(3)]])
+
+
+@pytest.mark.parametrize("rows", ROWS.values(), ids=ROWS)
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace):
+    """The paper's eq. (index1) as one dense matrix, solved by numpy."""
+    plan, body, pose, velocity = _random_state(rows, cspace)
+    x = plan.space.kinematics(body, pose, velocity)
+    numbers = np.vectorize(
+        lambda entry: 0.0 if entry.__class__.__name__ == "Zero" else float(entry)
+    )
+    jac = numbers(np.array([jacobian(r, x, body.pitch) for r in rows], dtype=object))
+    eta = numbers(np.array([acceleration(r, x) for r in rows], dtype=object))
+    mass = _mass_matrix(body, cspace)
+    omega, v = np.array(velocity[:3]), np.array(velocity[3:])
+    p = mass @ np.array(velocity)
+    fall = np.array(body.gravity)
+    if cspace == "SE3":
+        fall = np.reshape(pose[0], (3, 3)).T @ fall
+        ad = np.concatenate([np.cross(p[:3], omega) + np.cross(p[3:], v), np.cross(p[3:], omega)])
+        weight = np.concatenate([np.cross(np.array(body.com, float), fall), fall]) * body.mass
+    else:
+        ad = np.concatenate([np.cross(p[:3], omega), np.zeros(3)])
+        weight = np.concatenate([np.zeros(3), fall]) * body.mass
+    m = len(rows)
+    matrix = np.block([[mass, jac.T], [jac, np.zeros((m, m))]])
+    expected = np.linalg.solve(matrix, np.concatenate([ad + weight, eta]))
+    found, multipliers, singular = accelerate(plan, body, pose, velocity)
+    # LU of a matrix with condition below 1e4
+    np.testing.assert_allclose(found, expected[:6], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(multipliers, expected[6:], rtol=1e-10, atol=1e-9)
+    assert singular == 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in ROWS if name in lierb.joints.JOINTS])
+def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
+    problem, twist0 = tilted(name)
+    result = lierb.integrate(
+        problem, twist0=twist0, dt=1e-2, t_end=0.01, save_every=1, record=["multipliers"]
+    )
+    truth = oracle.reference_trajectory(
+        name, [0.0], mass=float(problem.body.mass), inertia=problem.body.inertia, twist0=twist0,
+        pose0=problem.joint.closed_pose, ground_frame=problem.joint.ground_frame,
+        body_frame=problem.joint.body_frame, gravity=problem.gravity, pitch=PITCH,
+    )  # fmt: skip
+    found = column(result.errors, "lambda")[0]
+    # two dense solves of the same state; λ reaches 100 N
+    np.testing.assert_allclose(found, truth.multipliers[0], rtol=1e-10, atol=1e-10)
+
+
+def test_a_row_given_twice_changes_nothing():
+    plan, body, pose, velocity = _random_state(ROWS["spherical"], "SE3")
+    once, multipliers, _ = accelerate(plan, body, pose, velocity)
+    x = plan.space.kinematics(body, pose, velocity)
+    rows = [jacobian(r, x, 0.0) for r in plan.rows]
+    eta = [acceleration(r, x) for r in plan.rows]
+    free = plan.space.free_acceleration(body, pose, velocity)
+    twice, shared, singular = solve(body, rows + rows, eta + eta, free)
+    # the second copy is dropped, so the arithmetic is the same
+    np.testing.assert_array_equal(np.array(twice, float), np.array(once, float))
+    np.testing.assert_array_equal(np.array(shared[:3], float), np.array(multipliers, float))
+    assert singular == 0.0
+
+
+def test_contradicting_rows_are_marked():
+    plan, body, pose, velocity = _random_state(ROWS["spherical"], "SE3")
+    x = plan.space.kinematics(body, pose, velocity)
+    rows = [jacobian(r, x, 0.0) for r in plan.rows]
+    eta = [acceleration(r, x) for r in plan.rows]
+    free = plan.space.free_acceleration(body, pose, velocity)
+    _, _, singular = solve(body, [*rows, rows[0]], [*eta, eta[0] + 1.0], free)
+    assert singular == 1.0
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e6])
+def test_mass_scales_out(size):
+    """The same motion for a body a million times as heavy, to rounding."""
+    problem, twist0 = tilted("revolute")
+    heavy = lierb.Body(size * problem.body.mass, size * problem.body.inertia)
+    scaled = lierb.Problem(heavy, problem.joint, problem.gravity)
+    ends = [
+        column(lierb.integrate(p, twist0=twist0, dt=1e-3, t_end=1.0).summary, "r")
+        for p in (problem, scaled)
+    ]
+    # 1000 steps of rounding, amplified about tenfold by the motion
+    np.testing.assert_allclose(*ends, atol=1e-11)
