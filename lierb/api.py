@@ -172,11 +172,12 @@ def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every
         if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
             raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
     steps = round(t_end / dt)
-    if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt * max(1.0, steps * 1e-6):
+    rounding = 4 * np.finfo(float).eps * t_end  # of t_end and of N·dt themselves
+    if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt + rounding:
         below = max(int(t_end / dt), 1)
         raise TimeGridError(
             f"t_end={t_end!r} s is no multiple of dt={dt!r} s; the nearest are "
-            f"{below * dt!r} and {(below + 1) * dt!r}"
+            f"{below * dt:.15g} and {(below + 1) * dt:.15g}"
         )
     return steps
 
@@ -211,7 +212,10 @@ def _table(
 
 def _vectors(array: Array) -> pa.Array:
     """fixed_size_list over the last axis, without a copy."""
-    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
+    *lead, width = array.shape
+    if width == 0:  # λ of a free body
+        return pa.array([[]] * int(np.prod(lead)), pa.list_(pa.float64(), 0))
+    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), width)
 
 
 def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any]) -> pa.Table:

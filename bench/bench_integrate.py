@@ -1,0 +1,58 @@
+"""Throughput of the general path: the saddle point solved in every stage, RK4, dt = 1e-3.
+
+Each case runs twice: `aligned` (axes aligned, diagonal inertia, parameters shared) and `tilted`
+(tilted frames, full inertia, each body with its own joint point).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, frame, joint
+from reference_numbers import BOX_POINT
+
+import lierb
+
+BODIES, STEPS, DT = 4096, 500, 1e-3
+
+
+def _problem(name: str, setting: str) -> tuple[lierb.Problem, np.ndarray]:
+    rng = np.random.default_rng(1)
+    if setting == "aligned":
+        at_point = frame((0, 0, 0), BOX_POINT)
+        held, body = joint(name, np.eye(4), at_point), box()
+    else:
+        frames = np.tile(BODY_FRAME, (BODIES, 1, 1))
+        frames[:, :3, 3] += 0.02 * rng.standard_normal((BODIES, 3))
+        held, body = joint(name, GROUND_FRAME, frames), box(turned=True)
+    problem = lierb.Problem(body, held, GRAVITY)
+    return problem, problem.project(rng.standard_normal((BODIES, 6)) + 2.0)
+
+
+@pytest.mark.parametrize("setting", ["aligned", "tilted"])
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+@pytest.mark.parametrize("name", ["spherical", "universal", "revolute", "free"])
+def test_rk4(name, cspace, setting, body_steps):
+    problem, twist0 = _problem(name, setting)
+
+    def run():
+        lierb.integrate(
+            problem, twist0=twist0, dt=DT, t_end=STEPS * DT, cspace=cspace,
+            measure_every=10, threads=1, check="off",
+        )  # fmt: skip
+
+    body_steps(run, BODIES * STEPS)
+
+
+@pytest.mark.parametrize("method", ["RK4", "DOP853"])
+@pytest.mark.parametrize("save_every", [None, 10])
+def test_spherical_history(method, save_every, body_steps):
+    problem, twist0 = _problem("spherical", "tilted")
+
+    def run():
+        lierb.integrate(
+            problem, twist0=twist0, dt=DT, t_end=STEPS * DT, method=method,
+            measure_every=10, save_every=save_every, threads=1, check="off",
+        )  # fmt: skip
+
+    body_steps(run, BODIES * STEPS)
