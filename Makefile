@@ -1,0 +1,52 @@
+# lierb. `make help` lists the targets; all they need is Python 3.11 to 3.14 and make.
+#
+#   make test ARGS="-k paper -x"    arguments for pytest (ARGS works for demo and bench too)
+#   make install PYTHON=python3.13  the interpreter for the environment
+#   make test VENV=../lierb-venv    where the environment is
+
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
+CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python
+PYTHON ?= $(shell for python in $(CANDIDATES); do \
+	"$$python" -c '$(SUPPORTED)' >/dev/null 2>&1 && { echo "$$python"; break; }; done)
+VENV ?= .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+.PHONY: help install demo test lint bench clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+
+install: $(VENV)/.dev  ## make the environment in .venv, with everything for development
+
+demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in results/paper
+	$(BIN)/lierb paper --out results/paper $(ARGS)
+
+test: $(VENV)/.dev  ## run the tests
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+bench: $(VENV)/.dev  ## run the benchmarks
+	$(BIN)/python -m pytest bench --benchmark-only $(ARGS)
+
+clean:  ## remove what make made: the environment, results, caches, builds
+	rm -rf $(VENV) results build dist .benchmarks .coverage htmlcov
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find lierb tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Each stamp is redone when pyproject.toml changes, and only then.
+$(VENV)/.demo: EXTRAS := cli,plot
+$(VENV)/.dev: EXTRAS := dev
+$(VENV)/.demo $(VENV)/.dev: pyproject.toml
+	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
+		echo "lierb needs Python 3.11 to 3.14, and '$(or $(PYTHON),python3)' is not one." >&2; \
+		echo "Name one that is:  make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }
+	test -x $(BIN)/pip || "$(PYTHON)" -m venv $(VENV)
+	@echo "Installing lierb [$(EXTRAS)] into $(VENV), about a minute ..."
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	@touch $@

@@ -1,0 +1,236 @@
+"""The `lierb` command. Needs click and rich: `pip install "lierb[cli]"`.
+
+Each command imports what it runs inside its function, so that `lierb --help` stays quick.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import groupby, zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lierb.extras import MissingExtraError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lierb.paper import Finding, PaperReport
+
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+class Commands(click.Group):
+    """A group whose commands end with one sentence where Python would show a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("\nInterrupted. No file is left half-written.", err=True)
+            ctx.exit(INTERRUPTED)
+        except BrokenPipeError:
+            raise  # `lierb … | head`: click ends quietly
+        except (MissingExtraError, OSError) as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="lierb")
+def cli() -> None:
+    """Constrained rigid bodies on Lie groups, many at once."""
+
+
+def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
+    """Callback for options that take a finite number."""
+    if not math.isfinite(value):
+        raise click.BadParameter(f"{value} is not a finite number")
+    return value
+
+
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("results/paper"),
+    show_default=True,
+    help="Folder for the tables and figures.",
+)
+@click.option(
+    "--gravity",
+    type=float,
+    default=0.0,
+    show_default=True,
+    callback=finite,
+    help="In m/s², along -e3 of the ground; the paper mentions none.",
+)
+@click.option(
+    "--update",
+    type=click.Choice(["local", "global"]),
+    default="local",
+    show_default=True,
+    help="How a step updates the configuration.",
+)
+@click.option("--as-printed", is_flag=True, help="Keep the mistakes that the paper prints.")
+@click.option("--no-figures", is_flag=True, help="Write the tables only.")
+def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: bool) -> None:
+    """Reproduce section 5 of the paper that lierb grew out of.
+
+    Every joint in both c-spaces, RK4 with three step sizes over 10 s: how well does each keep its
+    constraints, and does that agree with the paper's claims? (A. Müller, BIT 56, 2016)
+    """
+    from rich.console import Console
+
+    from lierb.paper import T_END, run_paper
+
+    with _progress() as progress:
+        report = run_paper(
+            out,
+            gravity=gravity,
+            update=update,
+            as_printed=as_printed,
+            figures=not no_figures,
+            progress=progress,
+        )
+    table = _findings_table(report)
+    console = Console(highlight=False)
+    # In a window that is too narrow the lines wrap, but no number is cut.
+    console.width = max(console.width, Console(width=1000).measure(table).maximum)
+    click.echo(f"Section 5 of the paper over {T_END:g} s: {report.setting}\n")
+    console.print(table)
+    for line in _closing_lines(report, out):
+        click.echo(line)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on standard error; where that is no terminal, a line for each joint or figure."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _progress_lines()
+        return
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def show(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total, description=what)
+
+        yield show
+
+
+def _progress_lines() -> Callable[[int, int, str], None]:
+    shown = ""
+
+    def show(done: int, total: int, what: str) -> None:
+        nonlocal shown
+        topic = what.split(":")[0]
+        if topic != shown:
+            click.echo(f"[{done}/{total}] {topic}", err=True)
+        shown = topic
+
+    return show
+
+
+def _findings_table(report: PaperReport) -> Table:
+    """A block of rows for each joint and c-space: the step sizes, and the judgement beside them.
+
+    It is 79 columns wide, so that it fits where output is piped as well.
+    """
+    from rich import box
+    from rich.table import Table
+
+    from lierb.paper import AS_STATED
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
+    for column in (
+        "joint",
+        "c-space",
+        "dt/s",
+        "max\nposition\nerror/m",
+        "max\nrotation\nerror",
+        "",
+        "observed\norder",
+        "verdict",
+        "paper's\nclaim",
+        "agrees",
+    ):
+        table.add_column(column, no_wrap=True)
+    for example, of_example in groupby(report.findings, key=lambda finding: finding.example):
+        names = example.title.split(", ")
+        if example.reading != AS_STATED:
+            names.append(f"({example.reading})")
+        for cspace, of_cspace in groupby(of_example, key=lambda finding: finding.cspace):
+            findings = list(of_cspace)
+            block = zip_longest(
+                names, [cspace], _error_cells(findings), _judgement_cells(findings), fillvalue=""
+            )
+            for name, space, errors, judgement in block:
+                table.add_row(name, space, *(errors or [""] * 3), *judgement)
+            names = []
+        table.add_section()
+    return table
+
+
+def _error_cells(findings: list[Finding]) -> list[list[str]]:
+    """For each step size: the step size, the position error, the rotation error."""
+    by_quantity = {finding.quantity: finding.errors for finding in findings}
+    dts = findings[0].dts
+    absent = [None] * len(dts)
+    columns = [by_quantity.get(quantity, absent) for quantity in ("position", "rotation")]
+    return [
+        [f"{dt:.0e}".replace("e-0", "e-"), *map(_number, errors)]
+        for dt, *errors in zip(dts, *columns)
+    ]
+
+
+def _number(error: float | None) -> str:
+    if error is None:
+        return "-"
+    return f"{error:.1e}" if error else "0"
+
+
+def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
+    """For each error: its name, the observed order, the verdict, the claim, whether they agree."""
+    agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "-"}
+    return [
+        [
+            finding.quantity[:3],
+            "-" if finding.order is None else str(finding.order),
+            finding.verdict,
+            finding.claim or "-",
+            agreement[finding.agrees],
+        ]
+        for finding in findings
+    ]
+
+
+def _closing_lines(report: PaperReport, out: Path) -> Iterator[str]:
+    """How to read the table, what was read differently, what agrees, and where the files are."""
+    yield ""
+    yield "pos, rot: the position and the rotation error, largest of all steps."
+    yield "exact: at rounding for every dt.  >=: the finer error is at rounding, a lower bound."
+    yield ""
+    noted = dict.fromkeys(f.example for f in report.findings if f.example.note)
+    for example in noted:
+        yield _wrapped(f"{example.title} ({example.reading}): {example.note}.")
+    for warning in report.warnings:
+        yield _wrapped(f"warning: {warning}")
+    yield ""
+    claims = [finding.agrees for finding in report.findings if finding.agrees is not None]
+    yield f"{sum(claims)} of {len(claims)} claims of the paper agree."
+    yield f"Written to {out}:"
+    for stem, files in groupby(report.files, key=lambda path: path.stem):
+        yield f"  {stem}{', '.join(path.suffix for path in files)}"
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, width=80, subsequent_indent="  ")

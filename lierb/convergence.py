@@ -1,0 +1,81 @@
+"""How an error falls with the step size: the observed order and the verdict drawn from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+ROUNDING_FLOOR = 1e-11
+"""Errors up to this times (1 + the size of the motion / 1 m) count as rounding."""
+
+ORDER_TOLERANCE = 0.25
+"""How far an observed order may lie from a whole number and still be given as that number. With
+steps ten times apart the coarser one is often not yet in the asymptotic range: the universal joint
+with global updates shows 3.84 between dt = 1e-2 and 1e-3."""
+
+EXACT = "exact"  # every error at rounding
+DRIFTS = "drifts"  # falls with the step size, at no clear order
+VIOLATED = "violated"  # does not fall with the step size
+FAILED = "failed"  # not a number: the integration broke down
+
+
+@dataclass(frozen=True)
+class Order:
+    """Slope of log(error) over log(dt).
+
+    `lower_bound`: the finer of the two errors behind it is at rounding, so the true slope is at
+    least this.
+    """
+
+    slope: float
+    lower_bound: bool = False
+
+    def __str__(self) -> str:
+        return f"{'>=' if self.lower_bound else ''}{round(self.slope, 2) + 0.0:.2f}"
+
+
+def observed_order(
+    dts: Sequence[float], errors: Sequence[float], size: float | Sequence[float] = 0.0
+) -> Order | None:
+    """Order of convergence observed in `errors`, or None when all of them are at rounding.
+
+    The slope is that between the two finest steps whose errors are above rounding: coarser ones may
+    not resolve the motion yet, errors at rounding say nothing. When only one error is above, its
+    slope to the next finer step bounds the order.
+
+    dts : step sizes, s.   errors : one for each.   size : largest distance in the motion, m.
+
+    >>> str(observed_order([1e-2, 1e-3, 1e-4], [3.5e-5, 3.5e-9, 3.8e-13]))
+    '4.00'
+    >>> str(observed_order([1e-2, 1e-3, 1e-4], [5.1e-8, 5.1e-12, 6.7e-13]))
+    '>=4.00'
+    """
+    coarse_first = np.argsort(dts)[::-1]
+    log_dt = np.log10(np.asarray(dts, dtype=float)[coarse_first])
+    error = np.asarray(errors, dtype=float)[coarse_first]
+    floor = ROUNDING_FLOOR * (1.0 + np.broadcast_to(size, error.shape)[coarse_first])
+    above = np.flatnonzero(np.isfinite(error) & (error > floor))
+    if above.size == 0:
+        return None
+    coarse, fine = above[-2:] if above.size > 1 else (above[0], above[0] + 1)
+    if fine == error.size:
+        return Order(math.nan)  # the finest error alone is above: nothing to compare it with
+    # An error of exactly zero has no logarithm; the smallest number gives a bound all the same.
+    ratio = max(error[fine], np.finfo(float).tiny) / error[coarse]
+    slope = math.log10(ratio) / (log_dt[fine] - log_dt[coarse])
+    return Order(float(slope), lower_bound=above.size == 1)
+
+
+def verdict(errors: Sequence[float], order: Order | None) -> str:
+    """One word, or "order n", for how `errors` behave; `order` as `observed_order` has it."""
+    if not np.all(np.isfinite(errors)):
+        return FAILED
+    if order is None:
+        return EXACT
+    if not order.slope >= 0.5:
+        return VIOLATED
+    nearest = round(order.slope)
+    return f"order {nearest}" if abs(order.slope - nearest) <= ORDER_TOLERANCE else DRIFTS

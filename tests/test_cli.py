@@ -1,0 +1,217 @@
+"""The `lierb` command, through click's runner and as a process of its own."""
+
+import functools
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+import lierb.paper
+from lierb.extras import EXTRAS, MissingExtraError, require
+
+pytest.importorskip("rich")
+runner_module = pytest.importorskip("click.testing")
+pytest.importorskip("matplotlib")
+
+from lierb.cli import cli  # noqa: E402
+
+# Runs `python -m lierb` where the modules named in the first argument cannot be imported.
+WITHOUT = """
+import sys
+
+class Blocked:
+    names = set(sys.argv.pop(1).split(","))
+
+    def find_spec(self, name, path=None, target=None):
+        if name in self.names:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Blocked())
+from lierb.__main__ import main
+main()
+"""
+
+
+@pytest.fixture
+def short_run(monkeypatch):
+    """`lierb paper` over 0.1 s instead of 10 s."""
+    run = functools.partial(lierb.paper.run_paper, t_end=0.1)
+    monkeypatch.setattr(lierb.paper, "run_paper", run)
+
+
+def invoke(*arguments):
+    return runner_module.CliRunner().invoke(cli, [str(argument) for argument in arguments])
+
+
+def run_without(modules, *arguments):
+    command = [sys.executable, "-c", WITHOUT, modules, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+# ---------------------------------------------------------------- lierb paper
+
+
+@pytest.mark.usefixtures("short_run")
+class TestPaper:
+    def test_writes_tables_and_figures_and_says_where(self, tmp_path):
+        out = tmp_path / "out"
+        result = invoke("paper", "--out", out)
+        assert result.exit_code == 0, result.output
+        assert f"Written to {out}:" in result.stdout
+        assert "  figure_2_spherical_position.png, .svg\n" in result.stdout
+        for name in ("summary.parquet", "errors.parquet", "figure_2_spherical_position.png"):
+            assert (out / name).stat().st_size > 1000
+
+    def test_table_is_whole_in_eighty_columns(self, tmp_path):
+        output = invoke("paper", "--no-figures", "--out", tmp_path).stdout
+        table = output.split("\npos, rot:")[0].splitlines()
+        assert max(map(len, table)) <= 80
+        assert "…" not in output
+        for word in ("joint", "c-space", "dt/s", "position", "rotation", "observed", "agrees"):
+            assert word in output
+        blocks = [line for line in table if " 1e-2 " in line]
+        assert len(blocks) == 2 * len(lierb.paper.EXAMPLES)
+
+    def test_table_is_not_cut_in_a_narrow_window(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "40")
+        output = invoke("paper", "--no-figures", "--out", tmp_path).stdout
+        assert "…" not in output
+
+    def test_says_which_reading_was_used(self, tmp_path):
+        corrected = invoke("paper", "--no-figures", "--out", tmp_path).stdout
+        assert "planar (corrected): " in corrected
+        assert "hook R32 (text): " in corrected
+        assert "hook R23 (formula): " in corrected
+        assert "is ours" in " ".join(corrected.split())
+        printed = invoke("paper", "--no-figures", "--as-printed", "--out", tmp_path).stdout
+        assert "planar (as printed): " in printed
+        assert "warning: " in printed
+
+    def test_no_figures_writes_the_tables_only(self, tmp_path):
+        invoke("paper", "--no-figures", "--out", tmp_path)
+        assert sorted(path.name for path in tmp_path.iterdir()) == [
+            "errors.parquet",
+            "summary.parquet",
+        ]
+
+    def test_progress_goes_to_standard_error(self, tmp_path):
+        result = invoke("paper", "--no-figures", "--out", tmp_path)
+        assert "[0/48] spherical" in result.stderr
+        assert "[0/48]" not in result.stdout
+
+    def test_interrupt_ends_with_one_sentence_and_130(self, tmp_path, monkeypatch):
+        def interrupted(*args, **kwargs):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(lierb.paper, "run_paper", interrupted)
+        result = invoke("paper", "--out", tmp_path)
+        assert result.exit_code == 130
+        assert "Interrupted" in result.stderr
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["paper", "--gravty", "1"], "--gravity"),
+        (["paper", "--gravity", "much"], "--gravity"),
+        (["paper", "--gravity", "nan"], "not a finite number"),
+        (["paper", "--update", "sideways"], "'local', 'global'"),
+        (["paper", "--out", __file__], "is a file"),
+        (["papers"], "No such command"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, expected):
+    result = invoke(*arguments)
+    assert result.exit_code == 2
+    assert expected in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_an_unwritable_folder_is_one_sentence():
+    result = invoke("paper", "--out", "/dev/null/folder")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("Error: ")
+    assert "/dev/null" in result.stderr
+
+
+# ---------------------------------------------------------------- extras
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_require_passes_when_the_extra_is_there(extra):
+    require(extra)
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_require_says_what_to_install(extra, monkeypatch):
+    package = EXTRAS[extra][1][0]
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtraError, match=rf'{package}.*pip install "lierb\[{extra}\]"'):
+        require(extra)
+
+
+@pytest.mark.parametrize("package", ["click", "rich"])
+def test_command_without_its_extra_is_one_sentence(package):
+    done = run_without(package, "paper")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.strip() == (
+        f'The command line needs {package}, which is not installed: pip install "lierb[cli]"'
+    )
+
+
+def test_figures_without_their_extra_are_one_sentence(tmp_path):
+    done = run_without("matplotlib", "paper", "--out", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.strip() == (
+        'Error: Drawing figures needs matplotlib, which is not installed: pip install "lierb[plot]"'
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_importing_plots_without_matplotlib_is_one_sentence(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "lierb.plots", raising=False)
+    with pytest.raises(MissingExtraError, match=r"lierb\[plot\]"):
+        import lierb.plots  # noqa: F401
+
+
+# ---------------------------------------------------------------- as a process
+
+
+def test_module_runs_as_a_command():
+    command = [sys.executable, "-m", "lierb", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert "paper" in done.stdout
+
+
+def test_command_line_starts_without_matplotlib_and_rich_tables():
+    code = "import sys, lierb.cli; print({'matplotlib', 'rich.table'} & set(sys.modules))"
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_ctrl_c_ends_the_process_cleanly(tmp_path):
+    command = [sys.executable, "-m", "lierb", "paper", "--out", str(tmp_path)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, **pipes) as run:
+        assert "spherical" in run.stderr.readline()  # it has begun
+        run.send_signal(signal.SIGINT)
+        _, errors = run.communicate(timeout=120)
+    assert run.returncode == 130
+    assert "Interrupted" in errors
+    assert "Traceback" not in errors
+    assert not list(tmp_path.iterdir())
+
+
+def test_output_survives_a_terminal_without_umlauts():
+    command = [sys.executable, "-m", "lierb", "paper", "--help"]
+    environment = {**os.environ, "PYTHONIOENCODING": "koi8-r"}
+    done = subprocess.run(
+        command, capture_output=True, encoding="koi8-r", timeout=120, check=True, env=environment
+    )
+    assert "M?ller" in done.stdout

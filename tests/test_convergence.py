@@ -1,0 +1,77 @@
+"""Observed orders and verdicts on errors whose behaviour is known."""
+
+import math
+
+import pytest
+
+from lierb.convergence import ROUNDING_FLOOR, observed_order, verdict
+
+DTS = (1e-2, 1e-3, 1e-4)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8])
+def test_observed_order_finds_the_exponent(order):
+    dts = (0.4, 0.2, 0.1)
+    found = observed_order(dts, [3.0 * dt**order for dt in dts])
+    assert found.slope == pytest.approx(order, abs=1e-12)
+    assert not found.lower_bound
+
+
+def test_observed_order_takes_the_steps_in_any_order():
+    errors = [5.0 * dt**4 for dt in DTS]
+    there = observed_order(DTS, errors)
+    back = observed_order(DTS[::-1], errors[::-1])
+    assert there.slope == pytest.approx(back.slope, abs=1e-12)
+
+
+def test_observed_order_leaves_out_errors_at_rounding():
+    found = observed_order(DTS, [1e-4, 1e-8, 0.99 * ROUNDING_FLOOR])
+    assert found.slope == pytest.approx(4.0, abs=1e-12)
+
+
+def test_observed_order_looks_at_the_finest_steps():
+    # A universal joint under gravity: dt = 1e-2 does not resolve its motion.
+    assert str(observed_order(DTS, [0.33, 1.4e-5, 1.4e-9])) == "4.00"
+
+
+def test_observed_order_is_a_bound_when_one_error_is_above_rounding():
+    found = observed_order(DTS, [5.1e-8, 5.1e-12, 6.7e-13])
+    assert found.lower_bound
+    assert str(found) == ">=4.00"
+
+
+def test_observed_order_is_none_at_rounding():
+    assert observed_order(DTS, [3e-15, 0.0, 1e-13]) is None
+
+
+def test_rounding_scales_with_the_size_of_the_motion():
+    errors = [3e-9, 2e-9, 1e-9]
+    assert observed_order(DTS, errors) is not None
+    assert observed_order(DTS, errors, size=490.0) is None
+
+
+def test_order_is_never_minus_zero():
+    assert str(observed_order(DTS, [0.38, 0.3801, 0.3802])) == "0.00"
+
+
+@pytest.mark.parametrize("errors", [[1e-3], [0.0, 1e-13, 1e-3]])
+def test_observed_order_of_the_finest_error_alone_is_unknown(errors):
+    assert math.isnan(observed_order(DTS[: len(errors)], errors).slope)
+    assert verdict(errors, observed_order(DTS[: len(errors)], errors)) == "violated"
+
+
+@pytest.mark.parametrize(
+    ("errors", "expected"),
+    [
+        ([1e-15, 2e-15, 0.0], "exact"),
+        ([1e-4, 1e-8, 1e-12], "order 4"),
+        ([1e-4, 1e-6, 1e-8], "order 2"),
+        ([1e-4, 4e-8, 1.6e-11], "drifts"),
+        ([0.45, 0.45, 0.45], "violated"),
+        ([1e-3, 1e-2, 1e-1], "violated"),
+        ([math.nan, 1e-8, 1e-12], "failed"),
+        ([math.inf, 1e-8, 1e-12], "failed"),
+    ],
+)
+def test_verdict(errors, expected):
+    assert verdict(errors, observed_order(DTS, errors)) == expected
