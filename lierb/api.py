@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from lierb import checks, run
 from lierb.arrays import Array, as_numbers, as_poses
 from lierb.errors import ArgumentError, TimeGridError, unknown_name
+from lierb.joints import JOINTS
 from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
@@ -23,7 +24,9 @@ from lierb.model import Problem
 from lierb.provenance import provenance
 from lierb.tableaus import ButcherTableau, tableau_of
 
+CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
+SOLVER_NAMES = ("auto", "saddle")
 RECORDS = ("state", "energy", "multipliers")
 CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
@@ -65,6 +68,7 @@ def integrate(
     measure_every: int = 1,
     record: Iterable[str] = (),
     check: str = "raise",
+    solver: str = "auto",
     threads: int | None = None,
     progress: bool | Callable[[int, int], None] | None = None,
 ) -> Result:
@@ -75,12 +79,16 @@ def integrate(
     pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint.
     dt, t_end : s; t_end must be a whole number of steps.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
-    cspace : "SE3" (screw motions) or "SO3xR3" (rotation and position decoupled).
+    cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
+        joint's own subgroup of SE(3), where there are no constraints (Müller, eq. 5).
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `errors`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
     record : extra columns of `errors`: "state", "energy", "multipliers".
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
+    solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "auto" does
+        so too, unless the joint's motions are a subgroup of SE(3): then the solution is a constant
+        gain, found once (with check="raise" only, since it takes for granted that the twist fits).
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`), False for none, or a function of
         (body-steps done, body-steps in all). Default: a bar on a terminal after two seconds.
@@ -98,7 +106,7 @@ def integrate(
     """
     if not isinstance(problem, Problem):
         raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
-    _check_names(cspace, update, check)
+    _check_names(cspace=cspace, update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
     steps = _checked_grid(dt, t_end, save_every, measure_every)
@@ -112,11 +120,12 @@ def integrate(
     plan = Plan(
         lanes=DEFAULT_LANES,
         rows=problem.joint.rows,
-        cspace=cspace,
+        cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
         update=update,
         stages=tableau.A,  # type: ignore[arg-type]
         weights=tableau.b,  # type: ignore[arg-type]
         multipliers="multipliers" in recorded,
+        solver=_solver(problem, cspace, check, solver),
     )
     grid = run.Grid(float(dt), steps, int(measure_every), int(save_every or 0))
     inputs = run.Inputs.of(problem, poses, twists, count)
@@ -129,7 +138,7 @@ def integrate(
         options={
             "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
             "update": update, "save_every": save_every, "measure_every": measure_every,
-            "record": list(recorded), "check": check,
+            "record": list(recorded), "check": check, "solver": plan.solver,
         },
     )  # fmt: skip
     return Result(
@@ -141,14 +150,28 @@ def integrate(
 # ---- arguments ---------------------------------------------------------------------------------
 
 
-def _check_names(cspace: str, update: str, check: str) -> None:
-    for argument, got, known in (
-        ("cspace", cspace, tuple(CSPACES)),
-        ("update", update, UPDATES),
-        ("check", check, CHECKS),
-    ):
-        if got not in known:
-            raise unknown_name(argument, got, known)
+CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver": SOLVER_NAMES}
+
+
+def _check_names(**given: str) -> None:
+    for argument, got in given.items():
+        if got not in CHOICES[argument]:
+            raise unknown_name(argument, got, CHOICES[argument])
+
+
+def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
+    """How the plan shall find accelerations: one of `lierb.kernels.subgroup.SOLVERS`."""
+    subgroup = problem.joint.subgroup
+    if cspace == "reduced":
+        if subgroup is None or not problem.joint.rows:
+            kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
+            raise ArgumentError(
+                'cspace="reduced" needs a joint whose motions are a proper subgroup of SE(3) '
+                f"({kept}), not a {problem.joint.name} joint"
+            )
+        return "reduced"
+    fits = cspace == "SE3" and subgroup is not None and bool(problem.joint.rows)
+    return "gain" if fits and solver == "auto" and check == "raise" else "saddle"
 
 
 def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:

@@ -39,6 +39,7 @@ class Joint:
     ground_frame : (4, 4) or (n, 4, 4), the joint frame seen from the ground.
     body_frame : (4, 4) or (n, 4, 4), the joint frame seen from the body.
     pitch : () or (n,), m/rad; 0 where the joint has none.
+    subgroup : the joint's motions as a subgroup of SE(3), if they are one.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Joint:
     ground_frame: Array
     body_frame: Array
     pitch: Array
+    subgroup: str | None = None
 
     def __repr__(self) -> str:
         return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
@@ -129,7 +131,7 @@ class JointType:
         ground = _ground_frame(ground_frame, ground_point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
         batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead)
-        return Joint(self.name, self.rows, ground, body, lead)
+        return Joint(self.name, self.rows, ground, body, lead, self.subgroup)
 
     def __repr__(self) -> str:
         return f"<lierb.joints.{self.name}: {self.summary}>"

@@ -356,6 +356,7 @@ def _run(
         save_every=max(1, round(t_end / dt / ROWS_PER_HISTORY)),
         record=("state",),
         check=example.check,
+        solver="saddle",  # what the paper does
     )
     assert result.errors is not None  # save_every was given
     size = float(np.abs(result.errors["r"].combine_chunks().flatten().to_numpy()).max())

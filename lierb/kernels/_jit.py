@@ -31,24 +31,24 @@ from numba.extending import (
     unbox,
 )
 
-from lierb.kernels import lanes
+from lierb.kernels.arithmetic import flatten
 from lierb.kernels.lanes import ArrayRef, Index, Lane, LaneType
-from lierb.kernels.zero import ZERO, is_zero
+from lierb.kernels.zero import is_zero
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
 # function, because the options of its first caller leak into a helper that has none.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
-class ZeroType(types.Type):
-    """Numba type of `ZERO`: no data."""
+class ConstantType(types.Type):
+    """Numba type of a number that the trace knows, `ZERO` above all: no data at run time."""
 
-    def __init__(self) -> None:
-        super().__init__(name="Zero")
+    def __init__(self, number: Any) -> None:
+        self.number = number
+        super().__init__(name=f"Constant<{number!r}>")
 
 
-register_model(ZeroType)(models.OpaqueModel)
-ZERO_TYPE = ZeroType()
+register_model(ConstantType)(models.OpaqueModel)
 
 
 # ---- tags: values whose Numba type says everything ---------------------------------------------
@@ -141,29 +141,45 @@ def _prune(folder: Path, function: Callable[..., Any]) -> None:
 # ---- formulas in @njit code --------------------------------------------------------------------
 
 
-def kernel(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags."""
+def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
+    """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags.
+
+    numbers_only: give constants and structural zeros back as plain numbers, which any code can use;
+    otherwise they stay constants on their way to the next formula.
+    """
     seen: dict[tuple[types.Type, ...], types.Type] = {}
+
+    def evaluated(*operands: Any) -> Any:
+        result = formula(*operands)
+        return _as_numbers(operands, result) if numbers_only else result
 
     class Template(AbstractTemplate):
         def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
             args = tuple(types.unliteral(a) for a in args)
             if args not in seen:
-                seen[args] = _result_type(formula, self.context, args)
+                seen[args] = _result_type(evaluated, args)
             return signature(seen[args], *args)
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
         traced = [_to_trace(context, builder, t, v) for t, v in zip(sig.args, values, strict=True)]
-        return _from_trace(context, builder, sig.return_type, formula(*traced))
+        return _from_trace(context, builder, sig.return_type, evaluated(*traced))
 
     infer_global(formula)(Template)
     lower_builtin(formula, types.VarArg(types.Any))(lower)
     return formula
 
 
-def _result_type(
-    formula: Callable[..., Any], typing: Any, args: tuple[types.Type, ...]
-) -> types.Type:
+def _as_numbers(operands: Any, result: Any) -> Any:
+    """`result` with every constant as a traced number."""
+    if isinstance(result, tuple):
+        return tuple(_as_numbers(operands, x) for x in result)
+    if isinstance(result, Lane):
+        return result
+    like = next(x for x in flatten(operands) if isinstance(x, Lane))
+    return like.constant(0.0 if is_zero(result) else result)
+
+
+def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
     """Type of formula(*args), found by a trace into a function that is thrown away."""
     from numba.core.registry import cpu_target
 
@@ -178,8 +194,8 @@ def _result_type(
 def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:
     if isinstance(ty, TagType):
         return ty.tag
-    if isinstance(ty, ZeroType):
-        return ZERO
+    if isinstance(ty, ConstantType):
+        return ty.number
     if isinstance(ty, types.BaseTuple):
         members = [builder.extract_value(value, i) for i in range(len(ty))]
         return tuple(_to_trace(context, builder, t, v) for t, v in zip(ty, members, strict=True))
@@ -201,17 +217,15 @@ def _type_of_trace(result: Any) -> types.Type:
         return types.none
     if isinstance(result, tuple):
         return types.Tuple([_type_of_trace(x) for x in result])
-    if is_zero(result):
-        return ZERO_TYPE
-    return (
-        LaneType(result.lanes) if isinstance(result, Lane) and result.lanes > 1 else types.float64
-    )
+    if not isinstance(result, Lane):
+        return ConstantType(result if is_zero(result) else float(result))
+    return LaneType(result.lanes) if result.lanes > 1 else types.float64
 
 
 def _from_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, result: Any) -> Any:
-    if result is None or is_zero(result):
+    if result is None or isinstance(ty, ConstantType):
         return context.get_dummy_value()
     if isinstance(result, tuple):
         members = [_from_trace(context, builder, t, x) for t, x in zip(ty, result, strict=True)]
         return context.make_tuple(builder, ty, members)
-    return result.value if isinstance(result, Lane) else ir.Constant(lanes.DOUBLE, float(result))
+    return result.value

@@ -6,7 +6,7 @@ that keeps to these functions runs unchanged as plain Python, over whole arrays,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,13 +75,17 @@ def where(mask: Any, a: Any, b: Any) -> Any:
     """`a` where the mask holds, `b` elsewhere, lane by lane; tuples member by member."""
     if isinstance(a, tuple):
         return tuple(where(mask, x, y) for x, y in zip(a, b, strict=True))
-    if is_zero(a, b):
-        return ZERO
+    if _same_constant(a, b):
+        return a
     if isinstance(mask, Mask):
         return lanes.select(mask, _number(a), _number(b))
     if isinstance(mask, np.ndarray):
         return np.where(mask, _number(a), _number(b))
     return a if mask else b
+
+
+def _same_constant(a: Any, b: Any) -> bool:
+    return is_zero(a, b) or (type(a) is float and type(b) is float and a == b)
 
 
 def all_lanes(mask: Any) -> Any:
@@ -102,18 +106,25 @@ def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]
     """
     if not isinstance(predicate, Predicate):
         return then() if predicate else otherwise()
-    shapes: list[Any] = []
+    results: list[Any] = []
 
     def flat(side: Callable[[], Any]) -> Callable[[], list[Any]]:
         def run() -> list[Any]:
-            result = side()
-            shapes.append(result)
-            return [_number(x) for x in flatten(result)]
+            results.append(side())
+            return [_number(x) for x in flatten(results[-1])]
 
         return run
 
     merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise)))
-    return _refill(shapes[0], merged)
+    return _merged(*results, merged)
+
+
+def _merged(left: Any, right: Any, numbers: Iterator[Any]) -> Any:
+    """`numbers` in the shape of both sides; constants where both sides agree on one."""
+    if isinstance(left, tuple):
+        return tuple(_merged(a, b, numbers) for a, b in zip(left, right, strict=True))
+    number = next(numbers)
+    return left if _same_constant(left, right) else number
 
 
 def flatten(numbers: Any) -> list[Any]:
@@ -121,12 +132,6 @@ def flatten(numbers: Any) -> list[Any]:
     if isinstance(numbers, tuple):
         return [x for part in numbers for x in flatten(part)]
     return [numbers]
-
-
-def _refill(shape: Any, members: Any) -> Any:
-    if isinstance(shape, tuple):
-        return tuple(_refill(part, members) for part in shape)
-    return next(members)
 
 
 def real(index: Any) -> Any:

@@ -72,7 +72,7 @@ def _packed(tag: LieFunction, kind: str, result: Any) -> tuple[Any, ...]:
 
 for _group in GROUPS.values():
     for _name in SIGNATURES:
-        _jit.kernel(getattr(_group, _name))  # for the user's own @njit code
+        _jit.kernel(getattr(_group, _name), numbers_only=True)  # for the user's own @njit code
 _jit.kernel(apply_block)
 
 

@@ -2,8 +2,8 @@
 
 Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body], with the
 bodies padded to a multiple of L; histories are [column][time][body] or [time][body][component],
-unpadded, and become Arrow columns as they are. Between two calls everything about a body lives in `carried`:
-cutting a run into calls changes no bit.
+unpadded, and become Arrow columns as they are. Between two calls everything about a body lives in
+`carried`: cutting a run into calls changes no bit.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from lierb.kernels.arithmetic import (
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import Body, Parameters
 from lierb.kernels.plan import Plan
-from lierb.kernels.stepper import ZERO6, State, accelerate, pose_of, step
+from lierb.kernels.stepper import TIDY_EVERY, ZERO6, State, accelerate, pose_of, step, tidied
+from lierb.kernels.subgroup import in_subalgebra, inverse, on_subgroup, reduced_inertia
+from lierb.kernels.zero import is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
 
@@ -97,13 +99,28 @@ def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
 
 def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
     parameters, _, _ = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
-    return plan.space.body(parameters)
+    body = plan.space.body(parameters)
+    if plan.slots is None:
+        return body
+    return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
 
 
 def initial_state(plan: Plan, inputs: Any, first: Any) -> State:
     parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    return State(chart, ZERO6 if plan.is_local else tuple(0.0 * v for v in velocity), velocity)
+    start = State(chart, tuple(0.0 * v for v in velocity), velocity)
+    return _structured(plan, start, parameters.pitch)
+
+
+def _structured(plan: Plan, state: State, pitch: Any) -> State:
+    """The state with the structural zeros of its plan."""
+    chart, x, velocity = state
+    if plan.slots is not None:
+        x = in_subalgebra(plan.slots, x, pitch)
+        velocity = in_subalgebra(plan.slots, velocity, pitch)
+    if plan.solver == "reduced":
+        chart = on_subgroup(plan.slots, chart)
+    return State(chart, ZERO6 if plan.is_local else x, velocity)
 
 
 def initial_record(plan: Plan, body: Body, state: State) -> Record:
@@ -113,10 +130,10 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
     return Record(*(nothing,) * 8, start.energy, nothing, nothing)
 
 
-def load_carried(plan: Plan, carried: Any, first: Any) -> tuple[State, Record]:
+def load_carried(plan: Plan, body: Body, carried: Any, first: Any) -> tuple[State, Record]:
     numbers = tuple(_columns(plan, carried, CARRIED_COLUMNS, first))
-    x = ZERO6 if plan.is_local else numbers[12:18]
-    return State(_pose(numbers[:12]), x, numbers[18:24]), Record(*numbers[24:])
+    state = State(_pose(numbers[:12]), numbers[12:18], numbers[18:24])
+    return _structured(plan, state, Body(*body).pitch), Record(*numbers[24:])
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
@@ -139,11 +156,17 @@ def advance(
     fresh = (now > 0.0) & (record.status == OK)
     status = where(fresh, now, record.status)
     failed_step = where(fresh, real(k), record.failed_step)
-    velocity = where(status == OK, moved.velocity, (NAN,) * 6)  # spreads to the pose by itself
+    velocity = tuple(  # NaN spreads to the pose by itself
+        v if is_zero(v) else where(status == OK, v, NAN) for v in moved.velocity
+    )
     return (
         moved._replace(velocity=velocity),
         record._replace(status=status, failed_step=failed_step),
     )
+
+
+def tidy(plan: Plan, body: Body, state: State) -> State:
+    return tidied(plan, Body(*body), State(*state))
 
 
 def observe(plan: Plan, body: Body, state: State, record: Record) -> tuple[Measures, Record]:
@@ -234,7 +257,7 @@ def store_summary(
 
 
 for _formula in (
-    load_body, initial_state, initial_record, load_carried, store_carried, advance, observe,
+    load_body, initial_state, initial_record, load_carried, store_carried, advance, tidy, observe,
     store_errors, store_state, store_multipliers, store_summary,
 ):  # fmt: skip
     _jit.kernel(_formula)
@@ -260,7 +283,7 @@ def integrate_block(
         state = initial_state(plan, inputs, first)
         record = initial_record(plan, body, state)
     else:
-        state, record = load_carried(plan, carried, first)
+        state, record = load_carried(plan, body, carried, first)
     column = offset + first
     k = begin
     fresh = begin == 0
@@ -279,12 +302,14 @@ def integrate_block(
                 store_multipliers(plan, body, state, record, multipliers, row, column)
         if k >= stop:
             break
-        ahead = _until(k, measure_every, stop)
+        ahead = min(_until(k, measure_every, stop), _until(k, TIDY_EVERY, stop))
         if save_every > 0:
             ahead = min(ahead, _until(k, save_every, stop))
         for _ in range(ahead):
             k += 1
             state, record = advance(plan, body, state, record, k, h)
+        if k % TIDY_EVERY == 0:
+            state = tidy(plan, body, state)
         fresh = True
     store_carried(plan, carried, first, state, record)
     store_summary(plan, inputs, state, record, summary, first)

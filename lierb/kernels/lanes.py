@@ -162,6 +162,10 @@ class Lane:
     def __bool__(self) -> bool:
         raise TypeError("a lane pack has no single truth value: use where(mask, a, b), not if")
 
+    def constant(self, number: float) -> Lane:
+        """A number of this one's kind."""
+        return Lane(self.builder, _constant(self.value.type, number))
+
     def widened(self, lanes: int) -> Lane:
         """The same number in every one of `lanes` lanes."""
         if self.lanes == lanes:

@@ -25,6 +25,7 @@ from lierb.kernels.vec import (
     Mat,
     Vec,
     add,
+    axpy,
     cross,
     dot,
     inverse_symmetric,
@@ -63,6 +64,23 @@ class Body(NamedTuple):
     gravity: Vec  # in the ground's joint frame
     energy_origin: Any  # potential energy at the ground's joint frame, J
     pitch: Any
+    origin_inertia: Mat  # about the body frame's origin
+    first_moment: Vec  # m c
+    gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
+
+    def momentum(self, velocity: Vec) -> Vec:
+        """M V about the body frame's origin, on SE(3)."""
+        omega, v = velocity[:3], velocity[3:]
+        angular = add(mat_vec(self.origin_inertia, omega), cross(self.first_moment, v))
+        return angular + add(scale(self.mass, v), cross(omega, self.first_moment))
+
+    def wrench(self, fall: Vec, velocity: Vec) -> Vec:
+        """ad_Vᵀ M V + W about the body frame's origin, on SE(3); `fall` is gravity in body axes."""
+        omega, v = velocity[:3], velocity[3:]
+        momentum = self.momentum(velocity)
+        torque = add(cross(momentum[:3], omega), cross(momentum[3:], v))
+        force = axpy(self.mass, fall, cross(momentum[3:], omega))
+        return add(torque, cross(self.first_moment, fall)) + force
 
 
 class Kinematics(NamedTuple):
@@ -87,15 +105,18 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
     steiner = scale(p.mass, unit_inertia(p.com))
     about_com = sub(p.inertia, steiner)
     inertia = mat_t_mat(to_joint, mat_mat(about_com, to_joint))
+    com = mat_t_vec(to_joint, sub(p.com, origin))
     return Body(
         mass=p.mass,
         inertia=inertia,
         inertia_inverse=inverse_symmetric(inertia),
-        com=mat_t_vec(to_joint, sub(p.com, origin)),
+        com=com,
         arm=arm,
         gravity=mat_t_vec(p.ground[0], p.gravity),
         energy_origin=-p.mass * dot(p.gravity, p.ground[1]),
         pitch=p.pitch,
+        origin_inertia=axpy(p.mass, unit_inertia(com), inertia),
+        first_moment=scale(p.mass, com),
     )
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from lierb.kernels._jit import Tag
 from lierb.kernels.constraints import Row
 from lierb.kernels.newton_euler import CSPACES, SE3, SO3xR3
+from lierb.kernels.subgroup import Slots, slots_of
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,16 @@ class Plan(Tag):
     stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
+    solver: str = "saddle"  # one of SOLVERS
 
     @cached_property
     def space(self) -> type[SE3] | type[SO3xR3]:
         return CSPACES[self.cspace]
+
+    @cached_property
+    def slots(self) -> Slots | None:
+        """The joint's subalgebra, where velocities are held in its coordinates."""
+        return None if self.solver == "saddle" else slots_of(self.rows)
 
     @property
     def is_local(self) -> bool:

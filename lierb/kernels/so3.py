@@ -12,6 +12,7 @@ from lierb.kernels.vec import (
     cross,
     dot,
     mat_mat,
+    mat_t_mat,
     mat_vec,
     neg,
     norm,
@@ -49,6 +50,19 @@ def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
         fma(ax, y, sz), 1.0 - (xx + zz), fma(ay, z, -sx),
         fma(ax, z, -sy), fma(ay, z, sx), 1.0 - (xx + yy),
     )  # fmt: skip
+
+
+def rotate(xi: Vec, x: Vec, k: Coefficients | None = None) -> Vec:
+    """exp(ξ) x, without forming the matrix: x + sinc ξ×x + a ξ×(ξ×x)."""
+    k = k or angle_coefficients(xi)
+    turned = cross(xi, x)
+    return axpy(k.a, cross(xi, turned), axpy(k.sinc, turned, x))
+
+
+def orthonormalised(q: Mat) -> Mat:
+    """The rotation nearest to a Q that is off by rounding: Q (3 I − QᵀQ)/2."""
+    gram = mat_t_mat(q, q)
+    return mat_mat(q, tuple(1.5 - 0.5 * g if i % 4 == 0 else -0.5 * g for i, g in enumerate(gram)))
 
 
 def log(r: Mat) -> Vec:

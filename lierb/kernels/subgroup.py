@@ -1,0 +1,113 @@
+"""Joints whose motions are a subgroup H of SE(3): velocities in its algebra, as a few coordinates.
+
+In joint axes the algebra of every such joint is spanned by unit vectors (and, for a screw, one
+combination), so that V = N ν is a matter of *slots*: which of the six components are coordinates of
+ν, which depend on them through the pitch, and which are structurally zero. The general SE(3)
+formulas, fed V with its zeros, fold down to those of H, with no code for any H.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.arithmetic import fma
+from lierb.kernels.constraints import Row
+from lierb.kernels.newton_euler import Body, Pose
+from lierb.kernels.vec import IDENTITY, Vec, dot
+from lierb.kernels.zero import ZERO
+
+FIXED = -1  # slot of a component that is zero
+PITCHED = -2  # slot of v₃ = pitch·ω₃
+
+# Where the equations of motion come from: the saddle point in every stage, or a subgroup joint's
+# constant gain, on poses in SE(3) or in the subgroup itself.
+SOLVERS = ("saddle", "gain", "reduced")
+
+Slots = tuple[int, ...]
+
+
+def slots_of(rows: tuple[Row, ...]) -> Slots:
+    """For each of (ω, v) its coordinate's number, or FIXED or PITCHED."""
+    constrained = {r.i + (3 if r.kind == "d" else 0) for r in rows if r.kind in ("d", "Omega")}
+    pitched = any(r.kind == "screw" for r in rows)
+    slots = []
+    count = 0
+    for component in range(6):
+        if component in constrained:
+            slots.append(FIXED)
+        elif component == 5 and pitched:
+            slots.append(PITCHED)
+        else:
+            slots.append(count)
+            count += 1
+    return tuple(slots)
+
+
+def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:
+    """V = N ν, with structural zeros."""
+    components: list[Any] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
+    if PITCHED in slots:
+        components[5] = pitch * components[2]
+    return tuple(components)
+
+
+def coordinates(slots: Slots, velocity: Vec) -> Vec:
+    """The ν of a V = N ν."""
+    return tuple(v for slot, v in zip(slots, velocity, strict=True) if slot >= 0)
+
+
+def in_subalgebra(slots: Slots, velocity: Vec, pitch: Any) -> Vec:
+    """A V that is in the algebra up to rounding, exactly there and with its structural zeros."""
+    return lifted(slots, coordinates(slots, velocity), pitch)
+
+
+def projected(slots: Slots, wrench: Vec, pitch: Any) -> Vec:
+    """Nᵀ f."""
+    parts = list(coordinates(slots, wrench))
+    if PITCHED in slots:
+        turn = slots[2]
+        parts[turn] = fma(pitch, wrench[5], parts[turn])
+    return tuple(parts)
+
+
+def reduced_inertia(slots: Slots, body: Body) -> list[list[Any]]:
+    """Nᵀ M N, from the momenta M N e_j."""
+    count = max(slots) + 1
+    columns = []
+    for j in range(count):
+        unit = tuple(1.0 if i == j else ZERO for i in range(count))
+        columns.append(projected(slots, body.momentum(lifted(slots, unit, body.pitch)), body.pitch))
+    return [[columns[j][i] for j in range(count)] for i in range(count)]
+
+
+def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
+    """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination."""
+    n = len(matrix)
+    rows = [list(row) + [1.0 if i == j else ZERO for j in range(n)] for i, row in enumerate(matrix)]
+    for i in range(n):
+        scale = 1.0 / rows[i][i]
+        rows[i] = [scale * x for x in rows[i]]
+        for k in range(n):
+            if k != i:
+                factor = rows[k][i]
+                rows[k] = [fma(-factor, x, y) for x, y in zip(rows[i], rows[k], strict=True)]
+    return tuple(x for row in rows for x in row[n:])
+
+
+def gain_acceleration(slots: Slots, body: Body, fall: Vec, velocity: Vec) -> Vec:
+    """V̇ = N (NᵀMN)⁻¹ Nᵀ (ad_Vᵀ M V + W): the saddle point's solution, solved once and for all."""
+    force = projected(slots, body.wrench(fall, velocity), body.pitch)
+    n = len(force)
+    nu_rate = tuple(dot(body.gain[n * i : n * i + n], force) for i in range(n))
+    return lifted(slots, nu_rate, body.pitch)
+
+
+def on_subgroup(slots: Slots, pose: Pose) -> Pose:
+    """A pose that is in H up to rounding, with H's structural zeros and ones."""
+    q, d = pose
+    turning = [slot != FIXED for slot in slots[:3]]
+    if not any(turning):
+        q = IDENTITY
+    elif turning == [False, False, True]:
+        q = (q[0], q[1], ZERO, q[3], q[4], ZERO, ZERO, ZERO, 1.0)
+    return q, tuple(x if slot != FIXED else ZERO for x, slot in zip(d, slots[3:], strict=True))
