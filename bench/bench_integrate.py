@@ -1,4 +1,4 @@
-"""Throughput of the general path: the saddle point solved in every stage, RK4, dt = 1e-3.
+"""Throughput: RK4, dt = 1e-3, gravity; the saddle point in every stage, and subgroup joints without.
 
 Each case runs twice: `aligned` (axes aligned, diagonal inertia, parameters shared) and `tilted`
 (tilted frames, full inertia, each body with its own joint point).
@@ -32,7 +32,7 @@ def _problem(name: str, setting: str) -> tuple[lierb.Problem, np.ndarray]:
 @pytest.mark.parametrize("setting", ["aligned", "tilted"])
 @pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 @pytest.mark.parametrize("name", ["spherical", "universal", "revolute", "free"])
-def test_rk4(name, cspace, setting, body_steps):
+def test_saddle(name, cspace, setting, body_steps):
     problem, twist0 = _problem(name, setting)
 
     def run():
@@ -40,6 +40,26 @@ def test_rk4(name, cspace, setting, body_steps):
             problem, twist0=twist0, dt=DT, t_end=STEPS * DT, cspace=cspace,
             measure_every=10, threads=1, check="off",
         )  # fmt: skip
+
+    body_steps(run, BODIES * STEPS)
+
+
+@pytest.mark.parametrize("setting", ["aligned", "tilted"])
+@pytest.mark.parametrize("cspace", ["SE3", "reduced"])
+@pytest.mark.parametrize("name", ["spherical", "revolute", "screw", "planar"])
+def test_subgroup(name, cspace, setting, body_steps):
+    problem, twist0 = _problem(name, setting)
+
+    def run():
+        lierb.integrate(
+            problem,
+            twist0=twist0,
+            dt=DT,
+            t_end=STEPS * DT,
+            cspace=cspace,
+            measure_every=10,
+            threads=1,
+        )
 
     body_steps(run, BODIES * STEPS)
 

@@ -80,7 +80,8 @@ def integrate(
     dt, t_end : s; t_end must be a whole number of steps.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
-        joint's own subgroup of SE(3), where there are no constraints (Müller, eq. 5).
+        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); there an
+        inconsistent start that `check` lets pass is moved onto the subgroup.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `errors`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.

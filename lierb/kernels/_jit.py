@@ -1,4 +1,4 @@
-"""The one place with Numba options: formulas in @njit code, the `Plan` tag, and the disk cache.
+"""The one place with Numba options: formulas in @njit code, tags, and the disk cache.
 
 A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
 result's type, and then for its instructions, and both times the formula runs once on traced numbers

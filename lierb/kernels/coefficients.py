@@ -6,8 +6,8 @@
 
 Three forms, each where it loses nothing: five Taylor terms below 0.1 rad (a time step's angles); up
 to π the entire alternating series with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms
-above. One small-angle threshold for all of them would be wrong: at θ = 1e-4 the closed forms of b₁
-and c₁ are off by factors of 150 and 1900. `tests/kernels/test_coefficients.py` measures the errors.
+above. The usual test against a tiny ε would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are
+off by factors of 150 and 1900. `tests/kernels/test_coefficients.py` measures the errors.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def horner(z: Any, terms: tuple[float, ...]) -> Any:
 
 
 def coefficients(z: Any) -> Coefficients:
-    """All coefficient functions at z = θ² < 4π².
+    """All coefficient functions at z = θ²; c₀ and c₁ have a pole at θ = 2π.
 
     A caller takes what it needs: what is left over is dropped when the formula is compiled.
     """

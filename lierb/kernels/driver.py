@@ -302,14 +302,14 @@ def integrate_block(
                 store_multipliers(plan, body, state, record, multipliers, row, column)
         if k >= stop:
             break
+        if k % TIDY_EVERY == 0 and k > 0:  # after the measures: they see what rounding did
+            state = tidy(plan, body, state)
         ahead = min(_until(k, measure_every, stop), _until(k, TIDY_EVERY, stop))
         if save_every > 0:
             ahead = min(ahead, _until(k, save_every, stop))
         for _ in range(ahead):
             k += 1
             state, record = advance(plan, body, state, record, k, h)
-        if k % TIDY_EVERY == 0:
-            state = tidy(plan, body, state)
         fresh = True
     store_carried(plan, carried, first, state, record)
     store_summary(plan, inputs, state, record, summary, first)

@@ -1,0 +1,88 @@
+"""The documentation names things that exist: code, tests, files, headings; its examples run."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+import lierb
+
+ROOT = Path(__file__).parent.parent
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+
+SPAN = re.compile(r"`([^`\n]+)`")
+NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
+TEST = re.compile(r"\b(tests/[\w/]+\.py)(?:::(\w+))?")
+LINK = re.compile(r"\]\((?!\w+:)([^)\s]+)\)")  # relative ones
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+
+
+def _found(pattern: re.Pattern, group_by_span: bool = True) -> list:
+    """(page, match) for everything that `pattern` finds outside code blocks."""
+    found = []
+    for page in PAGES:
+        prose = FENCE.sub("", page.read_text(encoding="utf-8"))
+        texts = SPAN.findall(prose) if group_by_span else [prose]
+        unique = {match.group(): match for text in texts for match in pattern.finditer(text)}
+        found += [pytest.param(page, m, id=f"{page.stem}-{m.group()}") for m in unique.values()]
+    return found
+
+
+def _resolved(name: str):
+    """What a dotted name stands for; a field without a default stands for its annotation."""
+    found, path = lierb, "lierb"
+    for part in name.split(".")[1:]:
+        path += f".{part}"
+        if hasattr(found, part):
+            found = getattr(found, part)
+        elif isinstance(found, type):
+            found = found.__annotations__[part]
+        else:
+            found = importlib.import_module(path)
+    return found
+
+
+def _anchors(page: Path) -> set[str]:
+    """Anchors as GitHub makes them of headings, and those written as <a id>."""
+    text = page.read_text(encoding="utf-8")
+    slugs = (re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in HEADING.findall(text))
+    return {*slugs, *re.findall(r'<a id="([^"]+)">', text)}
+
+
+def test_pages_are_found():
+    assert {"architecture.md", "equations.md", "theory.md"} <= {page.name for page in PAGES}
+
+
+@pytest.mark.parametrize(("page", "match"), _found(NAME))
+def test_named_object_exists(page, match):
+    found = _resolved(match[1])
+    if match[2] is not None:
+        assert match[2] in found
+
+
+@pytest.mark.parametrize(("page", "match"), _found(TEST))
+def test_named_test_exists(page, match):
+    source = (ROOT / match[1]).read_text(encoding="utf-8")
+    names = {node.name for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
+    assert match[2] is None or match[2] in names
+
+
+@pytest.mark.parametrize(("page", "match"), _found(LINK, group_by_span=False))
+def test_link_leads_somewhere(page, match):
+    target, _, anchor = match[1].partition("#")
+    file = (page.parent / target).resolve() if target else page
+    assert file.exists()
+    if anchor:
+        assert anchor in _anchors(file)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_examples_run(page):
+    result = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
+    assert result.failed == 0
