@@ -1,4 +1,4 @@
-"""Throughput: RK4, dt = 1e-3, gravity; the saddle point in every stage, and subgroup joints without.
+"""Throughput of RK4 at dt = 1e-3, gravity: saddle point in every stage, and subgroup joints.
 
 Each case runs twice: `aligned` (axes aligned, diagonal inertia, parameters shared) and `tilted`
 (tilted frames, full inertia, each body with its own joint point).

@@ -464,7 +464,7 @@ def test_so3xr3_needs_the_frame_at_the_centre_of_mass():
         integrate(top, cspace="SE3")
 
 
-# ---------------------------------------------------------------- pose0 and twist0 against the joint
+# ---------------------------------------------------------------- pose0, twist0 and the joint
 
 
 def shifted(C, by):

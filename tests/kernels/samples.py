@@ -115,7 +115,9 @@ def evaluate(number_type: str, group: str, name: str, *operands: np.ndarray) -> 
         numbers = [unpacked(group, kind, x) for kind, x in zip(kinds, operands)]
         return packed(group, result, formula(*numbers), batch)
     rows = [
-        packed(group, result, formula(*(_floats(unpacked(group, k, x)) for k, x in zip(kinds, row))))
+        packed(
+            group, result, formula(*(_floats(unpacked(group, k, x)) for k, x in zip(kinds, row)))
+        )
         for row in zip(*operands)
     ]
     return np.array(rows)
@@ -164,30 +166,3 @@ def relative_errors(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 def norms(X: np.ndarray) -> np.ndarray:
     """‖ξ‖ of each row."""
     return np.array([float(mp.norm(row[:3].tolist())) for row in X])
-
-
-# ---------------------------------------------------------------- scalar formulas on lane packs
-
-
-@dataclass(frozen=True)
-class Scalars(_jit.Tag):
-    """A formula of several numbers, on packs of `lanes` rows: row i of the output from row i."""
-
-    name: str
-    lanes: int
-
-
-FORMULAS = {
-    "coefficients": lambda z: coefficients(z),
-    "sincos": lambda x: sincos(x),
-    "atan2": lambda y, x: (atan2(y, x),),
-    "inverse_symmetric": lambda *m: inverse_symmetric(m),
-}
-
-
-def scalars_block(tag: Scalars, inputs, out, inputs_width, first) -> None:
-    pass
-
-
-def on_lanes(name: str, rows: np.ndarray, lanes: int = DEFAULT_LANES) -> np.ndarray:
-    """FORMULAS[name] of each row, a pack at a time."""
