@@ -80,8 +80,8 @@ def integrate(
     dt, t_end : s; t_end must be a whole number of steps.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
-        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); there an
-        inconsistent start that `check` lets pass is moved onto the subgroup.
+        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); that
+        has no room for an inconsistent start, whatever `check` says.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `errors`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
@@ -116,8 +116,9 @@ def integrate(
     count = problem.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
-    if check != "off":
-        _report(checks.violation(problem, poses, twists, count), check)
+    on_violation = "raise" if cspace == "reduced" else check  # there it has no room
+    if on_violation != "off":
+        _report(checks.violation(problem, poses, twists, count), on_violation)
     plan = Plan(
         lanes=DEFAULT_LANES,
         rows=problem.joint.rows,

@@ -37,9 +37,9 @@ def violation(problem: Problem, poses: Array, twists: Array, count: int) -> Lier
     if not problem.joint.rows:
         return None
     for start in range(0, count, SLICE):
-        found = _violation_in(
-            problem, poses, twists, slice(start, min(start + SLICE, count)), count
-        )
+        bodies = slice(start, min(start + SLICE, count))
+        with np.errstate(all="ignore"):
+            found = _violation_in(problem, poses, twists, bodies, count)
         if found is not None:
             return found
     return None
@@ -67,9 +67,9 @@ def _violation_in(
 
 
 def _worst(errors: Any, allowed: Any) -> int | None:
-    """The first body whose error exceeds what is allowed (NaN too)."""
+    """The first body whose error exceeds what is allowed, or is no number."""
     errors, allowed = np.broadcast_arrays(np.atleast_1d(errors), np.atleast_1d(allowed))
-    bad = np.flatnonzero(~(errors <= allowed))
+    bad = np.flatnonzero(~(errors <= allowed) | ~np.isfinite(errors))
     return int(bad[0]) if bad.size else None
 
 

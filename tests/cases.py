@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import reference_numbers as ref
 
 import lierb
@@ -28,6 +29,11 @@ def frame(xi, point) -> np.ndarray:
 # Nothing is aligned with anything, and the joint is away from both origins.
 GROUND_FRAME = frame((0.4, -1.1, 0.7), (0.3, -0.2, 0.5))
 BODY_FRAME = frame((-0.9, 0.5, 1.3), (-0.15, 0.0375, 0.02))
+
+
+def slow_but(names, *quick) -> list:
+    """Parameters of which only `quick` run with -m "not slow": each compiles kernels of its own."""
+    return [n if n in quick else pytest.param(n, marks=pytest.mark.slow) for n in names]
 
 
 def box(turned: bool = False) -> lierb.Body:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, joint
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, joint, slow_but
 
 import lierb
 from lierb import api, run
@@ -70,7 +70,7 @@ def test_bits_do_not_depend_on_place_in_batch(expected):
     np.testing.assert_array_equal(_bits(_run(TWISTS[order])), expected[order])
 
 
-@pytest.mark.parametrize("lanes", [1, 2, 4, 8])
+@pytest.mark.parametrize("lanes", slow_but([1, 2, 4, 8], 1))
 def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
     monkeypatch.setattr(api, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(_bits(_run(TWISTS)), expected)
@@ -112,6 +112,7 @@ def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch
     np.testing.assert_array_equal(_bits(_run(TWISTS[:100])), expected[:100])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 @pytest.mark.parametrize("update", ["local", "global"])
 def test_lanes_do_not_matter_in_any_form(cspace, update, monkeypatch):

@@ -99,6 +99,7 @@ def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace):
     assert singular == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ROWS if name in lierb.joints.JOINTS])
 def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
     problem, twist0 = tilted(name)

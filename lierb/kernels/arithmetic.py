@@ -56,13 +56,14 @@ def floor(x: Any) -> Any:
 
 def minimum(a: Any, b: Any) -> Any:
     """The smaller one; the other one if one is NaN."""
-    return (
-        lanes.call_intrinsic("minnum", a, b) if _traced(a, b) else np.fmin(_number(a), _number(b))
-    )
+    a, b = _number(a), _number(b)
+    return lanes.call_intrinsic("minnum", a, b) if _traced(a, b) else np.fmin(a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
     """The larger one; the other one if one is NaN."""
+    if is_zero(a, b):
+        return ZERO
     a, b = _number(a), _number(b)
     return lanes.call_intrinsic("maxnum", a, b) if _traced(a, b) else np.fmax(a, b)
 
@@ -116,7 +117,8 @@ def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]
         return run
 
     merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise)))
-    return _merged(*results, merged)
+    left, right = results
+    return _merged(left, right, merged)
 
 
 def _merged(left: Any, right: Any, numbers: Iterator[Any]) -> Any:

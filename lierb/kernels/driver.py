@@ -118,8 +118,8 @@ def _structured(plan: Plan, state: State, pitch: Any) -> State:
     if plan.slots is not None:
         x = in_subalgebra(plan.slots, x, pitch)
         velocity = in_subalgebra(plan.slots, velocity, pitch)
-    if plan.solver == "reduced":
-        chart = on_subgroup(plan.slots, chart)
+        if plan.solver == "reduced":
+            chart = on_subgroup(plan.slots, chart)
     return State(chart, ZERO6 if plan.is_local else x, velocity)
 
 

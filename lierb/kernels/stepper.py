@@ -96,19 +96,15 @@ def tidied(plan: Plan, body: Body, state: State) -> State:
     """
     q, d = state.chart
     if plan.slots is not None:
-        on_h = on_subgroup(plan.slots, (q, d))
-        rows = tuple(r for r in plan.rows if r.kind == "screw")
-        if plan.solver == "gain":  # numbers again, where H has structure
-            on_h = tuple(tuple(_number_like(d[0], x) for x in part) for part in on_h)
-        q, d = on_h
-        if rows:
-            x = plan.space.kinematics(body, (q, d), state.velocity)
-            d = (d[0], d[1], d[2] - value(rows[0], x, body.pitch))
+        nothing = 0.0 * d[0]
+        q, d = on_subgroup(plan.slots, (q, d))
+        if plan.solver == "gain":  # H's zeros and ones, as numbers
+            q, d = tuple(nothing + x for x in q), tuple(nothing + x for x in d)
+        for row in plan.rows:
+            if row.kind == "screw":
+                x = plan.space.kinematics(body, (q, d), state.velocity)
+                d = (d[0], d[1], d[2] - value(row, x, body.pitch))
     return state._replace(chart=(so3.orthonormalised(q), d))
-
-
-def _number_like(like: Any, x: Any) -> Any:
-    return 0.0 * like + x
 
 
 def _recharted(plan: Plan, state: State) -> State:
