@@ -248,7 +248,7 @@ free = _entry("free", "", "no constraint", "SE(3)")
 
 
 def from_rows(
-    rows: Sequence[str],
+    rows: Sequence[str | Row],
     body_point: ArrayLike | None = None,
     ground_point: ArrayLike | None = None,
     *,
@@ -301,7 +301,9 @@ _ROW_NAMES = [f"{kind}{i}" for kind in ("d", "Qtd", "Omega") for i in "123"]
 _ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["screw"]
 
 
-def _row(name: str) -> Row:
+def _row(name: str | Row) -> Row:
+    if isinstance(name, Row):
+        return name
     try:
         return Row.parse(name.replace("Ω", "Omega"))
     except (ValueError, AttributeError, TypeError):

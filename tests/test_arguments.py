@@ -347,7 +347,7 @@ def test_not_finite_is_found_although_checks_are_off(bad):
 @pytest.mark.parametrize("value", [1j, np.array([1 + 1j])], ids=["number", "array"])
 def test_complex_numbers_are_rejected(value):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a user's session does not turn warnings into errors
+        warnings.simplefilter("ignore")  # for most users warnings are no errors
         with pytest.raises(LierbError, match="mass"):
             lierb.Body(value, BOX)
 
@@ -595,6 +595,29 @@ def test_check_off_is_silent_and_runs(argument):
         integrate(**BAD_STATES[argument], check="off")
 
 
+@pytest.mark.filterwarnings("ignore::lierb.errors.InconsistentStateWarning")
+@pytest.mark.parametrize("argument", BAD_STATES)
+@pytest.mark.parametrize("check", ["raise", "warn", "off"])
+def test_reduced_cspace_never_takes_a_state_that_violates(argument, check):
+    # it has no room for one: the run would start from another state than the given
+    with pytest.raises(LierbError, match=argument):
+        integrate(**BAD_STATES[argument], cspace="reduced", check=check)
+
+
+@pytest.mark.parametrize(
+    "joint", [joints.universal(), joints.pin_in_slot(), joints.free()], ids=repr
+)
+def test_reduced_cspace_needs_a_joint_with_a_subgroup(joint):
+    with pytest.raises(ArgumentError, match=r"cspace=.reduced.*subgroup"):
+        integrate(spherical_top(joint=joint), cspace="reduced")
+
+
+def test_violation_that_overflows_is_one():
+    # |twist0|² is inf, and so is what a tolerance relative to it allows
+    with pytest.raises(TwistError, match="twist0"):
+        integrate(twist0=(0, 0, 0, 1e200, 0, 0))
+
+
 def test_free_body_takes_any_state():
     with pytest.raises(DriverReached):
         integrate(
@@ -685,6 +708,7 @@ UNKNOWN = {
     "cspace": ("se3", "SE3"),
     "update": ("globl", "global"),
     "check": ("warning", "warn"),
+    "solver": ("sadle", "saddle"),
     "record": (("states",), "state"),
 }
 
@@ -714,7 +738,7 @@ NO_NAMES = {
 }
 
 
-@pytest.mark.parametrize("argument", ["method", "cspace", "update", "check"])
+@pytest.mark.parametrize("argument", ["method", "cspace", "update", "check", "solver"])
 @pytest.mark.parametrize("given", NO_NAMES.values(), ids=NO_NAMES)
 def test_name_of_another_type_is_rejected(argument, given):
     with pytest.raises(LierbError, match=argument):

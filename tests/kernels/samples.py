@@ -80,6 +80,13 @@ def reference(group: str, name: str, arguments) -> np.ndarray:
     return values
 
 
+def nearest_rotation(R):
+    """Polar decomposition of a 3×3 mpmath matrix that is off by 1e-8 or less."""
+    for _ in range(4):  # Newton's iteration doubles the digits each time
+        R = (R + mp.inverse(R).T) / 2
+    return R
+
+
 # ---------------------------------------------------------------- one formula, three number types
 
 

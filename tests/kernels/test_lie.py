@@ -16,12 +16,14 @@ from kernels.samples import (
     dim,
     evaluate,
     matrices,
+    nearest_rotation,
     norms,
     reference,
     relative_errors,
     sweep,
     twists,
 )
+from lierb.kernels import so3
 
 everywhere = pytest.mark.parametrize("group", GROUPS)
 every_number = pytest.mark.parametrize("number_type", NUMBER_TYPES)
@@ -115,6 +117,16 @@ def _exp_closed_form(X):
     A = mp.eye(3) + (1 - c) / theta**2 * hat + (theta - s) / theta**3 * hat**2
     C[:3, 3] = A * mp.matrix(X[3:])
     return C
+
+
+@pytest.mark.parametrize("size", [1e-15, 1e-12, 1e-9])
+def test_orthonormalised_is_the_nearest_rotation(size):
+    R = configurations("so3")
+    R = R + np.random.default_rng(12).uniform(-size, size, R.shape)
+    exact = [oracle.to_float(nearest_rotation(mp.matrix(r.tolist()))) for r in R]
+    found = np.stack(so3.orthonormalised(tuple(R.reshape(-1, 9).T)), axis=-1)
+    # one Newton step: the square of what it was off by is 1e-17 at most, so a few roundings of 1
+    assert np.max(abs(found - np.reshape(exact, (-1, 9)))) <= 1e-15
 
 
 @everywhere

@@ -14,6 +14,7 @@ from kernels.samples import (
     angles,
     dim,
     evaluate,
+    nearest_rotation,
     relative_errors,
     twists,
 )
@@ -47,10 +48,7 @@ def reference_logs(group):
     logs = []
     for C in rounded_configurations(group):
         C = mp.matrix(C.tolist())
-        R = C[:3, :3]
-        for _ in range(3):  # Newton's iteration, from 1e-16 to beyond 80 digits
-            R = (R + mp.inverse(R).T) / 2
-        C[:3, :3] = R
+        C[:3, :3] = nearest_rotation(C[:3, :3])
         logs.append(_both_logs(oracle.lie[group], C))
     return np.array(logs).swapaxes(0, 1)
 

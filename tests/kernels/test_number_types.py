@@ -1,0 +1,208 @@
+"""The same bits on every number of lanes, beside any neighbours, in the user's own @njit code."""
+
+import os
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+import lierb
+from kernels.packs import FORMULAS, on_lanes
+from kernels.samples import GROUPS, dim, twists, unpacked
+from lierb.kernels import se3, so3xr3
+from lierb.kernels.arithmetic import flatten
+from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
+
+ROOT = Path(__file__).parents[2]
+LANES = (1, 2, 4, 8)
+
+needs_jit = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="the JIT is off")
+every_group = pytest.mark.parametrize("group", GROUPS)
+every_function = pytest.mark.parametrize("name", SIGNATURES)
+
+# Angles of every branch, in an order that puts them side by side in packs of 2, 4 and 8, and packs
+# of 2, 4 and 8 small ones: 0.1 and π are the cut-overs. 29 is no multiple of any number of lanes.
+THETA = np.array(
+    [1e-9, 0.5, 5.0, 0.0, np.pi, 6.2, 0.0999999, 3.0, 0.1, 0.1000001, 3.1415, 3.1416, 1e-12, 6.0]
+    + [0.01] * 8
+    + [2.0, 1e-4, 4.0, 1e-3, 0.05, 0.09, 1e-6]
+)
+
+
+@cache
+def rows(group, name):
+    """The two arrays that `apply` reads; the second is the first for functions of one argument."""
+    kinds, _ = SIGNATURES[name]
+    columns = []
+    for seed, kind in enumerate(kinds):
+        X = twists(THETA, dim(group), seed)
+        array = X if kind == "x" else getattr(lierb.lie, group).exp(X)
+        columns.append(np.ascontiguousarray(array.reshape(len(X), -1)))
+    return columns[0], columns[-1]
+
+
+def applied(group, name, lanes, a, b):
+    out = np.full((len(a), width(group, SIGNATURES[name][1])), 7.0)
+    with np.errstate(all="ignore"):  # NumPy's scalars warn when the JIT is off
+        apply(LieFunction(group, name, lanes), a, b, out, lanes)
+    return out
+
+
+def same_bits(a, b):
+    return np.array_equal(a.view(np.int64), b.view(np.int64))
+
+
+@needs_jit
+@every_group
+@every_function
+def test_lie_functions_same_bits_on_every_number_of_lanes(group, name):
+    a, b = rows(group, name)
+    scalar = applied(group, name, 1, a, b)
+    assert np.isfinite(scalar).all()
+    for lanes in LANES[1:]:
+        assert same_bits(applied(group, name, lanes, a, b), scalar)
+
+
+@needs_jit
+@every_group
+@every_function
+def test_lie_functions_same_bits_beside_any_neighbours(group, name):
+    a, b = rows(group, name)
+    scalar = applied(group, name, 1, a, b)
+    rng = np.random.default_rng(5)
+    for lanes in LANES:
+        for n in (len(a), 13, 3, 1):
+            order = rng.permutation(len(a))[:n]
+            assert same_bits(applied(group, name, lanes, a[order], b[order]), scalar[order])
+
+
+@needs_jit
+@every_group
+@every_function
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_lie_functions_leave_the_neighbours_of_a_bad_row_alone(group, name, bad):
+    a, b = rows(group, name)
+    clean = applied(group, name, 1, a, b)
+    spoilt = a.copy()
+    spoilt[5::6, :3] = bad
+    good = np.isfinite(spoilt).all(axis=1)
+    for lanes in LANES:
+        found = applied(group, name, lanes, spoilt, b)
+        assert same_bits(found[good], clean[good])
+        assert not np.isfinite(found[~good]).all(axis=1).any()
+
+
+@needs_jit
+@pytest.mark.parametrize("lanes", LANES)
+@pytest.mark.parametrize("n", [0, 1, 3, 9])
+def test_apply_writes_no_row_too_many(lanes, n):
+    a, b = rows("so3", "exp")
+    whole = np.full((16, 9), 7.0)
+    apply(LieFunction("so3", "exp", lanes), a[:n], b[:n], whole[:n], lanes)
+    assert same_bits(whole[:n], applied("so3", "exp", 1, a[:n], b[:n]))
+    assert np.all(whole[n:] == 7.0)
+
+
+SCALARS = {
+    "coefficients": (7, THETA**2),
+    "sincos": (2, np.concatenate([THETA, -1000.0 * THETA])),
+    "atan2": (1, np.sin(7.0 * THETA), np.cos(11.0 * THETA)),
+    "inverse_symmetric": (
+        9,
+        *(np.eye(3).ravel() + 0.3 * np.cos(np.outer(THETA, [0, 1, 2, 1, 3, 4, 2, 4, 5]))).T,
+    ),
+}
+
+
+@needs_jit
+@pytest.mark.parametrize("name", FORMULAS)
+def test_scalar_formulas_same_bits_on_every_number_of_lanes(name):
+    results, *columns = SCALARS[name]
+    scalar = on_lanes(name, *columns, results=results, lanes=1)
+    order = np.random.default_rng(6).permutation(len(columns[0]))
+    for lanes in LANES[1:]:
+        assert same_bits(on_lanes(name, *columns, results=results, lanes=lanes), scalar)
+        permuted = on_lanes(name, *(c[order] for c in columns), results=results, lanes=lanes)
+        assert same_bits(permuted, scalar[:, order].copy())
+
+
+# ---------------------------------------------------------------- in the user's own code
+
+
+@needs_jit
+@every_group
+@every_function
+def test_formulas_give_the_same_bits_in_users_njit_code(group, name):
+    formula = getattr(GROUPS[group], name)
+    kinds, result_kind = SIGNATURES[name]
+
+    @njit
+    def users_own(*operands):
+        return formula(*operands)
+
+    operands = [x.reshape(-1, *shape(group, kind)) for x, kind in zip(rows(group, name), kinds)]
+    expected = getattr(getattr(lierb.lie, group), name)(*operands)
+    expected = np.array([flatten(numbers(group, result_kind, x)) for x in expected])
+    for i in range(len(expected)):
+        found = users_own(*(numbers(group, kind, x[i]) for x, kind in zip(operands, kinds)))
+        assert same_bits(np.array(flatten(found)), expected[i])
+
+
+def shape(group, kind):
+    size = 3 if group == "so3" else 4
+    return (dim(group),) if kind == "x" else (size, size)
+
+
+def numbers(group, kind, array):
+    def floats(members):
+        return tuple(map(floats, members)) if isinstance(members, tuple) else float(members)
+
+    return floats(unpacked(group, kind, array))
+
+
+@needs_jit
+def test_formulas_compose_in_users_njit_code():
+    @njit
+    def users_own(x, y):
+        bracket = so3xr3.ad(x, y)  # its translation is zero by structure, and a number for the user
+        return bracket[0] + bracket[5], so3xr3.dexp(x, bracket)
+
+    lie = lierb.lie.so3xr3
+    x, y = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), (0.5, -1.0, 2.0, 7.0, 8.0, 9.0)
+    first, image = users_own(x, y)
+    assert first == lie.ad(x, y)[0]
+    assert image == tuple(lie.dexp(x, lie.ad(x, y)).tolist())
+
+
+@needs_jit
+def test_formulas_take_integers_for_numbers_in_users_njit_code():
+    @njit
+    def users_own(z):
+        return se3.exp((0, 0, z, 1, 2, 3))
+
+    C = lierb.lie.se3.exp([0.0, 0.0, 2.0, 1.0, 2.0, 3.0])
+    for two in (2, 2.0, np.float32(2.0)):
+        assert users_own(two) == numbers("se3", "g", C)
+
+
+# ---------------------------------------------------------------- with the JIT off
+
+
+@needs_jit
+@pytest.mark.slow
+def test_sweeps_hold_with_the_jit_off(tmp_path):
+    """The accuracy tests of the compiled way, run in plain Python: two roundings for each fma."""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    files = [f"tests/kernels/test_{name}.py" for name in ("coefficients", "lie", "log", "vec")]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files]
+    run = subprocess.run(
+        [*command, "-k", "lanes and (sweep or inverse_symmetric)"],
+        cwd=ROOT, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-1000:]
+    assert " passed" in run.stdout
+    assert " failed" not in run.stdout

@@ -1,0 +1,225 @@
+"""The disk cache of compiled code, through processes of their own with a cache of their own."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+import lierb
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
+)
+
+# A free fall by Euler's method, the least to compile: v₃ = −g t, and r₃ = −½ g t (t − dt).
+# Prints what the run gave and where its machine code came from.
+FALL = """
+import json, sys
+import lierb
+from lierb.kernels.driver import integrate_blocks
+
+def fall(method="Euler"):
+    body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
+    problem = lierb.Problem(body, lierb.joints.free(), gravity=(0.0, 0.0, -8.0))
+    still = [0.0] * 6
+    summary = lierb.integrate(problem, twist0=still, dt=0.25, t_end=1.0, method=method).summary
+    stats = integrate_blocks.stats
+    print(json.dumps({
+        "v": summary["v"][0].as_py()[2],
+        "r": summary["r"][0].as_py()[2],
+        "loaded": sum(stats.cache_hits.values()),
+        "compiled": sum(stats.cache_misses.values()),
+        "cache": stats.cache_path,
+    }), flush=True)
+"""
+NOW = FALL + "fall(*sys.argv[1:])"
+FALLEN = {"Euler": {"v": -8.0, "r": -3.0}, "Heun": {"v": -8.0, "r": -4.0}}  # exact in binary
+
+
+class Copy:
+    """A copy of the package, to edit, and a cache of its own."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        source = Path(lierb.__file__).parent
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(source, folder / "lierb", ignore=ignored)
+
+    def kernel(self, name):
+        return self.folder / "lierb" / "kernels" / name
+
+    def edit(self, name, old, new):
+        text = self.kernel(name).read_text()
+        assert text.count(old) == 1, f"{name} no longer reads {old!r}: edit something else here"
+        self.kernel(name).write_text(text.replace(old, new))
+
+    def start(self, script=NOW, *arguments, **environment):
+        own = {
+            "PYTHONPATH": str(self.folder),
+            "NUMBA_CACHE_DIR": str(self.folder / "cache"),
+            # Python compares bytecode with its source to the second only
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        return subprocess.Popen(
+            [sys.executable, "-c", script, *arguments],
+            cwd=self.folder,
+            env=os.environ | own | environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, script=NOW, *arguments, **environment):
+        return finished(self.start(script, *arguments, **environment))
+
+    def entries(self):
+        return len(list((self.folder / "cache").rglob("*integrate_blocks*.nbc")))
+
+
+def finished(process):
+    out, err = process.communicate("\n", timeout=180)
+    assert process.returncode == 0, err
+    return json.loads(out)
+
+
+def fallen(told):
+    return {name: told[name] for name in ("v", "r")}
+
+
+@pytest.fixture
+def copy(tmp_path):
+    return Copy(tmp_path)
+
+
+# ---------------------------------------------------------------- hits and misses
+
+
+@pytest.mark.slow  # two processes, one of which compiles
+def test_second_process_loads_what_the_first_compiled(copy):
+    first, second = copy.run(), copy.run()
+    assert first["cache"].startswith(str(copy.folder))  # not the cache of the tests
+    assert (first["compiled"], first["loaded"]) == (1, 0)
+    assert (second["compiled"], second["loaded"]) == (0, 1)
+    assert fallen(first) == fallen(second) == FALLEN["Euler"]
+
+
+EDITS = {
+    "gravity": (
+        "newton_euler.py",
+        "gravity=mat_t_vec(p.ground[0], p.gravity)",
+        "gravity=mat_t_vec(p.ground[0], scale(2.0, p.gravity))",
+        {"v": -16.0, "r": -6.0},
+    ),
+    "step size": (
+        "stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow  # three processes that compile
+@pytest.mark.parametrize("edit", EDITS)
+def test_edited_kernel_changes_the_next_process(copy, edit):
+    name, old, new, changed = EDITS[edit]
+    assert fallen(copy.run()) == FALLEN["Euler"]
+    copy.edit(name, old, new)
+    assert fallen(copy.run()) == changed
+    assert copy.entries() == 1  # the old code is gone: nothing can ask for it
+    copy.edit(name, new, old)
+    assert fallen(copy.run()) == FALLEN["Euler"]
+
+
+@pytest.mark.slow
+def test_edit_after_the_import_does_not_poison_the_cache(copy):
+    name, old, new, changed = EDITS["gravity"]
+    # this process has read the old source when the new one is written
+    process = copy.start(FALL + "print(flush=True)\ninput()\nfall()")
+    process.stdout.readline()
+    copy.edit(name, old, new)
+    assert fallen(finished(process)) == FALLEN["Euler"]
+    assert fallen(copy.run()) == changed
+
+
+@pytest.mark.slow
+def test_process_of_the_old_source_keeps_its_code_to_itself(copy):
+    name, old, new, changed = EDITS["gravity"]
+    process = copy.start(FALL + "fall()\ninput()\nfall('Heun')")
+    assert fallen(json.loads(process.stdout.readline())) == FALLEN["Euler"]
+    copy.edit(name, old, new)
+    assert fallen(copy.run()) == changed
+    assert fallen(finished(process)) == FALLEN["Heun"]  # it goes on as it began
+    assert fallen(copy.run(NOW, "Heun")) == {"v": -16.0, "r": -8.0}
+
+
+@pytest.mark.slow
+def test_methods_do_not_share_code(copy):
+    for method in ("Euler", "Heun", "Euler"):
+        assert fallen(copy.run(NOW, method)) == FALLEN[method]
+    assert copy.entries() == 2
+
+
+@pytest.mark.slow
+def test_processes_that_compile_at_once_are_both_right(copy):
+    methods = ["Euler", "Heun", "Euler", "Heun"]
+    together = [finished(process) for process in [copy.start(NOW, m) for m in methods]]
+    afterwards = [copy.run(NOW, method) for method in methods[:2]]
+    for method, told in zip(methods + methods[:2], together + afterwards, strict=True):
+        assert fallen(told) == FALLEN[method]
+    assert [told["loaded"] for told in afterwards] == [1, 1]
+    assert copy.entries() == 2
+
+
+@pytest.mark.slow
+def test_interrupted_compilation_leaves_no_lock_behind(copy):
+    process = copy.start()
+    while not list((copy.folder / "cache").rglob("lierb.lock")):  # it is compiling now
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert fallen(copy.run()) == FALLEN["Euler"]
+
+
+# ---------------------------------------------------------------- LIERB_LANES
+
+# A batch that fills no pack, on a joint whose saddle point is solved in every stage.
+BATCH = """
+import json
+import numpy as np
+import lierb
+
+joint = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))
+body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
+problem = lierb.Problem(body, joint, gravity=(0.0, 0.0, -9.81))
+twists = joint.twist(np.linspace(-6.0, 6.0, 33).reshape(11, 3))
+result = lierb.integrate(
+    problem, twist0=twists, dt=1e-2, t_end=0.3, save_every=7, record=("state", "energy")
+)
+told = json.loads(result.summary.schema.metadata[b"lierb"])["lanes"]
+columns = [c.to_pylist() for t in (result.summary, result.errors) for c in t.columns]
+print(json.dumps({"lanes": told, "columns": columns}))
+"""
+
+
+@pytest.mark.slow  # four processes, each of which compiles
+def test_lierb_lanes_sets_the_width_and_changes_no_bit(copy):
+    found = {lanes: copy.run(BATCH, LIERB_LANES=str(lanes)) for lanes in (1, 2, 4, 8)}
+    for lanes, told in found.items():
+        assert told["lanes"] == lanes
+        assert told["columns"] == found[1]["columns"], lanes
+    # one cache for all of them: a process with another L must not find the first one's code
+    assert copy.run(BATCH, LIERB_LANES="2") == found[2]
+
+
+@pytest.mark.parametrize("lanes", ["3", "16", "-1", "four"])
+def test_lierb_lanes_out_of_range_is_told_clearly(copy, lanes):
+    process = copy.start("import lierb", LIERB_LANES=lanes)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert f"LIERB_LANES must be 1, 2, 4 or 8, got '{lanes}'" in err.splitlines()[-1]

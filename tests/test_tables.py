@@ -1,0 +1,734 @@
+"""The tables of a run: schema, rows, and every number recomputed from the recorded state."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import lierb
+from lierb import joints
+
+BOX = (0.0126563, 0.0468281, 0.0569531)
+POINT = (-0.15, 0.0375, 0.0)
+STEPS = 10
+DT = 1e-2
+COUNT = 5  # no multiple of any number of lanes
+
+
+# ---------------------------------------------------------------- helpers
+
+
+def run(problem, twist0, **given):
+    arguments = {"dt": DT, "t_end": STEPS * DT} | given
+    return lierb.integrate(problem, twist0=twist0, **arguments)
+
+
+@pytest.fixture(scope="module")
+def top():
+    """Müller's box on a spherical joint under gravity, and twists for COUNT of them."""
+    problem = lierb.Problem(lierb.Body(6.075, BOX), joints.spherical(POINT), (0, 0, -9.81))
+    omegas = np.outer(np.linspace(0.2, 1.0, COUNT), (2 * np.pi, np.pi, 0.2 * np.pi))
+    return problem, problem.joint.twist(omegas)
+
+
+def column(table, name):
+    """A column as an array, vectors as rows."""
+    array = table[name].combine_chunks()
+    if pa.types.is_fixed_size_list(array.type):
+        return array.flatten().to_numpy().reshape(-1, array.type.list_size)
+    return array.to_numpy()
+
+
+def by_body(table, name, count=COUNT):
+    """A column of a history as [time][body]."""
+    flat = column(table, name)
+    return flat.reshape(-1, count, *flat.shape[1:])
+
+
+def assert_same_bits(one, other, names=None):
+    for name in names or one.column_names:
+        if name != "status":
+            np.testing.assert_array_equal(column(one, name), column(other, name), err_msg=name)
+    if names is None:
+        assert one["status"].to_pylist() == other["status"].to_pylist()
+
+
+# ---------------------------------------------------------------- schema
+
+VECTOR = {"R": 9, "r": 3, "omega": 3, "v": 3}
+STATE_UNITS = {"R": "1", "r": "m", "omega": "rad/s", "v": "m/s"}
+SUMMARY_UNITS = {
+    "body": None, "status": None, "t": "s",
+    "position_error_max": "m", "position_error_final": "m",
+    "rotation_error_max": "1", "rotation_error_final": "1",
+    "velocity_error_max": "m/s", "rotation_rate_error_max": "rad/s",
+    "energy_drift_max": "J", "orthogonality_error_max": "1", **STATE_UNITS,
+}  # fmt: skip
+ERRORS_UNITS = {
+    "body": None, "step": None, "t": "s", "position_error": "m", "rotation_error": "1",
+    "velocity_error": "m/s", "rotation_rate_error": "rad/s", "energy_drift": "J",
+    "orthogonality_error": "1",
+}  # fmt: skip
+RECORDED = {
+    "state": STATE_UNITS,
+    "energy": {"energy": "J"},
+    "multipliers": {"lambda": "N, N, N"},
+}
+
+
+def expected_type(name):
+    if name in ("body", "step"):
+        return pa.int64()
+    if name in VECTOR or name == "lambda":
+        return pa.list_(pa.float64(), VECTOR.get(name, 3))
+    return pa.float64()
+
+
+def assert_schema(table, units):
+    assert table.column_names == list(units)
+    for field in table.schema:
+        if field.name == "status":
+            assert pa.types.is_dictionary(field.type)
+            assert field.type.value_type == pa.string()
+        else:
+            assert field.type == expected_type(field.name), field.name
+        told = (field.metadata or {}).get(b"unit")
+        assert (told.decode() if told else None) == units[field.name], field.name
+    table.validate(full=True)
+
+
+def test_summary_schema(top):
+    assert_schema(run(*top).summary, SUMMARY_UNITS)
+
+
+def test_errors_schema(top):
+    assert_schema(run(*top, save_every=5).errors, ERRORS_UNITS)
+
+
+@pytest.mark.parametrize(
+    "record", [("state",), ("energy",), ("multipliers",), ("multipliers", "energy", "state")]
+)
+def test_record_adds_its_columns_in_a_fixed_order(top, record):
+    added = {}
+    for name in ("state", "energy", "multipliers"):
+        added |= RECORDED[name] if name in record else {}
+    assert_schema(run(*top, save_every=5, record=record).errors, ERRORS_UNITS | added)
+
+
+def test_record_may_be_one_name(top):
+    assert_schema(
+        run(*top, save_every=5, record="energy").errors, ERRORS_UNITS | RECORDED["energy"]
+    )
+
+
+def test_multiplier_units_are_those_of_the_rows():
+    problem = lierb.Problem(lierb.Body(6.075, BOX), joints.prismatic())
+    table = run(problem, np.zeros(6), save_every=1, record="multipliers", method="Euler").errors
+    field = table.schema.field("lambda")
+    assert field.metadata[b"unit"] == b"N, N, N m, N m, N m"
+    assert field.type.list_size == 5
+
+
+def test_multipliers_of_a_free_body_survive_parquet(tmp_path):
+    # there are none; Arrow's Parquet reader refuses a column of lists of length 0
+    parquet = pytest.importorskip("pyarrow.parquet")
+    problem = lierb.Problem(lierb.Body(6.075, BOX), joints.free())
+    table = run(problem, np.zeros(6), save_every=1, record="multipliers", method="Euler").errors
+    parquet.write_table(table, tmp_path / "free.parquet")
+    assert parquet.read_table(tmp_path / "free.parquet").equals(table)
+
+
+def test_no_history_without_save_every(top):
+    result = run(*top)
+    assert result.errors is None
+    assert f"{COUNT} bodies" in repr(result)
+
+
+def test_status_lists_its_names(top):
+    status = run(*top).summary["status"].combine_chunks()
+    assert status.to_pylist() == ["ok"] * COUNT
+    assert set(status.dictionary.to_pylist()) >= {"ok", "singular", "non_finite"}
+
+
+def test_tables_survive_parquet(top, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    result = run(*top, save_every=4, record=("state", "energy"))
+    for table in (result.summary, result.errors):
+        parquet.write_table(table, tmp_path / "table.parquet")
+        again = parquet.read_table(tmp_path / "table.parquet")
+        assert again.schema.metadata[b"lierb"] == table.schema.metadata[b"lierb"]
+        for field in table.schema:
+            assert again.schema.field(field.name).type == field.type
+            unit = (field.metadata or {}).get(b"unit")
+            assert (again.schema.field(field.name).metadata or {}).get(b"unit") == unit
+        assert again.equals(table)
+
+
+# ---------------------------------------------------------------- rows
+
+
+@pytest.mark.parametrize(
+    ("save_every", "steps"),
+    [(1, list(range(11))), (4, [0, 4, 8, 10]), (5, [0, 5, 10]), (10, [0, 10]), (17, [0, 10])],
+)
+def test_errors_are_time_major_with_the_first_and_last_step(top, save_every, steps):
+    table = run(*top, save_every=save_every).errors
+    assert column(table, "step").tolist() == np.repeat(steps, COUNT).tolist()
+    assert column(table, "body").tolist() == list(range(COUNT)) * len(steps)
+    # t = k·dt, one product
+    np.testing.assert_array_equal(column(table, "t"), np.repeat(np.array(steps) * DT, COUNT))
+
+
+def test_one_step_is_a_whole_run(top):
+    table = run(*top, save_every=1, t_end=DT).errors
+    assert by_body(table, "step")[:, 0].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("save_every", [3, 4, 17])
+def test_save_every_changes_no_bit(top, save_every):
+    full = run(*top, save_every=1, record=("state", "energy"))
+    thin = run(*top, save_every=save_every, record=("state", "energy"))
+    steps = by_body(thin.errors, "step")[:, 0]
+    for name in full.errors.column_names:
+        np.testing.assert_array_equal(
+            by_body(thin.errors, name), by_body(full.errors, name)[steps], err_msg=name
+        )
+    assert_same_bits(thin.summary, full.summary)
+
+
+def test_summary_does_not_depend_on_the_history(top):
+    with_history = run(*top, save_every=3, record=("state", "energy", "multipliers")).summary
+    assert_same_bits(run(*top).summary, with_history)
+
+
+def test_summary_ends_where_the_history_ends(top):
+    result = run(*top, save_every=4, record="state")
+    for name in VECTOR:
+        np.testing.assert_array_equal(
+            column(result.summary, name), by_body(result.errors, name)[-1], err_msg=name
+        )
+    for name in ("position_error", "rotation_error"):
+        np.testing.assert_array_equal(
+            column(result.summary, f"{name}_final"), by_body(result.errors, name)[-1]
+        )
+    assert column(result.summary, "t").tolist() == [STEPS * DT] * COUNT
+    assert column(result.summary, "body").tolist() == list(range(COUNT))
+
+
+def test_history_starts_with_the_given_state(top):
+    problem, twists = top
+    table = run(*top, save_every=5, record="state").errors
+    start = {name: by_body(table, name)[0] for name in VECTOR}
+    # taken to the joint's frame, which is parallel to the body's here, and back
+    np.testing.assert_allclose(start["omega"], twists[:, :3], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(start["v"], twists[:, 3:], rtol=0, atol=2e-15)
+    C = problem.joint.closed_pose
+    np.testing.assert_allclose(start["R"], np.tile(C[:3, :3].reshape(-1), (COUNT, 1)), atol=1e-15)
+    np.testing.assert_allclose(start["r"], np.tile(C[:3, 3], (COUNT, 1)), atol=1e-15)
+
+
+MAXIMA = (
+    "position_error", "rotation_error", "velocity_error", "rotation_rate_error",
+    "orthogonality_error",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("save_every", [None, 3])
+@pytest.mark.parametrize("measure_every", [1, 3, 4, 10, 17])
+def test_measure_every_takes_maxima_over_its_steps_and_the_last(top, measure_every, save_every):
+    full = run(*top, save_every=1, cspace="SO3xR3").errors
+    measured = np.unique([*range(0, STEPS, measure_every), STEPS])
+    summary = run(*top, measure_every=measure_every, save_every=save_every, cspace="SO3xR3").summary
+    for name in MAXIMA:
+        expected = by_body(full, name)[measured].max(axis=0)
+        np.testing.assert_array_equal(column(summary, f"{name}_max"), expected, err_msg=name)
+    drift = np.abs(by_body(full, "energy_drift")[measured]).max(axis=0)
+    np.testing.assert_array_equal(column(summary, "energy_drift_max"), drift)
+
+
+def test_measure_every_matters_here(top):
+    # else the test above could not fail: the largest error is at none of the steps 0, 4, 8, 10
+    drift = np.abs(by_body(run(*top, save_every=1, cspace="SO3xR3").errors, "position_error"))
+    assert (drift.argmax(axis=0) % 4 != 0).any()
+
+
+@pytest.mark.parametrize("one", ["save_every", "measure_every"])
+def test_strides_may_be_numpy_integers(top, one):
+    assert_same_bits(run(*top, **{one: np.int64(4)}).summary, run(*top, **{one: 4}).summary)
+
+
+# ---------------------------------------------------------------- measures
+
+
+def rotation(rng):
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
+
+
+def pose_of(R, r):
+    C = np.eye(4)
+    C[:3, :3], C[:3, 3] = R, r
+    return C
+
+
+def random_frames(rng, count=COUNT):
+    return np.array([pose_of(rotation(rng), rng.normal(size=3)) for _ in range(count)])
+
+
+def random_inertias(rng, count=COUNT):
+    """Of clouds of points: physical by construction."""
+    points = rng.normal(size=(count, 10, 3))
+    squares = np.einsum("nki,nki->n", points, points)[:, None, None] * np.eye(3)
+    return 0.01 * (squares - np.einsum("nki,nkj->nij", points, points))
+
+
+def hat(a):
+    return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
+
+
+# Joints whose rows are of every kind; the twists and poses below violate all of them.
+MEASURED = {
+    "screw": lambda frames: joints.screw(pitch=np.linspace(0.1, 0.5, COUNT), **frames),
+    "prismatic": lambda frames: joints.prismatic(**frames),
+    "rows": lambda frames: joints.from_rows(["d1", "Qtd2", "Q32"], **frames),
+}
+
+
+def violated(name, cspace):
+    """A batch with tilted frames, full inertias and states far from what the joint allows.
+
+    Returns the problem and the state, as arguments of `run`.
+    """
+    rng = np.random.default_rng(list(MEASURED).index(name))
+    joint = MEASURED[name]({"body_frame": random_frames(rng), "ground_frame": random_frames(rng)})
+    masses, inertias = rng.uniform(1, 5, COUNT), random_inertias(rng)
+    com = np.zeros((COUNT, 3)) if cspace == "SO3xR3" else 0.3 * rng.normal(size=(COUNT, 3))
+    steiner = np.array([-m * hat(c) @ hat(c) for m, c in zip(masses, com, strict=True)])
+    problem = lierb.Problem(
+        lierb.Body(masses, inertias + steiner, com), joint, rng.normal(size=(COUNT, 3))
+    )
+    state = {"twist0": rng.normal(size=(COUNT, 6)), "pose0": random_frames(rng), "check": "off"}
+    return problem, state
+
+
+def row_errors(row, D, twist_at_point, omega, pitch):
+    """(h, ḣ) of one row, from the design's definitions; h of an `Omega` row is None.
+
+    twist_at_point: ḋ in ground joint axes.   omega: Ω in the body's joint axes.
+    """
+    Q, d = D[:3, :3], D[:3, 3]
+    if row.kind == "Omega":
+        return None, omega[row.i]
+    if row.kind == "Q":
+        return Q[row.i, row.j], (Q @ hat(omega))[row.i, row.j]
+    if row.kind == "Qtd":
+        b = Q.T @ d
+        return b[row.i], (Q.T @ twist_at_point - np.cross(omega, b))[row.i]
+    if row.kind == "d":
+        return d[row.i], twist_at_point[row.i]
+    slip = d[2] - pitch * np.arctan2(Q[1, 0], Q[0, 0])
+    turn = 2 * np.pi * pitch
+    return slip - turn * np.round(slip / turn), twist_at_point[2] - pitch * omega[2]
+
+
+def axis_error(rows, Q):
+    """Square of the rotation error of the `Omega` rows: about the axis left free, or about none."""
+    fixed = [row.i for row in rows if row.kind == "Omega"]
+    if len(fixed) == 3:
+        return 0.5 * ((Q**2).sum() - (np.diag(Q) ** 2).sum())
+    if len(fixed) == 2:
+        (axis,) = {0, 1, 2} - set(fixed)
+        return sum(Q[i, axis] ** 2 for i in fixed)
+    return 0.0
+
+
+def measures_of(problem, i, state):
+    """All columns of the history for body i, from its recorded state."""
+    R, r, omega, v = state["R"].reshape(3, 3), state["r"], state["omega"], state["v"]
+    joint, body = problem.joint, problem.body
+    G, B = joint.ground_frame[i], joint.body_frame[i]
+    pitch = np.broadcast_to(joint.pitch, COUNT)[i]
+    D = np.linalg.inv(G) @ pose_of(R, r) @ B
+    at_point = G[:3, :3].T @ R @ (v + np.cross(omega, B[:3, 3]))
+    turning = B[:3, :3].T @ omega
+    found = [(row, *row_errors(row, D, at_point, turning, pitch)) for row in joint.rows]
+    position = [h for row, h, _ in found if row.is_translational]
+    turned = [h for row, h, _ in found if row.kind == "Q"]
+    turning_rates = [x for row, _, x in found if not row.is_translational]
+    m, inertia, c, g = body.mass[i], body.inertia[i], body.com[i], problem.gravity[i]
+    kinetic = 0.5 * omega @ inertia @ omega + m * omega @ np.cross(c, v) + 0.5 * m * v @ v
+    return {
+        "position_error": np.linalg.norm(position),
+        "rotation_error": np.sqrt(sum(h * h for h in turned) + axis_error(joint.rows, D[:3, :3])),
+        "velocity_error": np.linalg.norm([x for row, _, x in found if row.is_translational]),
+        "rotation_rate_error": np.linalg.norm(turning_rates),
+        "energy": kinetic - m * g @ (r + R @ c),
+    }  # fmt: skip
+
+
+# Everything below is of size 0.1 to 30 and rounded some dozen times on either side, in other frames
+# and in another order: 1e-13 relative to what is added up, 1e-12 where the energy (30 J) cancels.
+MEASURE_TOLERANCES = {
+    "position_error": 1e-13, "rotation_error": 1e-13, "velocity_error": 1e-13,
+    "rotation_rate_error": 1e-13, "energy": 1e-12,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+@pytest.mark.parametrize("name", MEASURED)
+def test_measures_follow_from_the_recorded_state(name, cspace):
+    problem, given = violated(name, cspace)
+    result = run(
+        problem, **given, cspace=cspace, method="Euler", save_every=3, record=("state", "energy")
+    )
+    assert result.summary["status"].to_pylist() == ["ok"] * COUNT
+    table = result.errors
+    state = {name: by_body(table, name) for name in VECTOR}
+    rows = len(state["R"])
+    energies = by_body(table, "energy")
+    for k, i in np.ndindex(rows, COUNT):
+        expected = measures_of(problem, i, {name: state[name][k, i] for name in VECTOR})
+        for measure, tolerance in MEASURE_TOLERANCES.items():
+            got = by_body(table, measure)[k, i]
+            assert got == pytest.approx(expected[measure], rel=0, abs=tolerance), (measure, k, i)
+    # the very same subtraction
+    np.testing.assert_array_equal(by_body(table, "energy_drift"), energies - energies[0])
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_measured_states_violate_what_they_shall(name):
+    # else the test above would compare zeros with zeros
+    problem, given = violated(name, "SE3")
+    table = run(problem, **given, method="Euler", save_every=3).errors
+    for measure in ("position_error", "rotation_error", "velocity_error", "rotation_rate_error"):
+        assert by_body(table, measure).min() > 1e-3, measure
+
+
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+def test_orthogonality_error_follows_from_the_recorded_rotation(cspace):
+    problem, given = violated("screw", cspace)
+    # rotations stretched by what still passes for rounding of whoever made them
+    given["pose0"][:, :3, :3] *= 1 + 5e-11 * np.arange(1, COUNT + 1)[:, None, None]
+    table = run(
+        problem, **given, cspace=cspace, method="Euler", save_every=3, record="state"
+    ).errors
+    R = by_body(table, "R").reshape(-1, COUNT, 3, 3)
+    expected = np.linalg.norm(R.swapaxes(-1, -2) @ R - np.eye(3), axis=(-2, -1))
+    assert expected.min() > 1e-10
+    # 3e-15: nine products near 1, on rotations in other frames
+    np.testing.assert_allclose(by_body(table, "orthogonality_error"), expected, rtol=0, atol=3e-15)
+
+
+# ---------------------------------------------------------------- λ
+
+
+def kkt(problem, i, state):
+    """V̇ and λ of a joint with d₁ d₂ d₃ and any Ω rows, from Newton and Euler about the origin."""
+    R, omega, v = state["R"].reshape(3, 3), state["omega"], state["v"]
+    joint, body = problem.joint, problem.body
+    G, B = joint.ground_frame[i], joint.body_frame[i]
+    m, inertia, c, g = body.mass[i], body.inertia[i], body.com[i], R.T @ problem.gravity[i]
+    mass = np.block([[inertia, m * hat(c)], [-m * hat(c), m * np.eye(3)]])
+    momentum_rate = np.cross(omega, v) + np.cross(omega, np.cross(omega, c))
+    torque = -np.cross(omega, inertia @ omega) + m * np.cross(c, g - np.cross(omega, v))
+    force = m * (g - momentum_rate)
+    turn, p = G[:3, :3].T @ R, B[:3, 3]
+    J = [np.hstack([-turn @ hat(p), turn])]
+    eta = [-turn @ np.cross(omega, v + np.cross(omega, p))]
+    for row in joint.rows[3:]:
+        assert row.kind == "Omega"
+        J.append(np.hstack([B[:3, row.i], np.zeros(3)])[None])
+        eta.append(np.zeros(1))
+    J, eta = np.vstack(J), np.concatenate(eta)
+    zero = np.zeros((len(J), len(J)))
+    return np.linalg.solve(np.block([[mass, J.T], [J, zero]]), np.concatenate([torque, force, eta]))
+
+
+@pytest.mark.parametrize(
+    ("make", "cspace"), [(joints.revolute, "SE3"), (joints.spherical, "SO3xR3")]
+)
+def test_multipliers_solve_newton_and_euler(make, cspace):
+    problem, given = violated("prismatic", cspace)
+    joint = make(body_frame=problem.joint.body_frame, ground_frame=problem.joint.ground_frame)
+    held = lierb.Problem(problem.body, joint, problem.gravity)
+    table = run(
+        held, held.project(given["twist0"]), cspace=cspace, method="Euler", save_every=3,
+        record=("state", "multipliers"),
+    ).errors  # fmt: skip
+    got = by_body(table, "lambda")
+    state = {name: by_body(table, name) for name in VECTOR}
+    for k, i in np.ndindex(*got.shape[:2]):
+        expected = kkt(held, i, {name: state[name][k, i] for name in VECTOR})[6:]
+        # forces up to 1e2 N; a dense 11×11 solve with a condition number of about 1e3
+        np.testing.assert_allclose(got[k, i], expected, rtol=0, atol=1e-11)
+
+
+def test_multiplier_at_rest_is_the_weight():
+    body = lierb.Body(2.0, (1.0, 1.0, 1.0))
+    problem = lierb.Problem(body, joints.spherical(), gravity=(0.0, 0.0, -9.81))
+    table = run(problem, np.zeros(6), save_every=10, record="multipliers").errors
+    # the joint's force on the body is −Jᵀλ = +m g e₃: λ₃ = −2·9.81, one product
+    np.testing.assert_allclose(column(table, "lambda"), [[0, 0, -19.62]] * 2, rtol=0, atol=4e-15)
+
+
+# ---------------------------------------------------------------- shapes of the input
+
+
+def test_one_body_gives_one_row(top):
+    problem, twists = top
+    single = run(problem, twists[0], save_every=5, record="state")
+    assert single.summary.num_rows == 1
+    assert single.errors.num_rows == 3
+    batch = run(problem, twists[:1], save_every=5, record="state")
+    assert_same_bits(single.summary, batch.summary)
+    assert_same_bits(single.errors, batch.errors, single.errors.column_names)
+
+
+def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
+    problem, twists = top
+    together = run(problem, twists).summary
+    for i in range(COUNT):
+        alone = run(problem, twists[i]).summary
+        names = [name for name in alone.column_names if name not in ("body", "status")]
+        assert_same_bits(alone, together.slice(i, 1), names)
+
+
+@pytest.mark.parametrize(
+    "batched", ["mass", "inertia", "gravity", "joint", "pose0", "pitch", "everything"]
+)
+def test_batched_argument_equals_a_shared_one(batched):
+    def many(value, name):
+        value = np.asarray(value, dtype=float)
+        return np.tile(value, (3, *(1,) * value.ndim)) if batched in (name, "everything") else value
+
+    body = lierb.Body(many(6.075, "mass"), many(np.diag(BOX), "inertia"))
+    point, axis = many(POINT, "joint"), (1.0, 2.0, -0.5)
+    joint = joints.screw(point, axis=axis, pitch=many(0.2, "pitch"))
+    problem = lierb.Problem(body, joint, many((0, 0, -9.81), "gravity"))
+    single = joints.screw(POINT, axis=axis, pitch=0.2)
+    pose0 = many(single.closed_pose, "pose0")
+    twist0 = many(single.twist((0.5, 1.0, -0.25), np.array(axis) * 0.1), "everything")
+    given = {"method": "Euler", "check": "off"}  # the twist is none that the joint allows
+    result = run(problem, twist0, pose0=pose0, **given).summary
+    shared = lierb.Problem(lierb.Body(6.075, np.diag(BOX)), single, (0, 0, -9.81))
+    alone = run(shared, single.twist((0.5, 1.0, -0.25), np.array(axis) * 0.1), **given)
+    assert result.num_rows == 3
+    names = [name for name in result.column_names if name not in ("body", "status")]
+    for i in range(3):
+        assert_same_bits(result.slice(i, 1), alone.summary, names)
+
+
+@pytest.mark.parametrize("count", [None, 3])
+def test_pose_may_be_scipys(top, count):
+    transform = pytest.importorskip("scipy.spatial.transform")
+    problem, twists = top
+    rng = np.random.default_rng(7)
+    R = rotation(rng) if count is None else np.array([rotation(rng) for _ in range(count)])
+    turned = transform.RigidTransform.from_components(-R @ POINT, transform.Rotation.from_matrix(R))
+    given = run(problem, twists[0], pose0=turned).summary
+    assert given.num_rows == (count or 1)
+    assert_same_bits(given, run(problem, twists[0], pose0=turned.as_matrix()).summary)
+
+
+def test_pose_may_be_scipys_rotation(top):
+    transform = pytest.importorskip("scipy.spatial.transform")
+    turned = transform.Rotation.from_rotvec((0.1, 0.2, 0.3))
+    problem = lierb.Problem(lierb.Body(6.075, BOX), joints.spherical())
+    given = run(problem, (1, 2, 3, 0, 0, 0), pose0=turned).summary
+    C = pose_of(turned.as_matrix(), (0, 0, 0))
+    assert_same_bits(given, run(problem, (1, 2, 3, 0, 0, 0), pose0=C).summary)
+
+
+def test_lists_and_integers_are_numbers_too(top):
+    problem, _ = top
+    still = run(problem, [0, 0, 0, 0, 0, 0], dt=1, t_end=2).summary
+    assert_same_bits(still, run(problem, np.zeros(6), dt=1.0, t_end=2.0).summary)
+
+
+# ---------------------------------------------------------------- failure of one body
+
+
+@pytest.fixture(scope="module")
+def failing(top):
+    """The batch, with a body that overflows, and without."""
+    problem, twists = top
+    sick = twists.copy()
+    sick[2, :3] = 1e160
+    given = {"save_every": 2, "record": ("state", "energy", "multipliers"), "check": "off"}
+    return SimpleNamespace(sick=run(problem, sick, **given), well=run(problem, twists, **given))
+
+
+def test_failed_body_gets_a_status_and_the_time(failing):
+    summary = failing.sick.summary
+    assert summary["status"].to_pylist() == ["ok", "ok", "non_finite", "ok", "ok"]
+    assert column(summary, "t").tolist() == [STEPS * DT] * 2 + [DT] + [STEPS * DT] * 2
+
+
+def test_failed_body_has_no_state_but_finite_maxima(failing):
+    summary = failing.sick.summary
+    for name in [*VECTOR, "position_error_final", "rotation_error_final"]:
+        assert np.isnan(column(summary, name)[2]).all(), name
+    for name in [f"{measure}_max" for measure in (*MAXIMA, "energy_drift")]:
+        assert np.isfinite(column(summary, name)[2]), name
+
+
+def test_failed_body_is_nan_in_the_history_from_then_on(failing):
+    table = failing.sick.errors
+    for name in set(table.column_names) - {"body", "step", "t"}:
+        assert np.isnan(by_body(table, name)[1:, 2]).all(), name
+    assert np.isfinite(by_body(table, "omega")[0]).all()
+
+
+def test_failed_body_leaves_its_neighbours_bits(failing):
+    others = [0, 1, 3, 4]
+    for name in failing.well.errors.column_names:
+        sick, well = (by_body(r.errors, name)[:, others] for r in (failing.sick, failing.well))
+        np.testing.assert_array_equal(sick, well, err_msg=name)
+    for i in others:
+        names = [n for n in failing.well.summary.column_names if n != "status"]
+        one, other = (r.summary.slice(i, 1) for r in (failing.sick, failing.well))
+        assert_same_bits(one, other, names)
+
+
+def test_contradictory_rows_are_singular():
+    # d₁ = 0 and (Qᵀd)₁ = 0 coincide at the closed pose; a point that moves while the body turns
+    # needs two different accelerations
+    joint = joints.from_rows(["d1", "Qtd1"])
+    problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), joint)
+    moving, resting = (0, 0, 1.0, 0, 1.0, 0), (0, 0, 0, 0, 1.0, 0)
+    twists = np.array([moving, resting])
+    summary = run(problem, twists, method="Euler", check="off").summary
+    assert summary["status"].to_pylist() == ["singular", "ok"]
+    assert column(summary, "t").tolist() == [DT, STEPS * DT]
+
+
+# ---------------------------------------------------------------- metadata
+
+
+def provenance(table):
+    return json.loads(table.schema.metadata[b"lierb"])
+
+
+def test_metadata_names_versions_machine_and_lanes(top):
+    told = provenance(run(*top).summary)
+    assert told["lierb"] == lierb.__version__
+    assert set(told) >= {"numba", "numpy", "python", "cpu", "platform", "lanes", "units"}
+    assert told["lanes"] in (1, 2, 4, 8)
+    assert told["units"].startswith("SI")
+
+
+def test_metadata_is_the_same_in_both_tables(top):
+    result = run(*top, save_every=5)
+    assert result.summary.schema.metadata == result.errors.schema.metadata
+
+
+def test_metadata_names_every_option(top):
+    given = {
+        "method": "Heun", "cspace": "SE3", "update": "local", "save_every": 5, "measure_every": 2,
+        "record": ["state"], "check": "warn",
+    }  # fmt: skip
+    told = provenance(run(*top, **given).errors)["options"]
+    assert told.items() >= (given | {"dt": DT, "t_end": STEPS * DT}).items()
+
+
+def run_again(told):
+    """A run from nothing but the metadata of another one."""
+    p, tableau = told["problem"], told["tableau"]
+    frames = {name: p[name] for name in ("body_frame", "ground_frame", "pitch")}
+    body = lierb.Body(p["mass"], p["inertia"], p["com"])
+    joint = joints.from_rows(p["rows"], **frames)
+    options = told["options"] | {"method": lierb.ButcherTableau(tableau["A"], tableau["b"])}
+    return lierb.integrate(
+        lierb.Problem(body, joint, p["gravity"]), twist0=p["twist0"], pose0=p["pose0"], **options
+    )
+
+
+def test_metadata_is_enough_to_run_again():
+    problem, given = violated("screw", "SE3")
+    # three bodies of the batch: short enough to be listed in full
+    body = lierb.Body(problem.body.mass[:3], problem.body.inertia[:3], problem.body.com[:3])
+    joint = joints.screw(
+        pitch=problem.joint.pitch[:3],
+        body_frame=problem.joint.body_frame[:3],
+        ground_frame=problem.joint.ground_frame[:3],
+    )
+    given |= {"twist0": given["twist0"][:3], "pose0": given["pose0"][:3]}
+    once = run(
+        lierb.Problem(body, joint, problem.gravity[:3]), **given, method="Euler", save_every=5,
+        record="state",
+    )  # fmt: skip
+    again = run_again(provenance(once.summary))
+    # decimal numbers in JSON come back to the last bit
+    assert_same_bits(again.summary, once.summary)
+    assert_same_bits(again.errors, once.errors, once.errors.column_names)
+
+
+def test_metadata_options_are_accepted_again(top):
+    problem, twists = top
+    told = provenance(run(problem, twists, save_every=5, record="energy").summary)
+    # the solver told is the one that was found to fit, not the one asked for
+    options = {name: value for name, value in told["options"].items() if name != "solver"}
+    again = lierb.integrate(problem, twist0=twists, **options)
+    assert provenance(again.summary) == told
+
+
+def test_metadata_of_a_large_batch_is_a_digest(top):
+    problem, twists = top
+    many = np.tile(twists, (200, 1))
+    told = [
+        provenance(run(problem, scale * many, t_end=DT).summary)["problem"]["twist0"]
+        for scale in (1, 2)
+    ]
+    assert told[0]["shape"] == [1000, 6]
+    assert told[0]["sha256"] != told[1]["sha256"]
+
+
+def test_metadata_names_a_users_tableau(top):
+    mine = lierb.ButcherTableau([[], [0.5]], [0.0, 1.0], name="midpoint")
+    told = provenance(run(*top, method=mine).summary)
+    assert told["options"]["method"] == "midpoint"
+    assert told["tableau"] == {"A": [[], [0.5]], "b": [0.0, 1.0]}
+
+
+# ---------------------------------------------------------------- memory
+
+
+@pytest.fixture
+def kept_output(monkeypatch):
+    """The arrays that the driver wrote into, of each run."""
+    kept = []
+    original = lierb.api.run.integrate
+
+    def integrate(*arguments, **named):
+        kept.append(original(*arguments, **named))
+        return kept[-1]
+
+    monkeypatch.setattr(lierb.api.run, "integrate", integrate)
+    return kept
+
+
+def address(arrow_array):
+    return arrow_array.buffers()[-1].address + 8 * arrow_array.offset
+
+
+def test_history_columns_are_views_of_the_kernels_arrays(top, kept_output):
+    table = run(*top, save_every=3, record=("state", "energy", "multipliers")).errors
+    (output,) = kept_output
+    scalars = [name for name in table.column_names if name.endswith(("error", "drift", "energy"))]
+    assert len(scalars) == 7
+    places = {array.ctypes.data for array in output.errors}
+    assert {address(table[name].chunk(0)) for name in scalars} == places
+    for name, array in zip(VECTOR, output.states, strict=True):
+        assert address(table[name].chunk(0).values) == array.ctypes.data
+    assert address(table["lambda"].chunk(0).values) == output.multipliers.ctypes.data
+
+
+def test_tables_outlive_the_run(top):
+    table = run(*top, save_every=1, record="state").errors
+    before = by_body(table, "R").copy()
+    for _ in range(3):  # would overwrite what Arrow only borrowed
+        run(*top, save_every=1, record="state", method="RK4", cspace="SE3")
+    np.testing.assert_array_equal(by_body(table, "R"), before)
