@@ -28,6 +28,7 @@ CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
 SOLVER_NAMES = ("auto", "saddle")
 RECORDS = ("state", "energy", "multipliers")
+MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
 
@@ -110,6 +111,8 @@ def integrate(
     _check_names(cspace=cspace, update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
+    if not (progress is None or isinstance(progress, bool) or callable(progress)):
+        raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
     steps = _checked_grid(dt, t_end, save_every, measure_every)
     twists = as_numbers("twist0", twist0, (6,))
     poses = problem.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
@@ -139,7 +142,8 @@ def integrate(
         plan=plan,
         options={
             "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
-            "update": update, "save_every": save_every, "measure_every": measure_every,
+            "update": update, "save_every": grid.save_every or None,
+            "measure_every": grid.measure_every,
             "record": list(recorded), "check": check, "solver": plan.solver,
         },
     )  # fmt: skip
@@ -157,7 +161,7 @@ CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver":
 
 def _check_names(**given: str) -> None:
     for argument, got in given.items():
-        if got not in CHOICES[argument]:
+        if not isinstance(got, str) or got not in CHOICES[argument]:
             raise unknown_name(argument, got, CHOICES[argument])
 
 
@@ -177,9 +181,11 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
 
 
 def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:
+    if not isinstance(record, Iterable):
+        raise ArgumentError(f"record={record!r}; expected names out of {', '.join(RECORDS)}")
     names = (record,) if isinstance(record, str) else tuple(record)
     for name in names:
-        if name not in RECORDS:
+        if not isinstance(name, str) or name not in RECORDS:
             raise unknown_name("record", name, RECORDS)
     if names and save_every is None:
         raise ArgumentError(f"record={names} adds columns to the history; give save_every= as well")
@@ -189,13 +195,18 @@ def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str,
 def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every: int) -> int:
     for name, seconds in (("dt", dt), ("t_end", t_end)):
         if not (
-            isinstance(seconds, (int, float, np.number)) and np.isfinite(seconds) and seconds > 0
+            isinstance(seconds, (int, float, np.integer, np.floating))
+            and np.isfinite(seconds)
+            and seconds > 0
         ):
             raise TimeGridError(f"{name}={seconds!r}; expected a positive time in s")
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         whole = isinstance(every, (int, np.integer)) and not isinstance(every, bool)
         if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
             raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
+    dt, t_end = float(dt), float(t_end)
+    if t_end / dt > MOST_STEPS:
+        raise TimeGridError(f"t_end={t_end!r} s is more than {MOST_STEPS:g} steps of dt={dt!r} s")
     steps = round(t_end / dt)
     rounding = 4 * np.finfo(float).eps * t_end  # of t_end and of N·dt themselves
     if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt + rounding:
@@ -282,14 +293,16 @@ def _errors_table(
         "step": pa.array(np.repeat(saved, count)),
         "t": pa.array(np.repeat(saved * grid.dt, count)),
     }
-    for c, name in enumerate(ERROR_COLUMNS):
-        if name != "energy" or "energy" in recorded:
-            columns[name] = pa.array(output.errors[c].reshape(-1))
+    scalars = dict(zip(ERROR_COLUMNS, output.errors, strict=True))
+    energy = scalars.pop("energy")
+    columns |= {name: pa.array(array.reshape(-1)) for name, array in scalars.items()}
     if "state" in recorded:
         for name, array in zip(run.STATE_WIDTHS, output.states, strict=True):
             columns[name] = _vectors(array)
+    if "energy" in recorded:
+        columns["energy"] = pa.array(energy.reshape(-1))
     units = {}
-    if "multipliers" in recorded:
+    if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = _vectors(output.multipliers)
         units["lambda"] = ", ".join(row.unit for row in plan.rows) or "none"
     return _table(columns, metadata, units)

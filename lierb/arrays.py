@@ -20,11 +20,18 @@ ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoeve
 
 
 def as_numbers(argument: str, value: ArrayLike, *tails: tuple[int, ...]) -> Array:
-    """`value` as float64 with a shape that ends in one of `tails`, after at most one batch axis."""
+    """`value` as float64 with a shape that ends in one of `tails`, after at most one batch axis.
+
+    A copy that nobody writes to: what was checked stays so.
+    """
     try:
-        array = np.asarray(value, dtype=np.float64)
+        given = np.asarray(value)
+        if np.iscomplexobj(given):
+            raise TypeError("complex")
+        array = np.array(given, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
+    array.setflags(write=False)
     fits = any(
         array.ndim - len(tail) in (0, 1) and array.shape[array.ndim - len(tail) :] == tail
         for tail in tails
@@ -32,6 +39,8 @@ def as_numbers(argument: str, value: ArrayLike, *tails: tuple[int, ...]) -> Arra
     if not fits:
         expected = " or ".join(f"{_shape(tail)} or {_shape(('n', *tail))}" for tail in tails)
         raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}")
+    if array.size == 0:
+        raise ArgumentError(f"{argument} has shape {array.shape}: a batch of no bodies")
     finite = np.isfinite(array)
     if not finite.all():
         where = tuple(int(i) for i in np.argwhere(~finite)[0])
@@ -99,10 +108,10 @@ def as_poses(argument: str, value: Any) -> Array:
             value = pose_matrix((components(value, 2), (0.0, 0.0, 0.0)))
     poses = as_numbers(argument, value, (4, 4))
     check_rotations(argument, poses[..., :3, :3])
-    if not np.array_equal(
-        poses[..., 3, :], np.broadcast_to([0.0, 0.0, 0.0, 1.0], (*poses.shape[:-2], 4))
-    ):
-        raise PoseError(f"{argument} must be homogeneous matrices with last row (0, 0, 0, 1)")
+    off = np.flatnonzero((poses[..., 3, :] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
+    if off.size:
+        label = body_label(argument, int(off[0]), poses.size // 16)
+        raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
     return poses
 
 

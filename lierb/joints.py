@@ -7,7 +7,7 @@ D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,7 @@ from lierb.arrays import (
     pose_components,
     pose_matrix,
 )
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, body_label, unknown_name
 from lierb.kernels import se3
 from lierb.kernels.constraints import Row
 from lierb.kernels.vec import Vec, add, cross, dot, mat_t_vec, norm, scale, sub
@@ -75,9 +75,17 @@ class Joint:
         >>> lierb.joints.spherical(body_point=(1.0, 0.0, 0.0)).twist(omega=(0.0, 0.0, 2.0)).tolist()
         [0.0, 0.0, 2.0, 0.0, -2.0, 0.0]
         """
-        w = components(as_numbers("omega", omega, (3,)))
-        velocity = components(as_numbers("point_velocity", point_velocity, (3,)))
-        rotation, _ = pose_components(self.closed_pose if pose is None else as_poses("pose", pose))
+        turning = as_numbers("omega", omega, (3,))
+        moving = as_numbers("point_velocity", point_velocity, (3,))
+        placed = self.closed_pose if pose is None else as_poses("pose", pose)
+        batch_size(
+            omega=(turning, 1),
+            point_velocity=(moving, 1),
+            pose=(placed, 2),
+            body_frame=(self.body_frame, 2),
+        )
+        w, velocity = components(turning), components(moving)
+        rotation, _ = pose_components(placed)
         _, point = pose_components(self.body_frame)
         return assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
 
@@ -153,8 +161,17 @@ def _body_frame(
             if value is not None:
                 raise ArgumentError(f"give body_frame or {name}, not both")
         return as_poses("body_frame", frame)
-    origin = as_numbers("body_point", (0.0, 0.0, 0.0) if point is None else point, (3,))
-    e3 = _direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
+    if slot is not None and second_axis is not None:
+        raise ArgumentError("give slot (e₁) or second_axis (e₂), not both")
+    given = {
+        "body_point": (0.0, 0.0, 0.0) if point is None else point,
+        "axis": (0.0, 0.0, 1.0) if axis is None else axis,
+        "slot": slot,
+        "second_axis": second_axis,
+    }
+    vectors = {n: as_numbers(n, value, (3,)) for n, value in given.items() if value is not None}
+    batch_size(**{name: (vector, 1) for name, vector in vectors.items()})
+    origin, e3 = vectors["body_point"], _direction("axis", vectors["axis"])
     if slot is not None:
         e1 = _perpendicular("slot", slot, e3)
     elif second_axis is not None:
@@ -181,19 +198,25 @@ def _frame(e1: Vec, e3: Vec, origin: Vec) -> Array:
 
 
 def _direction(argument: str, value: ArrayLike) -> Vec:
-    vector = components(as_numbers(argument, value, (3,)))
-    length = norm(vector)
-    if np.any(length == 0.0):
-        raise ArgumentError(f"{argument} is the zero vector; expected a direction")
-    return scale(1.0 / length, vector)
+    array = as_numbers(argument, value, (3,))
+    largest = np.abs(array).max(axis=-1)
+    zero = np.flatnonzero(largest == 0.0)
+    if zero.size:
+        label = body_label(argument, int(zero[0]), largest.size)
+        raise ArgumentError(f"{label} is the zero vector; expected a direction")
+    exponent = np.frexp(largest)[1]  # a power of two: exact, and no square overflows
+    return _unit(components(np.ldexp(array, -exponent[..., None])))
 
 
 def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
     e = _direction(argument, value)
     slant = dot(e, e3)
-    if np.any(np.abs(slant) > PERPENDICULAR_TOLERANCE):
+    cosines = np.atleast_1d(np.abs(slant))
+    bad = np.flatnonzero(cosines > PERPENDICULAR_TOLERANCE)
+    if bad.size:
+        label = body_label(argument, int(bad[0]), cosines.size)
         raise ArgumentError(
-            f"{argument} is not perpendicular to axis: the cosine is {np.max(np.abs(slant)):.3g}"
+            f"{label} is not perpendicular to axis: the cosine is {cosines[bad[0]]:.3g}"
         )
     return _unit(sub(e, scale(slant, e3)))
 
@@ -270,7 +293,15 @@ def from_rows(
     >>> lierb.joints.from_rows(["d3", "Omega1", "Omega3"], body_point=(0.1, 0.0, 0.0))
     <from_rows joint: d3 Omega1 Omega3>
     """
+    if isinstance(rows, str) or not isinstance(rows, Iterable):
+        raise ArgumentError(f"rows={rows!r}; expected a list of row names")
+    rows = list(rows)
     parsed = tuple(_row(row) for row in rows)
+    kinds = {(row.kind, row.i) for row in parsed}
+    if ("screw", 2) in kinds and not {("Omega", 0), ("Omega", 1)} <= kinds:
+        raise ArgumentError(
+            f"rows={rows} has a screw row whose axis may tilt; add Omega1 and Omega2"
+        )
     if len(set(parsed)) < len(parsed):
         raise ArgumentError(f"rows={list(rows)} names a row twice")
     if len(parsed) > 6:

@@ -166,8 +166,10 @@ class Problem:
         twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : as in `integrate`.
         Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
         """
-        given = components(as_numbers("twist", twist, (6,)))
+        twists = as_numbers("twist", twist, (6,))
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
+        self.batch_size(twist=(twists, 1), pose=(pose, 2))
+        given = components(twists)
         parameters = self.parameters()
         body = SE3.body(parameters)
         placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)

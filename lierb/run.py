@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -142,6 +142,7 @@ def integrate(
     progress: Progress = None,
 ) -> Output:
     """Run every body to the end, chunk by chunk."""
+    _check_threads()
     output = Output.empty(plan, inputs.count, grid, with_state)
     with _reporter(progress, inputs.count * grid.steps) as report, _threads(threads):
         for start in range(0, inputs.count, CHUNK_BODIES):
@@ -180,21 +181,33 @@ def _run_chunk(
 # ---- threads -----------------------------------------------------------------------------------
 
 _driver_lock = threading.Lock()  # Numba's workqueue layer aborts the process when entered twice
-_first_pid: int | None = None
+_lacks_threads = False
+
+
+def _after_fork() -> None:
+    """In a forked child: whether the parent had started Numba's threads (lierb or anybody)."""
+    global _lacks_threads
+    with suppress(ValueError):  # what Numba raises before its threads have started
+        numba.threading_layer()
+        _lacks_threads = True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def _check_threads() -> None:
+    """Before any lock: a forked child may have inherited it locked."""
+    if _lacks_threads:
+        raise ForkError(
+            "this process was forked after Numba's threads had started in its parent, which it "
+            "lacks; start workers with multiprocessing.get_context('spawn')"
+        )
 
 
 def _call_driver(*arguments: Any) -> None:
-    global _first_pid
-    with _driver_lock:
-        if _first_pid is None:
-            _first_pid = os.getpid()
-        if _first_pid != os.getpid():
-            raise ForkError(
-                "this process was forked after lierb had run in its parent, whose threads it "
-                "lacks; start workers with multiprocessing.get_context('spawn')"
-            )
-        with np.errstate(all="ignore"):
-            integrate_blocks(*arguments)
+    with _driver_lock, np.errstate(all="ignore"):
+        integrate_blocks(*arguments)
 
 
 @contextmanager
@@ -204,7 +217,8 @@ def _threads(count: int | None) -> Iterator[None]:
         yield
         return
     most = numba.config.NUMBA_NUM_THREADS
-    if not isinstance(count, (int, np.integer)) or not 1 <= count <= most:
+    whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
+    if not whole or not 1 <= count <= most:
         raise ArgumentError(
             f"threads={count!r}; expected 1 … {most}, the threads that Numba started with"
         )

@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 
 from lierb.errors import ArgumentError, unknown_name
 
 # Coefficients are printed with 15 to 20 digits; their sums are that good.
 _TOLERANCE = 1e-13
+
+
+def _numbers(argument: str, given: Sequence[float]) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(x) for x in given)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"{argument} is {given!r}; expected numbers") from None
+    if not all(map(isfinite, numbers)):
+        raise ArgumentError(f"{argument} is {numbers}; expected finite numbers")
+    return numbers
 
 
 @dataclass(frozen=True)
@@ -29,8 +40,11 @@ class ButcherTableau:
     source: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        b = tuple(float(x) for x in self.b)
-        rows = [tuple(float(x) for x in row) for row in self.A]
+        b = _numbers("b", self.b)
+        try:
+            rows = [_numbers(f"row {i} of A", row) for i, row in enumerate(self.A)]
+        except TypeError:
+            raise ArgumentError(f"A={self.A!r}; expected rows of numbers") from None
         if len(rows) != len(b):
             raise ArgumentError(f"the tableau has {len(rows)} rows of A for {len(b)} weights b")
         for i, row in enumerate(rows):
@@ -41,7 +55,9 @@ class ButcherTableau:
                 )
         lower = tuple(row[:i] for i, row in enumerate(rows))
         sums = tuple(float(sum(row)) for row in lower)
-        c = sums if self.c is None else tuple(float(x) for x in self.c)
+        c = sums if self.c is None else _numbers("c", self.c)
+        if len(c) != len(b):
+            raise ArgumentError(f"the tableau has {len(c)} nodes c for {len(b)} weights b")
         for i, (total, node) in enumerate(zip(sums, c, strict=True)):
             if abs(total - node) > _TOLERANCE:
                 raise ArgumentError(f"row {i} of A adds up to {total!r}, but c[{i}] = {node!r}")
@@ -169,6 +185,6 @@ def tableau_of(method: str | ButcherTableau) -> ButcherTableau:
     """The tableau of a method's name, or the given one."""
     if isinstance(method, ButcherTableau):
         return method
-    if method not in TABLEAUS:
+    if not isinstance(method, str) or method not in TABLEAUS:
         raise unknown_name("method", method, TABLEAUS)
     return TABLEAUS[method]

@@ -97,6 +97,9 @@ def source_stamp() -> str:
     return digest.hexdigest()[:16]
 
 
+source_stamp()  # now: later, a file may differ from what this process has imported
+
+
 # ---- the disk cache ----------------------------------------------------------------------------
 
 _ready: set[tuple[Any, Tag]] = set()
