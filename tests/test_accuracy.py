@@ -14,7 +14,7 @@ import lierb
 from lierb.tableaus import TABLEAUS
 
 CSPACES = ("SE3", "SO3xR3")
-UPDATES = ("local", "global")
+UPDATES = ["local", pytest.param("global", marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("cspace", CSPACES)

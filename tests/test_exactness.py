@@ -122,6 +122,7 @@ def test_global_update_keeps_subgroup_joints_across_charts(name):
     assert max(summary["position_error_max"], summary["rotation_error_max"]) <= 5e-13 * far
 
 
+@pytest.mark.slow
 def test_any_method_and_step_keep_a_spherical_joint():
     problem, twist0 = tilted("spherical")
     for method, dt in (("Euler", 1e-3), ("Heun", 1e-2), ("DOP853", 5e-2)):

@@ -48,6 +48,7 @@ def test_every_claim_of_the_paper_is_confirmed(report):
     assert not report.warnings
 
 
+@pytest.mark.slow
 def test_se3_keeps_the_lower_pairs_with_global_updates_and_gravity():
     report = run_paper(update="global", gravity=9.81, dts=(1e-2,))
     kept = [

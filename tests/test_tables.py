@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow as pa
 import pytest
+from cases import slow_but
 
 import lierb
 from lierb import joints
@@ -378,7 +379,7 @@ MEASURE_TOLERANCES = {
 
 
 @pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", slow_but(MEASURED, "rows"))
 def test_measures_follow_from_the_recorded_state(name, cspace):
     problem, given = violated(name, cspace)
     result = run(
@@ -398,7 +399,7 @@ def test_measures_follow_from_the_recorded_state(name, cspace):
     np.testing.assert_array_equal(by_body(table, "energy_drift"), energies - energies[0])
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", slow_but(MEASURED, "rows"))
 def test_measured_states_violate_what_they_shall(name):
     # else the test above would compare zeros with zeros
     problem, given = violated(name, "SE3")
