@@ -22,7 +22,6 @@ from lierb.kernels.arithmetic import (
     branch,
     floor,
     fma,
-    maximum,
     minimum,
     rint,
     sqrt,
@@ -93,8 +92,9 @@ def _short(z: Any) -> tuple[Any, ...]:
 
 
 def _long(z: Any) -> tuple[Any, ...]:
-    # each form is fed arguments it can bear: the other's lanes are thrown away
-    return where(z < SERIES, _entire(minimum(z, SERIES)), _closed(maximum(z, 1.0)))
+    # Each form is fed arguments it can bear, the other's lanes are thrown away; NaN stays NaN.
+    below = z < SERIES
+    return where(below, _entire(minimum(z, SERIES)), _closed(where(below, SERIES, z)))
 
 
 def _entire(z: Any) -> tuple[Any, ...]:
@@ -176,10 +176,10 @@ def atan2(y: Any, x: Any) -> Any:
     """Angle of (x, y) in [−π, π] rad; 0 at the origin."""
     ax, ay = abs_(x), abs_(y)
     steep = ay > ax
-    low, high = minimum(ax, ay), maximum(ax, ay)
+    low, high = where(steep, (ax, ay), (ay, ax))
     far = low > _TAN_PI_8 * high  # then atan t = π/4 + atan((t − 1)/(t + 1))
     top, bottom = where(far, (low - high, low + high), (low, high))
-    t = top / where(bottom > 0.0, bottom, 1.0)
+    t = top / where(bottom == 0.0, 1.0, bottom)
     z = t * t
     angle = fma(-(t * z), horner(z, _ATAN), t) + where(far, 0.25 * PI, 0.0)
     angle = where(steep, 0.5 * PI - angle, angle)
