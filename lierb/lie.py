@@ -28,8 +28,8 @@ class Group:
     """A Lie group of rotations or rigid motions.
 
     name: "so3", "se3" or "so3xr3".   size: 3 for 3×3 matrices, 4 for 4×4.   dim: 3 or 6.
-    All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` and
-    `RigidTransform` for group elements, and raise ArgumentError for a wrong shape.
+    All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` (so3) or
+    `RigidTransform` (the others) for group elements, and raise ArgumentError for a wrong shape.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Group:
     dim: int
 
     def exp(self, X: ArrayLike) -> Array:
-        """exp: (…, dim) → group element. ‖ξ‖ is not limited (accurate to 1e5 rad).
+        """exp: (…, dim) → group element. ‖ξ‖ up to 1e5 rad; the error grows as 1e-15 ‖ξ‖.
 
         >>> import lierb
         >>> lierb.lie.se3.exp([0, 0, 0, 1.0, 2.0, 3.0])[:3, 3].tolist()
@@ -100,11 +100,13 @@ class Group:
                 f"{self.name}.{function}: shapes {shapes} do not broadcast"
             ) from None
         rows = [
-            np.ascontiguousarray(np.broadcast_to(x, batch + x.shape[x.ndim - n :])).reshape(
+            np.require(np.broadcast_to(x, batch + x.shape[x.ndim - n :]), None, "CA").reshape(
                 -1, width(self.name, k)
             )
             for x, n, k in zip(operands, axes, kinds, strict=True)
         ]
+        for row in rows:
+            row.flags.writeable = False  # one Numba type, and so one compile, for all arguments
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
@@ -118,7 +120,12 @@ class Group:
         shape = (self.dim,) if kind == "x" else (self.size, self.size)
         if kind == "g" and hasattr(given, "as_matrix"):
             given = given.as_matrix()
-        array = np.asarray(given, dtype=np.float64)
+        try:
+            array = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(
+                f"{self.name}.{function}: an argument must be numbers, got {given!r}"
+            ) from error
         if array.shape[-len(shape) :] != shape:
             expected = ", ".join(map(str, shape))
             raise ArgumentError(

@@ -147,8 +147,9 @@ def _prune(folder: Path, function: Callable[..., Any]) -> None:
 def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
     """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags.
 
-    numbers_only: give constants and structural zeros back as plain numbers, which any code can use;
-    otherwise they stay constants on their way to the next formula.
+    numbers_only: take integers as numbers, and give constants and structural zeros back as plain
+    numbers, which any code can use; otherwise integers are indices, and constants stay constants on
+    their way to the next formula.
     """
     seen: dict[tuple[types.Type, ...], types.Type] = {}
 
@@ -158,7 +159,7 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
 
     class Template(AbstractTemplate):
         def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
-            args = tuple(types.unliteral(a) for a in args)
+            args = tuple(_floating(a) if numbers_only else types.unliteral(a) for a in args)
             if args not in seen:
                 seen[args] = _result_type(evaluated, args)
             return signature(seen[args], *args)
@@ -170,6 +171,13 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
     infer_global(formula)(Template)
     lower_builtin(formula, types.VarArg(types.Any))(lower)
     return formula
+
+
+def _floating(ty: types.Type) -> types.Type:
+    """float64 for integers, also inside tuples: Numba then converts the arguments."""
+    if isinstance(ty, types.BaseTuple):
+        return types.Tuple([_floating(t) for t in ty])
+    return types.float64 if isinstance(ty, types.Integer) else types.unliteral(ty)
 
 
 def _as_numbers(operands: Any, result: Any) -> Any:

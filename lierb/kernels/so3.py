@@ -77,8 +77,8 @@ def log(r: Mat) -> Vec:
     y2, z2 = 1.0 - r[0] + r[4] - r[8], 1.0 - r[0] - r[4] + r[8]
     wx, wy, wz = r[7] - r[5], r[2] - r[6], r[3] - r[1]
     xy, xz, yz = r[1] + r[3], r[2] + r[6], r[5] + r[7]
-    q = where(y2 >= z2, (wy, xy, y2, yz), (wz, xz, yz, z2))
-    q = where((x2 >= y2) & (x2 >= z2), (wx, x2, xy, xz), q)
+    q = where(r[4] >= r[8], (wy, xy, y2, yz), (wz, xz, yz, z2))
+    q = where((r[0] >= r[4]) & (r[0] >= r[8]), (wx, x2, xy, xz), q)
     q = where((w2 >= x2) & (w2 >= y2) & (w2 >= z2), (w2, wx, wy, wz), q)
     q = where(q[0] < 0.0, neg(q), q)
     n = norm(q[1:])

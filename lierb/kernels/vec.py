@@ -96,7 +96,8 @@ def mat_mat_t(m: Mat, n: Mat) -> Mat:
 def inverse_symmetric(m: Mat) -> Mat:
     """Inverse of a symmetric positive definite matrix, by LDLᵀ: no cancelling cofactors.
 
-    Entries stay accurate relative to their row when the principal inertias differ by many orders.
+    Entries of a diagonal or graded matrix stay accurate when its principal values differ by many
+    orders; those of a tilted one lose its condition number, as with any method.
     """
     d0 = m[0]
     l10, l20 = m[3] / d0, m[6] / d0
