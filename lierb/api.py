@@ -86,11 +86,12 @@ def integrate(
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `errors`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
-    record : extra columns of `errors`: "state", "energy", "multipliers".
+    record : extra columns of `errors`: "state", "energy", "multipliers" (a free body has none).
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
     solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "auto" does
         so too, unless the joint's motions are a subgroup of SE(3): then the solution is a constant
-        gain, found once (with check="raise" only, since it takes for granted that the twist fits).
+        gain, found once (with check="raise" only: a start that is off by less than the tolerance is
+        put on the subgroup). "reduced" has no choice of solver.
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`), False for none, or a function of
         (body-steps done, body-steps in all). Default: a bar on a terminal after two seconds.
@@ -132,7 +133,8 @@ def integrate(
         multipliers="multipliers" in recorded,
         solver=_solver(problem, cspace, check, solver),
     )
-    grid = run.Grid(float(dt), steps, int(measure_every), int(save_every or 0))
+    strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
+    grid = run.Grid(float(dt), steps, *strides)
     inputs = run.Inputs.of(problem, poses, twists, count)
     output = run.integrate(plan, inputs, grid, "state" in recorded, threads, progress)
     metadata = provenance(
@@ -169,6 +171,8 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
     """How the plan shall find accelerations: one of `lierb.kernels.subgroup.SOLVERS`."""
     subgroup = problem.joint.subgroup
     if cspace == "reduced":
+        if solver == "saddle":
+            raise ArgumentError('cspace="reduced" has no saddle point to solve; leave solver out')
         if subgroup is None or not problem.joint.rows:
             kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
             raise ArgumentError(
@@ -196,6 +200,7 @@ def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every
     for name, seconds in (("dt", dt), ("t_end", t_end)):
         if not (
             isinstance(seconds, (int, float, np.integer, np.floating))
+            and not isinstance(seconds, bool)
             and np.isfinite(seconds)
             and seconds > 0
         ):
@@ -248,10 +253,7 @@ def _table(
 
 def _vectors(array: Array) -> pa.Array:
     """fixed_size_list over the last axis, without a copy."""
-    *lead, width = array.shape
-    if width == 0:  # λ of a free body
-        return pa.array([[]] * int(np.prod(lead)), pa.list_(pa.float64(), 0))
-    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), width)
+    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
 
 
 def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any]) -> pa.Table:
@@ -304,5 +306,5 @@ def _errors_table(
     units = {}
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = _vectors(output.multipliers)
-        units["lambda"] = ", ".join(row.unit for row in plan.rows) or "none"
+        units["lambda"] = ", ".join(row.unit for row in plan.rows)
     return _table(columns, metadata, units)

@@ -10,6 +10,7 @@ from lierb.arrays import Array, components, pose_components
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.arithmetic import sqrt
 from lierb.kernels.constraints import (
+    Row,
     jacobian,
     position_error_squared,
     rotation_error_squared,
@@ -78,10 +79,28 @@ def _at(numbers: Any, body: int) -> float:
     return float(flat[body if flat.size > 1 else 0])
 
 
+def _flipped_axis(rows: tuple[Row, ...], x: Kinematics) -> int | None:
+    """The first body turned by 180° against its `Omega` rows, which their errors cannot see."""
+    fixed = sorted({r.i for r in rows if r.kind == "Omega"})
+    axes = {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
+    cosines = [np.atleast_1d(x.q[4 * axis]) for axis in axes]
+    if not axes:
+        return None
+    bad = np.flatnonzero(np.min(np.broadcast_arrays(*cosines), axis=0) <= 0.0)
+    return int(bad[0]) if bad.size else None
+
+
 def _pose_violation(
     problem: Problem, x: Kinematics, pitch: Any, size: Any, start: int, count: int
 ) -> PoseError | None:
     joint = problem.joint
+    flipped = _flipped_axis(joint.rows, x)
+    if flipped is not None:
+        return PoseError(
+            f"{body_label('pose0', start + flipped, count)} holds the {joint.name} joint the wrong "
+            "way round: its axis on the body points against that on the ground; turn pose0 or one "
+            "of the joint's frames by 180°"
+        )
     for what, unit, squared, allowed in (
         ("position", " m", position_error_squared(joint.rows, x, pitch), TOLERANCE * size),
         ("rotation", "", rotation_error_squared(joint.rows, x), TOLERANCE),

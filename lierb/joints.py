@@ -123,7 +123,7 @@ class JointType:
         axis : (3,) or (n, 3), the body direction of the joint axis e₃. Default: (0, 0, 1).
         slot : (3,), body direction of the slot e₁ at R = I (pin_in_slot only).
         second_axis : (3,), body direction of e₂ (universal only).
-        pitch : number or (n,), m/rad (screw and helical_planar only).
+        pitch : number or (n,), m/rad (screw only).
         body_frame, ground_frame : (4, 4) or (n, 4, 4), instead of points and axes.
 
         Without ground_frame the ground's joint frame is turned like the body's: the joint closes at
@@ -139,6 +139,8 @@ class JointType:
         ground = _ground_frame(ground_frame, ground_point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
         batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead)
+        for frames in (body, ground):
+            frames.setflags(write=False)  # what was checked stays so
         return Joint(self.name, self.rows, ground, body, lead, self.subgroup)
 
     def __repr__(self) -> str:
@@ -286,8 +288,9 @@ def from_rows(
     """A joint from primitive rows: `d1`, `Qtd1`, `Q32`, `Omega1` or `screw` (axes 1 to 3).
 
     `Omega` rows come in twos or threes: one alone is a condition on velocity that fixes no
-    orientation. Frames as for every joint. Raises UnknownNameError for another row, ArgumentError
-    for a row given twice or more than six.
+    orientation. A `screw` row needs pitch=, and Omega1 and Omega2. Frames as for every joint.
+    Raises UnknownNameError for another row, ArgumentError for a row given twice, more than six
+    rows, or rows that make no joint.
 
     >>> import lierb
     >>> lierb.joints.from_rows(["d3", "Omega1", "Omega3"], body_point=(0.1, 0.0, 0.0))

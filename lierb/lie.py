@@ -100,7 +100,7 @@ class Group:
                 f"{self.name}.{function}: shapes {shapes} do not broadcast"
             ) from None
         rows = [
-            np.require(np.broadcast_to(x, batch + x.shape[x.ndim - n :]), None, "CA").reshape(
+            np.require(np.broadcast_to(x, batch + x.shape[x.ndim - n :]), None, ["C", "A"]).reshape(
                 -1, width(self.name, k)
             )
             for x, n, k in zip(operands, axes, kinds, strict=True)

@@ -235,13 +235,17 @@ def _threads(count: int | None) -> Iterator[None]:
 QUIET_SECONDS = 2.0
 
 
+def _on_terminal() -> bool:
+    return sys.stderr is not None and sys.stderr.isatty()  # None: started without a console
+
+
 @contextmanager
 def _reporter(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
     """A function that is told the body-steps done so far."""
     if callable(progress):
         tell = progress
         yield lambda done: tell(done, total)
-    elif progress is False or (progress is None and not sys.stderr.isatty()):
+    elif progress is False or (progress is None and not _on_terminal()):
         yield lambda done: None
     else:
         with _bar(

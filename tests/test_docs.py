@@ -86,3 +86,15 @@ def test_link_leads_somewhere(page, match):
 def test_examples_run(page):
     result = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
     assert result.failed == 0
+
+
+def test_readme_example_prints_what_it_says(capsys):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    code, shown = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL).groups()
+    exec(compile(code, "README.md", "exec"), {})
+    number = re.compile(r"[0-9.]+e[+-][0-9]+")
+    for said, printed in zip(shown.splitlines(), capsys.readouterr().out.splitlines(), strict=True):
+        assert number.sub("", said) == number.sub("", printed)
+        expected, found = float(number.search(said)[0]), float(number.search(printed)[0])
+        # another CPU rounds otherwise; drift stays within a factor
+        assert found == pytest.approx(expected, rel=0.5, abs=1e-14)

@@ -141,3 +141,25 @@ def test_reduced_refuses_what_is_no_subgroup(name):
     problem, twist0 = tilted(name)
     with pytest.raises(lierb.errors.ArgumentError, match=f"subgroup.*not a {name} joint"):
         lierb.integrate(problem, twist0=twist0, dt=1e-2, t_end=1.0, cspace="reduced")
+
+
+@pytest.mark.parametrize("name", [name for name in JOINTS if name != "spherical"])
+@pytest.mark.parametrize("cspace", ["SE3", "reduced"])
+def test_a_joint_held_the_wrong_way_round_is_an_error(name, cspace):
+    """Half a turn across the axis: every error reads zero, yet the joint has no such pose."""
+    problem, twist0 = tilted(name)
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose0 = problem.joint.ground_frame @ flip @ np.linalg.inv(problem.joint.body_frame)
+    with pytest.raises(lierb.errors.PoseError, match="wrong way round"):
+        lierb.integrate(problem, twist0=twist0, pose0=pose0, dt=1e-2, t_end=0.1, cspace=cspace)
+
+
+@pytest.mark.parametrize("solver", FAST)
+def test_a_start_off_by_less_than_the_tolerance_is_put_on_the_subgroup(solver):
+    problem, twist0 = tilted("spherical")
+    pose0 = problem.joint.closed_pose.copy()
+    pose0[:3, 3] += 5e-10
+    result = lierb.integrate(
+        problem, twist0=twist0, pose0=pose0, dt=1e-2, t_end=0.1, **FAST[solver]
+    )
+    assert result.summary["position_error_max"][0].as_py() < 1e-15

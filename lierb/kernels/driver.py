@@ -105,11 +105,12 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
     return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
 
 
-def initial_state(plan: Plan, inputs: Any, first: Any) -> State:
+def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
     parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     start = State(chart, tuple(0.0 * v for v in velocity), velocity)
-    return _structured(plan, start, parameters.pitch)
+    start = _structured(plan, start, parameters.pitch)
+    return start if plan.slots is None else tidied(plan, Body(*body), start)
 
 
 def _structured(plan: Plan, state: State, pitch: Any) -> State:
@@ -280,7 +281,7 @@ def integrate_block(
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories)."""
     body = load_body(plan, inputs, first)
     if begin == 0:
-        state = initial_state(plan, inputs, first)
+        state = initial_state(plan, body, inputs, first)
         record = initial_record(plan, body, state)
     else:
         state, record = load_carried(plan, body, carried, first)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from lierb.kernels.arithmetic import absolute, any_lanes, branch, fma, where
-from lierb.kernels.newton_euler import Body, row_response
-from lierb.kernels.vec import Vec, axpy, dot
+from lierb.kernels.arithmetic import absolute, any_lanes, branch, fma, sqrt, where
+from lierb.kernels.newton_euler import Body, kinetic_energy, row_response
+from lierb.kernels.vec import Vec, add, axpy, cross, dot, norm
 from lierb.kernels.zero import ZERO
 
 # A row whose pivot has shrunk to this part of its diagonal depends on the rows before it: plain
@@ -17,9 +18,11 @@ CONSISTENCY_TOLERANCE = 1e-6
 
 
 def solve(
-    body: Body, rows: list[Vec], eta: list[Any], free: Vec
+    body: Body, rows: list[Vec], eta: list[Any], free: Vec, velocity: Vec | None = None
 ) -> tuple[Vec, tuple[Any, ...], Any]:
     """V̇, λ and a mask of singular bodies, from J, η and the free acceleration M⁻¹(ad_Vᵀ M V + W).
+
+    velocity : V, for the scale on which a dropped row's contradiction is judged.
 
     Schur complement S = J M⁻¹ Jᵀ, factored as L D Lᵀ: no square roots, and no row units.
     """
@@ -52,7 +55,17 @@ def solve(
     acceleration = free
     for multiplier, response in zip(multipliers, responses, strict=True):
         acceleration = axpy(-multiplier, response, acceleration)
-    return acceleration, tuple(multipliers), _contradicts(dropped, rhs, lower, y)
+
+    def motion(i: int) -> Any:
+        """The acceleration of row i that the motion itself can bring about, ‖ω‖ √(S_ii VᵀMV)."""
+        if velocity is None:
+            return ZERO
+        omega = velocity[:3]
+        com_velocity = add(velocity[3:], cross(omega, body.com))
+        energy = 2.0 * kinetic_energy(body, omega, com_velocity)
+        return sqrt(schur[i][i] * energy) * norm(omega)
+
+    return acceleration, tuple(multipliers), _contradicts(dropped, rhs, lower, y, motion)
 
 
 def _reduced(x: Any, left: list[Any], right: list[Any]) -> Any:
@@ -62,7 +75,13 @@ def _reduced(x: Any, left: list[Any], right: list[Any]) -> Any:
     return x
 
 
-def _contradicts(dropped: list[Any], rhs: list[Any], lower: list[list[Any]], y: list[Any]) -> Any:
+def _contradicts(
+    dropped: list[Any],
+    rhs: list[Any],
+    lower: list[list[Any]],
+    y: list[Any],
+    motion: Callable[[int], Any],
+) -> Any:
     """1 where a dropped row asks for what the rows before it exclude, 0 elsewhere."""
     if not rhs:
         return ZERO
@@ -72,11 +91,11 @@ def _contradicts(dropped: list[Any], rhs: list[Any], lower: list[list[Any]], y: 
 
     def look() -> Any:
         found: Any = 0.0
-        for mask, b, li, yi in zip(dropped, rhs, lower, y, strict=True):
-            size = absolute(b)
-            for lij, yj in zip(li, y, strict=False):
+        for i, mask in enumerate(dropped):
+            size = absolute(rhs[i]) + motion(i)
+            for lij, yj in zip(lower[i], y, strict=False):
                 size = size + absolute(lij * yj)
-            found = where(mask & (absolute(yi) > CONSISTENCY_TOLERANCE * size), 1.0, found)
+            found = where(mask & (absolute(y[i]) > CONSISTENCY_TOLERANCE * size), 1.0, found)
         return found
 
     return branch(any_lanes(some), look, lambda: 0.0)

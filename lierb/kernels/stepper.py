@@ -1,8 +1,8 @@
 """One step of an explicit Runge–Kutta method on (X, V), for any Butcher tableau.
 
-Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. ODEvec1a, b), with C = C₀ exp X.
-`local` update (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (eq. 4 of the
-paper): X carries on, and C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18).
+Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
+(Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X carries on, and
+C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18).
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ def accelerate(
     x = plan.space.kinematics(body, pose, velocity)
     rows = [jacobian(r, x, body.pitch) for r in plan.rows]
     eta = [acceleration(r, x) for r in plan.rows]
-    return solve(body, rows, eta, plan.space.free_acceleration(body, pose, velocity))
+    free = plan.space.free_acceleration(body, pose, velocity)
+    return solve(body, rows, eta, free, velocity)
 
 
 def step(plan: Plan, body: Body, state: State, h: Any) -> tuple[State, Any]:
