@@ -58,6 +58,7 @@ def test_revolute_box_turns_steadily(cspace):
     np.testing.assert_allclose(column(result.errors, "R"), turned, atol=2e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", CSPACES)
 @pytest.mark.parametrize("dt", [1e-3, 1e-4])
 def test_heavy_top_reaches_taylor_series(cspace, dt):
@@ -103,6 +104,7 @@ def test_dexpinv_agrees_with_published_values(xi, w, expected):
     np.testing.assert_allclose(lierb.lie.so3.dexpinv(xi, w), expected, atol=2e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", CSPACES)
 def test_pendulum_reaches_elliptic_functions(cspace):
     length = ref.PENDULUM_LENGTH

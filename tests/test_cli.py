@@ -79,6 +79,7 @@ class TestPaper:
         output = invoke("paper", "--no-figures", "--out", tmp_path).stdout
         assert "…" not in output
 
+    @pytest.mark.slow
     def test_says_which_reading_was_used(self, tmp_path):
         corrected = invoke("paper", "--no-figures", "--out", tmp_path).stdout
         assert "planar (corrected): " in corrected

@@ -154,6 +154,7 @@ def test_mass_scales_out(size):
     np.testing.assert_allclose(*ends, atol=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [0.0, 1e-13, 1e-10])
 def test_a_redundant_row_is_no_contradiction_at_any_speed(speed):
     """The allowed violation of a twist leaves noise that only the motion's own scale puts right."""

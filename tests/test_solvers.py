@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import GRAVITY, SUBGROUP_JOINTS, column, slow_but, tilted
+from cases import GRAVITY, SUBGROUP_JOINTS, column, tilted
 
 import lierb
 from lierb import api, run
@@ -27,7 +27,8 @@ def _history(name: str, update: str, solver: str) -> lierb.Result:
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", slow_but(JOINTS, "screw"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", JOINTS)
 @pytest.mark.parametrize("solver", FAST)
 def test_fast_solvers_make_the_saddle_points_motion(name, solver):
     slow, fast = _history(name, "local", "saddle"), _history(name, "local", solver)
