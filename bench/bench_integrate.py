@@ -29,50 +29,34 @@ def _problem(name: str, setting: str) -> tuple[lierb.Problem, np.ndarray]:
     return problem, problem.project(rng.standard_normal((BODIES, 6)) + 2.0)
 
 
+def _measure(body_steps, case: tuple[lierb.Problem, np.ndarray], **options) -> None:
+    problem, twist0 = case
+
+    def run():
+        lierb.integrate(
+            problem, twist0=twist0, dt=DT, t_end=STEPS * DT, measure_every=10, threads=1, **options
+        )
+
+    body_steps(run, BODIES * STEPS)
+
+
 @pytest.mark.parametrize("setting", ["aligned", "tilted"])
 @pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 @pytest.mark.parametrize("name", ["spherical", "universal", "revolute", "free"])
 def test_saddle(name, cspace, setting, body_steps):
-    problem, twist0 = _problem(name, setting)
-
-    def run():
-        lierb.integrate(
-            problem, twist0=twist0, dt=DT, t_end=STEPS * DT, cspace=cspace,
-            measure_every=10, threads=1, check="off",
-        )  # fmt: skip
-
-    body_steps(run, BODIES * STEPS)
+    case = _problem(name, setting)
+    _measure(body_steps, case, cspace=cspace, solver="saddle", check="off")
 
 
 @pytest.mark.parametrize("setting", ["aligned", "tilted"])
 @pytest.mark.parametrize("cspace", ["SE3", "reduced"])
 @pytest.mark.parametrize("name", ["spherical", "revolute", "screw", "planar"])
 def test_subgroup(name, cspace, setting, body_steps):
-    problem, twist0 = _problem(name, setting)
-
-    def run():
-        lierb.integrate(
-            problem,
-            twist0=twist0,
-            dt=DT,
-            t_end=STEPS * DT,
-            cspace=cspace,
-            measure_every=10,
-            threads=1,
-        )
-
-    body_steps(run, BODIES * STEPS)
+    _measure(body_steps, _problem(name, setting), cspace=cspace)
 
 
 @pytest.mark.parametrize("method", ["RK4", "DOP853"])
 @pytest.mark.parametrize("save_every", [None, 10])
 def test_spherical_history(method, save_every, body_steps):
-    problem, twist0 = _problem("spherical", "tilted")
-
-    def run():
-        lierb.integrate(
-            problem, twist0=twist0, dt=DT, t_end=STEPS * DT, method=method,
-            measure_every=10, save_every=save_every, threads=1, check="off",
-        )  # fmt: skip
-
-    body_steps(run, BODIES * STEPS)
+    case = _problem("spherical", "tilted")
+    _measure(body_steps, case, method=method, save_every=save_every, solver="saddle", check="off")

@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike
 
 from lierb import checks, run
 from lierb.arrays import Array, as_numbers, as_poses
-from lierb.errors import ArgumentError, TimeGridError, unknown_name
+from lierb.errors import (
+    ArgumentError,
+    InconsistentStateWarning,
+    TimeGridError,
+    unknown_name,
+)
 from lierb.joints import JOINTS
 from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
 from lierb.kernels.lanes import DEFAULT_LANES
@@ -168,7 +173,7 @@ def _check_names(**given: str) -> None:
 
 
 def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
-    """How the plan shall find accelerations: one of `lierb.kernels.subgroup.SOLVERS`."""
+    """How the plan shall find accelerations: its `solver`."""
     subgroup = problem.joint.subgroup
     if cspace == "reduced":
         if solver == "saddle":
@@ -228,8 +233,6 @@ def _report(error: ValueError | None, check: str) -> None:
         return
     if check == "raise":
         raise error
-    from lierb.errors import InconsistentStateWarning
-
     warnings.warn(str(error), InconsistentStateWarning, stacklevel=3)
 
 
@@ -268,17 +271,14 @@ def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any])
         "status": status,
         "t": pa.array(np.where(failed, s["failed_step"] * grid.dt, grid.steps * grid.dt)),
     }
-    for name in run.SUMMARY_SCALARS:
-        if name not in ("status", "failed_step", "first_energy"):
-            columns[name] = pa.array(s[name])
-    for name in run.STATE_WIDTHS:
-        columns[name] = _vectors(s[name])
-    order = [
-        "body", "status", "t", "position_error_max", "position_error_final", "rotation_error_max",
-        "rotation_error_final", "velocity_error_max", "rotation_rate_error_max",
-        "energy_drift_max", "orthogonality_error_max", "R", "r", "omega", "v",
-    ]  # fmt: skip
-    return _table({name: columns[name] for name in order}, metadata, {})
+    scalars = (
+        "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
+        "velocity_error_max", "rotation_rate_error_max", "energy_drift_max",
+        "orthogonality_error_max",
+    )  # fmt: skip
+    columns |= {name: pa.array(s[name]) for name in scalars}
+    columns |= {name: _vectors(s[name]) for name in run.STATE_WIDTHS}
+    return _table(columns, metadata, {})
 
 
 def _errors_table(

@@ -22,7 +22,9 @@ class Plan(Tag):
     stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
-    solver: str = "saddle"  # one of SOLVERS
+    # Where accelerations come from: "saddle", the saddle point in every stage, or a subgroup
+    # joint's constant gain, on poses in SE(3) ("gain") or in the subgroup itself ("reduced").
+    solver: str = "saddle"
 
     @cached_property
     def space(self) -> type[SE3] | type[SO3xR3]:

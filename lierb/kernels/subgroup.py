@@ -19,10 +19,6 @@ from lierb.kernels.zero import ZERO
 FIXED = -1  # slot of a component that is zero
 PITCHED = -2  # slot of v₃ = pitch·ω₃
 
-# Where the equations of motion come from: the saddle point in every stage, or a subgroup joint's
-# constant gain, on poses in SE(3) or in the subgroup itself.
-SOLVERS = ("saddle", "gain", "reduced")
-
 Slots = tuple[int, ...]
 
 
