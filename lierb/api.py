@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,7 @@ RECORDS = ("state", "energy", "multipliers")
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
+STATUS_DICTIONARY = pa.array([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 UNITS = {
     "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
@@ -125,9 +128,6 @@ def integrate(
     count = problem.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
-    on_violation = "raise" if cspace == "reduced" else check  # there it has no room
-    if on_violation != "off":
-        _report(checks.violation(problem, poses, twists, count), on_violation)
     plan = Plan(
         lanes=DEFAULT_LANES,
         rows=problem.joint.rows,
@@ -141,7 +141,15 @@ def integrate(
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
     grid = run.Grid(float(dt), steps, *strides)
     inputs = run.Inputs.of(problem, poses, twists, count)
-    output = run.integrate(plan, inputs, grid, "state" in recorded, threads, progress)
+    on_violation = "raise" if cspace == "reduced" else check  # there it has no room
+
+    def check_start(errors: Array) -> None:
+        _report(checks.violation(problem, poses, twists, errors), on_violation)
+
+    checked = on_violation != "off" and bool(problem.joint.rows)
+    output = run.integrate(
+        plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
+    )
     metadata = provenance(
         problem,
         twist0=twists,
@@ -218,7 +226,7 @@ def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every
     if t_end / dt > MOST_STEPS:
         raise TimeGridError(f"t_end={t_end!r} s is more than {MOST_STEPS:g} steps of dt={dt!r} s")
     steps = round(t_end / dt)
-    rounding = 4 * np.finfo(float).eps * t_end  # of t_end and of N·dt themselves
+    rounding = 4 * sys.float_info.epsilon * t_end  # of t_end and of N·dt themselves
     if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt + rounding:
         below = max(int(t_end / dt), 1)
         raise TimeGridError(
@@ -233,22 +241,23 @@ def _report(error: ValueError | None, check: str) -> None:
         return
     if check == "raise":
         raise error
-    warnings.warn(str(error), InconsistentStateWarning, stacklevel=3)
+    warnings.warn(str(error), InconsistentStateWarning, stacklevel=5)  # the caller of integrate
 
 
 # ---- tables ------------------------------------------------------------------------------------
 
 
-def _field(name: str, array: pa.Array, unit: str | None = None) -> pa.Field:
+@cache
+def _field(name: str, kind: pa.DataType, unit: str | None) -> pa.Field:
     unit = unit or UNITS.get(name.removesuffix("_max").removesuffix("_final"))
-    return pa.field(name, array.type, metadata={"unit": unit} if unit else None)
+    return pa.field(name, kind, metadata={"unit": unit} if unit else None)
 
 
 def _table(
     columns: dict[str, pa.Array], metadata: dict[str, Any], units: dict[str, str]
 ) -> pa.Table:
     schema = pa.schema(
-        [_field(name, array, units.get(name)) for name, array in columns.items()],
+        [_field(name, array.type, units.get(name)) for name, array in columns.items()],
         metadata={"lierb": json.dumps(metadata)},
     )
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
@@ -260,16 +269,12 @@ def _vectors(array: Array) -> pa.Array:
 
 
 def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any]) -> pa.Table:
-    s = output.summary
-    failed = s["status"] != OK
-    status = pa.DictionaryArray.from_arrays(
-        pa.array(s["status"].astype(np.int8)),
-        pa.array([STATUS_NAMES[i] for i in sorted(STATUS_NAMES)]),
-    )
+    s = output.summary()
+    status = s["status"].astype(np.int8)
     columns = {
-        "body": pa.array(np.arange(len(failed), dtype=np.int64)),
-        "status": status,
-        "t": pa.array(np.where(failed, s["failed_step"] * grid.dt, grid.steps * grid.dt)),
+        "body": pa.array(np.arange(len(status), dtype=np.int64)),
+        "status": pa.DictionaryArray.from_arrays(status, STATUS_DICTIONARY),
+        "t": pa.array(np.where(status == OK, grid.steps, s["failed_step"]) * grid.dt),
     }
     scalars = (
         "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",

@@ -8,20 +8,21 @@ import numpy as np
 
 from lierb.arrays import Array, components, pose_components
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
-from lierb.kernels.arithmetic import sqrt
+from lierb.joints import Joint
 from lierb.kernels.constraints import (
     Row,
     jacobian,
     position_error_squared,
+    rate_errors_squared,
     rotation_error_squared,
     value,
 )
 from lierb.kernels.newton_euler import SE3, Kinematics, Parameters
-from lierb.kernels.vec import dot
+from lierb.kernels.vec import Vec, dot, norm
+from lierb.kernels.zero import is_zero
 from lierb.model import Problem
 
 TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
-SLICE = 65536  # bodies checked at once: bounds the memory
 
 
 def require_central_com(problem: Problem) -> None:
@@ -33,115 +34,104 @@ def require_central_com(problem: Problem) -> None:
         )
 
 
-def violation(problem: Problem, poses: Array, twists: Array, count: int) -> LierbError | None:
-    """The first body's violation of the joint, as an error to raise or to warn of."""
-    if not problem.joint.rows:
-        return None
-    for start in range(0, count, SLICE):
-        bodies = slice(start, min(start + SLICE, count))
+def violation(
+    problem: Problem, poses: Array, twists: Array, start_columns: Array
+) -> LierbError | None:
+    """The first body's violation of the joint, as an error to raise or to warn of.
+
+    start_columns : START_COLUMNS of every body, [column][body], as the driver found them.
+    """
+    errors, cosines = start_columns[:4], start_columns[4:][_held_axes(problem.joint.rows)]
+    suspects = ~(errors <= TOLERANCE).all(axis=0) | (cosines <= 0.0).any(axis=0)
+    for body in np.flatnonzero(suspects).tolist():
         with np.errstate(all="ignore"):
-            found = _violation_in(problem, poses, twists, bodies, count)
-        if found is not None:
+            found = _violation_of(problem, poses, twists, body, errors.shape[1])
+        if found is not None:  # else it is at the tolerance, to rounding
             return found
     return None
 
 
-def _violation_in(
-    problem: Problem, poses: Array, twists: Array, bodies: slice, count: int
-) -> LierbError | None:
-    def cut(array: Any, axes: int = 0) -> Any:
-        return array[bodies] if array.ndim > axes and len(array) > 1 else array
-
-    def cut_all(parts: Any) -> Any:
-        return tuple(map(cut_all, parts)) if isinstance(parts, tuple) else cut(parts)
-
-    parameters = Parameters(*(cut_all(p) for p in problem.parameters()))
-    pose = cut_all(pose_components(poses))
-    velocity = cut_all(components(twists))
-    body = SE3.body(parameters)
-    placed, joint_velocity = SE3.to_joint_axes(parameters, pose, velocity)
-    x = SE3.kinematics(body, placed, joint_velocity)
-    size = 1.0 + np.sqrt(np.asarray(dot(pose[1], pose[1])))
-    return _pose_violation(problem, x, body.pitch, size, bodies.start, count) or _twist_violation(
-        problem, x, body.pitch, velocity, joint_velocity, bodies.start, count
-    )
-
-
-def _worst(errors: Any, allowed: Any) -> int | None:
-    """The first body whose error exceeds what is allowed, or is no number."""
-    errors, allowed = np.broadcast_arrays(np.atleast_1d(errors), np.atleast_1d(allowed))
-    bad = np.flatnonzero(~(errors <= allowed) | ~np.isfinite(errors))
-    return int(bad[0]) if bad.size else None
-
-
-def _at(numbers: Any, body: int) -> float:
-    flat = np.atleast_1d(numbers)
-    return float(flat[body if flat.size > 1 else 0])
-
-
-def _flipped_axis(rows: tuple[Row, ...], x: Kinematics) -> int | None:
-    """The first body turned by 180° against its `Omega` rows, which their errors cannot see."""
+def _held_axes(rows: tuple[Row, ...]) -> list[int]:
+    """The joint axes that `Omega` rows keep parallel."""
     fixed = sorted({r.i for r in rows if r.kind == "Omega"})
-    axes = {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
-    cosines = [np.atleast_1d(x.q[4 * axis]) for axis in axes]
-    if not axes:
-        return None
-    bad = np.flatnonzero(np.min(np.broadcast_arrays(*cosines), axis=0) <= 0.0)
-    return int(bad[0]) if bad.size else None
+    return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
+
+
+def _violation_of(
+    problem: Problem, poses: Array, twists: Array, number: int, count: int
+) -> LierbError | None:
+    """What is wrong with one body, row by row."""
+
+    def own(parts: Any) -> Any:
+        if isinstance(parts, tuple):
+            return tuple(map(own, parts))
+        return float(parts.reshape(-1)[number if parts.size > 1 else 0])
+
+    parameters = Parameters(*map(own, problem.parameters()))
+    pose, twist = own(pose_components(poses)), own(components(twists))
+    body = SE3.body(parameters)
+    placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
+    x = SE3.kinematics(body, placed, velocity)
+    return _pose_violation(
+        problem.joint, x, body.pitch, 1.0 + norm(pose[1]), body_label("pose0", number, count)
+    ) or _twist_violation(
+        problem.joint, x, body.pitch, velocity, 1.0 + norm(twist),
+        body_label("twist0", number, count),
+    )  # fmt: skip
 
 
 def _pose_violation(
-    problem: Problem, x: Kinematics, pitch: Any, size: Any, start: int, count: int
+    joint: Joint, x: Kinematics, pitch: float, size: float, label: str
 ) -> PoseError | None:
-    joint = problem.joint
-    flipped = _flipped_axis(joint.rows, x)
-    if flipped is not None:
+    if any(x.q[4 * axis] <= 0.0 for axis in _held_axes(joint.rows)):  # 180°: no error sees it
         return PoseError(
-            f"{body_label('pose0', start + flipped, count)} holds the {joint.name} joint the wrong "
-            "way round: its axis on the body points against that on the ground; turn pose0 or one "
-            "of the joint's frames by 180°"
+            f"{label} holds the {joint.name} joint the wrong way round: its axis on the body "
+            "points against that on the ground; turn pose0 or one of the joint's frames by 180°"
         )
     for what, unit, squared, allowed in (
         ("position", " m", position_error_squared(joint.rows, x, pitch), TOLERANCE * size),
         ("rotation", "", rotation_error_squared(joint.rows, x), TOLERANCE),
     ):
-        error = np.asarray(sqrt(squared) if isinstance(squared, np.ndarray | np.generic) else 0.0)
-        body = _worst(error, allowed)
-        if body is None:
+        error = _root(squared)
+        if error <= allowed < np.inf:
             continue
         rows = [
-            f"{r} = {_at(value(r, x, pitch), body):.3g}"
+            f"{r} = {value(r, x, pitch):.3g}"
             for r in joint.rows
             if r.kind != "Omega" and r.is_translational == (what == "position")
         ]
         detail = f" ({', '.join(rows)})" if rows else ""
-        label = body_label("pose0", start + body, count)
         return PoseError(
-            f"{label} does not close the {joint.name} joint: {what} error "
-            f"{_at(error, body):.3g}{unit} > {_at(allowed, body):.3g}{detail}; leave pose0 out for "
-            "the closed joint, or give the joint frames that this pose closes "
-            '(check="warn" integrates it all the same)'
+            f"{label} does not close the {joint.name} joint: {what} error {error:.3g}{unit} > "
+            f"{allowed:.3g}{detail}; leave pose0 out for the closed joint, or give the joint "
+            'frames that this pose closes (check="warn" integrates it all the same)'
         )
     return None
 
 
 def _twist_violation(
-    problem: Problem, x: Kinematics, pitch: Any, twist: Any, velocity: Any, start: int, count: int
+    joint: Joint, x: Kinematics, pitch: float, velocity: Vec, size: float, label: str
 ) -> TwistError | None:
-    joint = problem.joint
-    allowed = TOLERANCE * (1.0 + np.sqrt(np.asarray(dot(twist, twist))))
-    rates = [(r, np.asarray(dot(jacobian(r, x, pitch), velocity))) for r in joint.rows]
-    for what, unit, translational in (("velocity", "m/s", True), ("rotation rate", "rad/s", False)):
-        chosen = [(r, rate) for r, rate in rates if r.is_translational == translational]
-        error = np.sqrt(sum(np.square(rate) for _, rate in chosen) if chosen else 0.0)
-        body = _worst(error, allowed)
-        if body is None:
+    allowed = TOLERANCE * size
+    squares = rate_errors_squared(joint.rows, x, pitch, velocity)
+    for what, unit, squared in zip(
+        ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, strict=True
+    ):
+        error = _root(squared)
+        if error <= allowed < np.inf:
             continue
-        rows = ", ".join(f"{r}: {_at(rate, body):.3g}" for r, rate in chosen)
-        label = body_label("twist0", start + body, count)
+        rows = ", ".join(
+            f"{r}: {dot(jacobian(r, x, pitch), velocity):.3g}"
+            for r in joint.rows
+            if r.is_translational == (what == "velocity")
+        )
         return TwistError(
-            f"{label} violates the {joint.name} joint: {what} {_at(error, body):.3g} {unit} > "
-            f"{_at(allowed, body):.3g} ({rows}); use problem.project(twist0, pose0) for the "
-            'nearest twist that the joint allows, or check="warn" to integrate it all the same'
+            f"{label} violates the {joint.name} joint: {what} {error:.3g} {unit} > {allowed:.3g} "
+            f"({rows}); use problem.project(twist0, pose0) for the nearest twist that the joint "
+            'allows, or check="warn" to integrate it all the same'
         )
     return None
+
+
+def _root(square: Any) -> float:
+    return 0.0 if is_zero(square) else float(np.sqrt(square))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ class Joint:
     def __repr__(self) -> str:
         return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
 
-    @property
+    @cached_property
     def closed_pose(self) -> Array:
         """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide."""
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)

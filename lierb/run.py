@@ -22,6 +22,7 @@ from lierb.kernels.driver import (
     ERROR_COLUMNS,
     INPUT_COLUMNS,
     INPUT_WIDTHS,
+    START_COLUMNS,
     SUMMARY_COLUMNS,
     integrate_blocks,
 )
@@ -103,10 +104,37 @@ def _flat_pose(poses: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Output:
-    """Results of a run: columns by body, and histories [column][time][body] and so on."""
+class Chunk:
+    """Bodies start … stop while they are integrated: [column][body, padded to full blocks]."""
 
-    summary: dict[str, Any]
+    start: int
+    stop: int
+    inputs: Array
+    carried: Array
+    summary: Array
+
+    @classmethod
+    def of(cls, inputs: Inputs, start: int, lanes: int) -> Chunk:
+        stop = min(start + CHUNK_BODIES, inputs.count)
+        width = -(-(stop - start) // lanes) * lanes
+        return cls(
+            start, stop, inputs.packed(start, stop, width),
+            np.empty((CARRIED_COLUMNS, width)), np.empty((SUMMARY_COLUMNS, width)),
+        )  # fmt: skip
+
+    @property
+    def found(self) -> Array:
+        """`summary` without the padding."""
+        return self.summary[:, : self.stop - self.start]
+
+
+@dataclass(frozen=True)
+class Output:
+    """Results of a run: [column][body], state columns [body][component], histories
+    [column][time][body] and [time][body][component]."""
+
+    scalars: Array  # in the order of SUMMARY_SCALARS
+    state: tuple[Array, ...]  # in the order of STATE_WIDTHS; so is `states`
     errors: Array
     states: tuple[Array, ...]
     multipliers: Array
@@ -114,23 +142,30 @@ class Output:
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
         rows = len(grid.saved_steps())
-        summary = {name: np.empty(count) for name in SUMMARY_SCALARS}
-        summary |= {name: np.empty((count, width)) for name, width in STATE_WIDTHS.items()}
         return cls(
-            summary,
+            np.empty((len(SUMMARY_SCALARS), count)),
+            tuple(np.empty((count, width)) for width in STATE_WIDTHS.values()),
             np.empty((len(ERROR_COLUMNS), rows, count)),
             tuple(np.empty((rows * with_state, count, width)) for width in STATE_WIDTHS.values()),
             np.empty((rows * plan.multipliers, count, len(plan.rows))),
         )
 
-    def take(self, summary: Array, start: int, stop: int) -> None:
-        """Keep a finished chunk's summary, [column][padded body]."""
-        for c, name in enumerate(SUMMARY_SCALARS):
-            self.summary[name][start:stop] = summary[c, : stop - start]
+    @property
+    def histories(self) -> tuple[Array, ...]:
+        return (self.errors, *self.states, self.multipliers)
+
+    def summary(self) -> dict[str, Array]:
+        named = zip((*SUMMARY_SCALARS, *STATE_WIDTHS), (*self.scalars, *self.state), strict=True)
+        return dict(named)
+
+    def take(self, chunk: Chunk) -> None:
+        """Keep a finished chunk's summary."""
+        bodies, found = slice(chunk.start, chunk.stop), chunk.found
         first = len(SUMMARY_SCALARS)
-        for name, width in STATE_WIDTHS.items():
-            self.summary[name][start:stop] = summary[first : first + width, : stop - start].T
-            first += width
+        self.scalars[:, bodies] = found[:first]
+        for array in self.state:
+            array[bodies] = found[first : first + array.shape[1]].T
+            first += array.shape[1]
 
 
 def integrate(
@@ -140,42 +175,70 @@ def integrate(
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
+    check: Callable[[Array], None] | None = None,
 ) -> Output:
-    """Run every body to the end, chunk by chunk."""
+    """Run every body to the end, chunk by chunk, after `check` has seen all bodies' START_COLUMNS.
+
+    `check` gets them as [column][body], and raises if it does not like them.
+    """
     _check_threads()
     output = Output.empty(plan, inputs.count, grid, with_state)
-    with _reporter(progress, inputs.count * grid.steps) as report, _threads(threads):
-        for start in range(0, inputs.count, CHUNK_BODIES):
-            stop = min(start + CHUNK_BODIES, inputs.count)
-            for done in _run_chunk(plan, inputs, grid, output, start, stop):
-                report(start * grid.steps + (stop - start) * done)
+    chunks = _Chunks(inputs, plan.lanes)
+    with _threads(threads, -(-inputs.count // plan.lanes)):
+        if check is not None:
+            check(_start_errors(plan, chunks, output, grid))
+        with _reporter(progress, inputs.count * grid.steps) as report:
+            for chunk in chunks:
+                for done in _run_chunk(plan, chunk, grid, output):
+                    report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
     return output
 
 
-def _run_chunk(
-    plan: Plan, inputs: Inputs, grid: Grid, output: Output, start: int, stop: int
-) -> Iterator[int]:
-    """Run bodies start … stop; yields the steps done after each call of the driver."""
-    blocks = -(-(stop - start) // plan.lanes)
-    width = blocks * plan.lanes
-    packed = inputs.packed(start, stop, width)
-    carried = np.empty((CARRIED_COLUMNS, width))
-    summary = np.empty((SUMMARY_COLUMNS, width))
-    histories = (output.errors, *output.states, output.multipliers)
-    begin, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS // blocks)
+class _Chunks:
+    """All bodies, chunk by chunk, as often as asked; the first chunk is packed once."""
+
+    def __init__(self, inputs: Inputs, lanes: int) -> None:
+        self.inputs, self.lanes = inputs, lanes
+        self.first = Chunk.of(inputs, 0, lanes)
+
+    def __iter__(self) -> Iterator[Chunk]:
+        yield self.first
+        for start in range(CHUNK_BODIES, self.inputs.count, CHUNK_BODIES):
+            yield Chunk.of(self.inputs, start, self.lanes)
+
+
+def _start_errors(plan: Plan, chunks: _Chunks, output: Output, grid: Grid) -> Array:
+    errors = np.empty((len(START_COLUMNS), chunks.inputs.count))
+    for chunk in chunks:
+        _call_driver(plan, chunk, output, grid, 0, 0)
+        errors[:, chunk.start : chunk.stop] = chunk.found[: len(START_COLUMNS)]
+    return errors
+
+
+def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output) -> Iterator[int]:
+    """Run a chunk to the end; yields the steps done after each call of the driver."""
+    begin, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
     while begin < grid.steps:
         end = min(begin + ahead, grid.steps)
-        arguments = (
-            packed, carried, summary, *histories, plan.lanes, start, begin, end, grid.steps,
-            grid.dt, grid.measure_every, grid.save_every,
-        )  # fmt: skip
-        _jit.ensure_compiled(integrate_blocks, plan, *arguments)
-        began = time.perf_counter()
-        _call_driver(plan, *arguments)
-        rate = (end - begin) / max(time.perf_counter() - began, 1e-6)
-        begin, ahead = end, max(1, int(CALL_SECONDS * rate))
+        seconds = _call_driver(plan, chunk, output, grid, begin, end)
+        begin, ahead = end, max(1, int(CALL_SECONDS / seconds * (end - begin)))
         yield begin
-    output.take(summary, start, stop)
+    output.take(chunk)
+
+
+def _call_driver(
+    plan: Plan, chunk: Chunk, output: Output, grid: Grid, begin: int, end: int
+) -> float:
+    """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
+    arguments = (
+        chunk.inputs, chunk.carried, chunk.summary, *output.histories, plan.lanes,
+        chunk.start, begin, end, grid.steps, grid.dt, grid.measure_every, grid.save_every,
+    )  # fmt: skip
+    _jit.ensure_compiled(integrate_blocks, plan, *arguments)
+    with _driver_lock, np.errstate(all="ignore"):
+        began = time.perf_counter()
+        integrate_blocks(plan, *arguments)
+        return max(time.perf_counter() - began, 1e-6)
 
 
 # ---- threads -----------------------------------------------------------------------------------
@@ -205,29 +268,29 @@ def _check_threads() -> None:
         )
 
 
-def _call_driver(*arguments: Any) -> None:
-    with _driver_lock, np.errstate(all="ignore"):
-        integrate_blocks(*arguments)
-
-
 @contextmanager
-def _threads(count: int | None) -> Iterator[None]:
-    """Numba's number of threads set to `count`, and set back."""
-    if count is None:
+def _threads(count: int | None, blocks: int) -> Iterator[None]:
+    """This Python thread's number of Numba threads set, never to more than there are blocks."""
+    before = numba.get_num_threads()
+    used = min(before if count is None else _checked(count), blocks)
+    if used == before:
         yield
         return
+    numba.set_num_threads(used)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def _checked(count: int) -> int:
     most = numba.config.NUMBA_NUM_THREADS
     whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
     if not whole or not 1 <= count <= most:
         raise ArgumentError(
             f"threads={count!r}; expected 1 … {most}, the threads that Numba started with"
         )
-    before = numba.get_num_threads()
-    numba.set_num_threads(count)
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
+    return count
 
 
 # ---- progress ----------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from lierb.kernels.newton_euler import Body, Parameters
 from lierb.kernels.plan import Plan
 from lierb.kernels.stepper import TIDY_EVERY, ZERO6, State, accelerate, pose_of, step, tidied
 from lierb.kernels.subgroup import in_subalgebra, inverse, on_subgroup, reduced_inertia
+from lierb.kernels.vec import dot
 from lierb.kernels.zero import is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
@@ -40,6 +41,11 @@ INPUT_COLUMNS = sum(INPUT_WIDTHS.values())
 
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
+# What `store_start` leaves in `summary`: the errors of the start, those of lengths over 1 + ‖r‖ and
+# those of rates over 1 + ‖V‖, and the cosines between the axes of the two joint frames.
+START_COLUMNS = (
+    "position", "rotation", "velocity", "rotation_rate", "cosine_1", "cosine_2", "cosine_3",
+)  # fmt: skip
 CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V, Record
 SUMMARY_COLUMNS = 11 + 18  # Record, R, r, ω, v
 ERROR_COLUMNS = (
@@ -257,9 +263,23 @@ def store_summary(
         store(summary, (c, first), number, plan.lanes)
 
 
+def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
+    """How far the start, as given, is off the joint; see START_COLUMNS."""
+    parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
+    off = measure(plan, plan.space.body(parameters), chart, velocity)
+    place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
+    numbers = (
+        sqrt(off.position) / place, sqrt(off.rotation), sqrt(off.velocity) / speed,
+        sqrt(off.rotation_rate) / speed, *(chart[0][4 * axis] for axis in range(3)),
+    )  # fmt: skip
+    for c, number in enumerate(numbers):
+        store(summary, (c, first), number, plan.lanes)
+
+
 for _formula in (
     load_body, initial_state, initial_record, load_carried, store_carried, advance, tidy, observe,
-    store_errors, store_state, store_multipliers, store_summary,
+    store_errors, store_state, store_multipliers, store_summary, store_start,
 ):  # fmt: skip
     _jit.kernel(_formula)
 
@@ -279,6 +299,9 @@ def integrate_block(
     first, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories)."""
+    if stop == 0:
+        store_start(plan, inputs, summary, first)
+        return
     body = load_body(plan, inputs, first)
     if begin == 0:
         state = initial_state(plan, body, inputs, first)
@@ -321,7 +344,10 @@ def integrate_blocks(
     plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
     lanes, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
-    """Steps begin … stop of every body; `last` is the run's last step."""
+    """Steps begin … stop of every body; `last` is the run's last step.
+
+    With stop = 0 nothing is integrated: `summary` gets START_COLUMNS.
+    """
     for block in prange(inputs.shape[1] // lanes):
         integrate_block(
             plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
