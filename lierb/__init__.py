@@ -2,6 +2,7 @@
 
 from lierb import errors, joints, lie
 from lierb.api import Result, integrate
+from lierb.installation import info, warmup
 from lierb.model import Body, Problem
 from lierb.provenance import package_version
 from lierb.tableaus import ButcherTableau
@@ -13,7 +14,9 @@ __all__ = [
     "Problem",
     "Result",
     "errors",
+    "info",
     "integrate",
     "joints",
     "lie",
+    "warmup",
 ]

@@ -117,7 +117,7 @@ def integrate(
     """
     if not isinstance(problem, Problem):
         raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
-    _check_names(cspace=cspace, update=update, check=check, solver=solver)
+    check_names(cspace=cspace, update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
@@ -174,7 +174,8 @@ def integrate(
 CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver": SOLVER_NAMES}
 
 
-def _check_names(**given: str) -> None:
+def check_names(**given: str) -> None:
+    """Raise UnknownNameError for a value that its argument does not have."""
     for argument, got in given.items():
         if not isinstance(got, str) or got not in CHOICES[argument]:
             raise unknown_name(argument, got, CHOICES[argument])

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from lierb.errors import LierbError
 from lierb.extras import MissingExtraError
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class Commands(click.Group):
             ctx.exit(INTERRUPTED)
         except BrokenPipeError:
             raise  # `lierb … | head`: click ends quietly
-        except (MissingExtraError, OSError) as error:
+        except (MissingExtraError, LierbError, OSError) as error:
             raise click.ClickException(str(error)) from error
 
 
@@ -107,6 +108,73 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
         click.echo(line)
 
 
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="As JSON, for a report or a script.")
+def info(as_json: bool) -> None:
+    """What lierb runs with here: versions, CPU, lanes, threads, compiled kernels."""
+    import json
+
+    import lierb
+
+    found = lierb.info()
+    if as_json:
+        click.echo(json.dumps(found, indent=2))
+        return
+    cache = found.pop("cache")
+    rows = {
+        "versions": ", ".join(
+            f"{name} {found[name]}"
+            for name in ("lierb", "python", "numba", "llvmlite", "numpy", "pyarrow")
+        ),
+        "platform": found["platform"],
+        "CPU": f"{found['cpu']} ({', '.join(found['vectors'])}{', fma' * found['fma']})",
+        "lanes": f"{found['lanes']} bodies in a vector register",
+        "threads": f"{found['threads']} ({found['threading_layer']})",
+        "cache": cache["folder"] or "none: the JIT is off",
+        "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB",
+    }
+    for name, text in rows.items():
+        click.echo(f"{name:10}{text}")
+
+
+@cli.command()
+@click.argument("joint", nargs=-1)
+@click.option("--method", multiple=True, default=["RK4"], show_default=True)
+@click.option(
+    "--cspace", multiple=True, default=["SE3"], show_default=True,
+    help="SE3, SO3xR3 or reduced.",
+)  # fmt: skip
+@click.option(
+    "--update", multiple=True, default=["local"], show_default=True, help="local or global."
+)
+@click.option("--solver", default="auto", show_default=True, help="auto or saddle.")
+@click.option("--multipliers", is_flag=True, help="The kernels of runs that record them.")
+def warmup(
+    joint: tuple[str, ...],
+    method: tuple[str, ...],
+    cspace: tuple[str, ...],
+    update: tuple[str, ...],
+    solver: str,
+    multipliers: bool,
+) -> None:
+    """Compile ahead of time what later processes then load from the disk cache.
+
+    JOINT is a name such as spherical (the default), or several. Every option but --solver may be
+    given more than once: each combination is compiled.
+    """
+    import lierb
+
+    with _progress() as progress:
+        kernels = lierb.warmup(
+            joint or ("spherical",), methods=method, cspaces=cspace, updates=update,
+            solver=solver, multipliers=multipliers, progress=progress,
+        )  # fmt: skip
+    for kernel in kernels:
+        name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
+        click.echo(f"{name:40}{kernel.seconds:6.2f} s")
+    click.echo(f"{len(kernels)} kernels are ready in {lierb.info()['cache']['folder']}")
+
+
 @contextmanager
 def _progress() -> Iterator[Callable[[int, int, str], None]]:
     """A bar on standard error; where that is no terminal, a line for each joint or figure."""
@@ -133,7 +201,7 @@ def _progress_lines() -> Callable[[int, int, str], None]:
     def show(done: int, total: int, what: str) -> None:
         nonlocal shown
         topic = what.split(":")[0]
-        if topic != shown:
+        if topic and topic != shown:
             click.echo(f"[{done}/{total}] {topic}", err=True)
         shown = topic
 

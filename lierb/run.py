@@ -13,6 +13,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba.np.ufunc.parallel import _launch_threads
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
@@ -257,6 +258,14 @@ def _after_fork() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
+
+
+def threading_layer() -> str:
+    """Numba's threading layer, its threads started."""
+    _check_threads()
+    with _driver_lock:
+        _launch_threads()
+    return str(numba.threading_layer())
 
 
 def _check_threads() -> None:

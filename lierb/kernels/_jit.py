@@ -132,13 +132,26 @@ def _cache_lock(dispatcher: Any) -> Iterator[None]:
 
 def _prune(folder: Path, function: Callable[..., Any]) -> None:
     """Delete code that other versions of the sources left behind: no tag can ask for it again."""
-    module = function.__module__.rsplit(".", 1)[-1]
-    mark = folder / f"{module}.{function.__qualname__}.stamp"
+    mark = folder / f"{_stem(function)}.stamp"
     if mark.exists() and mark.read_text() == source_stamp():
         return
-    for entry in folder.glob(f"{module}.{function.__qualname__}-*.nb[ic]"):
+    for entry in folder.glob(f"{_stem(function)}-*.nb[ic]"):
         entry.unlink(missing_ok=True)
     mark.write_text(source_stamp())
+
+
+def cached_kernels(dispatcher: Any) -> list[Path]:
+    """The files of machine code that the disk cache holds for this version of the sources."""
+    folder, stem = Path(dispatcher.stats.cache_path), _stem(dispatcher.py_func)
+    mark = folder / f"{stem}.stamp"
+    if not mark.exists() or mark.read_text() != source_stamp():
+        return []
+    return sorted(folder.glob(f"{stem}-*.nbc"))
+
+
+def _stem(function: Callable[..., Any]) -> str:
+    """How the names of its files in the cache begin."""
+    return f"{function.__module__.rsplit('.', 1)[-1]}.{function.__qualname__}"
 
 
 # ---- formulas in @njit code --------------------------------------------------------------------

@@ -1,0 +1,137 @@
+"""What lierb runs with here, and kernels made ready ahead of time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import llvmlite
+import numba
+import pyarrow as pa
+
+from lierb.api import check_names, integrate
+from lierb.errors import unknown_name
+from lierb.joints import JOINTS, Joint
+from lierb.kernels._jit import cached_kernels
+from lierb.kernels.batch import apply
+from lierb.kernels.driver import integrate_blocks
+from lierb.kernels.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
+from lierb.model import Body, Problem
+from lierb.provenance import machine
+from lierb.run import threading_layer
+from lierb.tableaus import ButcherTableau, tableau_of
+
+VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
+
+
+def info() -> dict[str, Any]:
+    """Versions, CPU, lanes, threads and the disk cache, as plain values; `lierb info` prints them.
+
+    Starts Numba's threads, to see which layer they run on.
+
+    >>> import lierb
+    >>> lierb.info()["lanes"] in (1, 2, 4, 8)
+    True
+    """
+    return {
+        **machine(),
+        "llvmlite": llvmlite.__version__,
+        "pyarrow": pa.__version__,
+        "vectors": [name for name in VECTOR_FEATURES if name in CPU_FEATURES],
+        "fma": HAS_FMA,
+        "lanes": DEFAULT_LANES,
+        "threads": numba.get_num_threads(),
+        "threading_layer": threading_layer(),
+        "cache": _cache(),
+    }
+
+
+def _cache() -> dict[str, Any]:
+    """Where compiled kernels are kept, and those of this version of lierb that are there."""
+    if numba.config.DISABLE_JIT:
+        return {"folder": None, "kernels": 0, "bytes": 0}
+    kernels = [*cached_kernels(integrate_blocks), *cached_kernels(apply)]
+    return {
+        "folder": integrate_blocks.stats.cache_path,
+        "kernels": len(kernels),
+        "bytes": sum(path.stat().st_size for path in kernels),
+    }
+
+
+# ---- warming up ----------------------------------------------------------------------------------
+
+ANY_BODY = Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel that is ready now, and the seconds that it took."""
+
+    joint: str
+    method: str
+    cspace: str
+    update: str
+    seconds: float
+
+
+def warmup(
+    joints: Iterable[str | Joint] = ("spherical",),
+    *,
+    methods: Iterable[str | ButcherTableau] = ("RK4",),
+    cspaces: Iterable[str] = ("SE3",),
+    updates: Iterable[str] = ("local",),
+    solver: str = "auto",
+    multipliers: bool = False,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[Kernel]:
+    """Compile the kernel of every combination, or load it from the disk cache.
+
+    joints : names of the catalogue, or joints.   methods, cspaces, updates, solver : as in
+        `integrate`.   multipliers : for runs that record them; those have kernels of their own.
+    progress : a function of (kernels done, kernels in all, the next one's name).
+
+    A kernel serves every body, frame, gravity, step and batch size. A joint whose motions are no
+    subgroup has no "reduced" kernel: that combination is left out. Raises UnknownNameError.
+
+    >>> import lierb
+    >>> [kernel.joint for kernel in lierb.warmup(["revolute"], methods=["Euler"])]
+    ['revolute']
+    """
+    tell = progress or (lambda done, total, what: None)
+    cspaces, updates = tuple(cspaces), tuple(updates)
+    for cspace, update in product(cspaces, updates):
+        check_names(cspace=cspace, update=update, solver=solver)
+    wanted = [
+        (joint, tableau, cspace, update)
+        for joint, tableau, cspace, update in product(
+            [j if isinstance(j, Joint) else _named(j) for j in joints],
+            [tableau_of(method) for method in methods],
+            cspaces,
+            updates,
+        )
+        if cspace != "reduced" or (joint.subgroup and joint.rows)
+    ]
+    ready: list[Kernel] = []
+    for joint, tableau, cspace, update in wanted:
+        tell(len(ready), len(wanted), f"{joint.name}, {tableau.name}, {cspace}, {update}")
+        began = time.perf_counter()
+        integrate(
+            Problem(ANY_BODY, joint), twist0=(0.0,) * 6, dt=1.0, t_end=1.0, method=tableau,
+            cspace=cspace, update=update, solver="auto" if cspace == "reduced" else solver,
+            save_every=1 if multipliers else None, record=("multipliers",) if multipliers else (),
+            progress=False,
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+        ready.append(Kernel(joint.name, tableau.name, cspace, update, seconds))
+    tell(len(ready), len(wanted), "")
+    return ready
+
+
+def _named(name: str) -> Joint:
+    if name not in JOINTS:
+        raise unknown_name("joint", name, JOINTS)
+    entry = JOINTS[name]
+    return entry(pitch=1.0 if "pitch" in entry.options else None)

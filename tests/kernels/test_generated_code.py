@@ -1,0 +1,90 @@
+"""A look into the machine code of the loop over steps: is it the SIMD code that it should be?"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+
+import numba
+import pytest
+from numba import float64, int64, types
+
+from lierb.joints import JOINTS
+from lierb.kernels.driver import integrate_block
+from lierb.kernels.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
+from lierb.kernels.plan import Plan
+from lierb.tableaus import TABLEAUS
+
+pytestmark = pytest.mark.skipif(
+    not (IS_X86 and HAS_FMA and DEFAULT_LANES >= 4),
+    reason="the patterns are those of x86-64 with AVX and FMA",
+)
+
+# (joint, c-space, solver), and fused multiply–adds that one RK4 step takes at least: the six
+# coordinates of X and V times four stages and the end, and the solver's own.
+PLANS = {
+    "gain": ("spherical", "SE3", "gain", 200),
+    "reduced": ("revolute", "SE3", "reduced", 50),
+    "saddle": ("revolute", "SE3", "saddle", 600),
+    "saddle_so3xr3": ("spherical", "SO3xR3", "saddle", 400),
+}
+LABEL = re.compile(r"(\.?\w+):")
+JUMP = re.compile(r"\tj\w+\t(\.?\w+)")
+OPERATION = re.compile(r"\t(\w+)")
+PACKED_FMA = re.compile(r"vfn?m(add|sub)\d{3}pd")
+
+
+def innermost_loops(assembly: str) -> list[list[str]]:
+    """The operations of every loop that has no other inside, from its label to the jump back."""
+    lines = assembly.splitlines()
+    labels = {m[1]: i for i, line in enumerate(lines) if (m := LABEL.match(line))}
+    spans = {
+        (labels[m[1]], i)
+        for i, line in enumerate(lines)
+        if (m := JUMP.match(line)) and labels.get(m[1], i) < i
+    }
+    inner = [s for s in spans if not any(s[0] <= a and b <= s[1] and (a, b) != s for a, b in spans)]
+    return [[m[1] for x in lines[a : b + 1] if (m := OPERATION.match(x))] for a, b in inner]
+
+
+@pytest.fixture(scope="module", params=PLANS)
+def hot_loop(request) -> tuple[Counter, int]:
+    """How often each operation occurs in the loop over steps, and the FMAs to expect."""
+    joint, cspace, solver, expected = PLANS[request.param]
+    method = TABLEAUS["RK4"]
+    plan = Plan(
+        DEFAULT_LANES, JOINTS[joint].rows, cspace, "local", method.A, method.b,
+        multipliers=False, solver=solver,
+    )  # fmt: skip
+    arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3)]
+    signature = (numba.typeof(plan), *arrays, *[int64] * 5, float64, int64, int64)
+    integrate_block.compile(signature)
+    loops = map(Counter, innermost_loops(integrate_block.inspect_asm(signature)))
+    return max(loops, key=lambda loop: count(loop, PACKED_FMA.pattern)), expected
+
+
+def count(loop: Counter, pattern: str) -> int:
+    return sum(times for operation, times in loop.items() if re.fullmatch(pattern, operation))
+
+
+def test_the_hot_loop_is_made_of_packed_multiply_adds(hot_loop):
+    loop, expected = hot_loop
+    assert count(loop, PACKED_FMA.pattern) >= expected
+
+
+def test_the_hot_loop_computes_on_packs_only(hot_loop):
+    """Scalars are broadcast (constants, the step), never computed with: no `…sd` but of k itself."""
+    loop, _ = hot_loop
+    scalar = r"v(add|sub|mul|div|sqrt|min|max|fn?m(add|sub)\d{3})sd"
+    assert count(loop, scalar) == 0
+
+
+def test_the_hot_loop_calls_nothing(hot_loop):
+    loop, _ = hot_loop
+    assert count(loop, r"callq?") == 0
+
+
+def test_the_hot_loop_fuses_more_than_it_multiplies(hot_loop):
+    """Products that are not fused are those that have nothing to be added to."""
+    loop, _ = hot_loop
+    assert count(loop, PACKED_FMA.pattern) > count(loop, "vmulpd")

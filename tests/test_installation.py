@@ -1,0 +1,121 @@
+"""`lierb.info`, `lierb.warmup` and their commands."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import lierb
+from lierb.errors import UnknownNameError
+
+CliRunner = pytest.importorskip("click.testing").CliRunner
+pytest.importorskip("rich")
+
+from lierb.cli import cli  # noqa: E402
+
+# Says how many kernels the process has compiled, and how many it has found in the disk cache.
+COUNT = """
+from lierb.kernels.driver import integrate_blocks as driver
+print(sum(driver.stats.cache_misses.values()), sum(driver.stats.cache_hits.values()))
+"""
+WARM_UP = "import lierb; lierb.warmup(['revolute'], methods=['Euler'], cspaces=['SO3xR3'])" + COUNT
+INTEGRATE = (
+    """
+import lierb
+body = lierb.Body(2.0, (0.1, 0.2, 0.25))
+top = lierb.Problem(body, lierb.joints.revolute((0.1, 0.2, 0.3), axis=(0, 1, 1)), (0, 0, -9.81))
+twist0 = top.project([(1.0, 2.0, 3.0, 0.0, 0.0, 0.0)] * 5)
+lierb.integrate(top, twist0=twist0, dt=1e-3, t_end=0.1, method="Euler", cspace="SO3xR3",
+                save_every=10, record="state")
+"""
+    + COUNT
+)
+
+
+def run(program, cache):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_warmup_spares_another_process_the_compile(tmp_path):
+    assert run(WARM_UP, tmp_path) == ["1", "0"]
+    assert run(INTEGRATE, tmp_path) == ["0", "1"]
+
+
+def test_warmup_leaves_out_what_does_not_exist():
+    seen = []
+    kernels = lierb.warmup(
+        ["spherical", "universal", lierb.joints.free()],
+        methods=["Euler"],
+        cspaces=["reduced"],
+        progress=lambda *of: seen.append(of),
+    )
+    assert [(k.joint, k.method, k.cspace, k.update) for k in kernels] == [
+        ("spherical", "Euler", "reduced", "local")
+    ]
+    assert kernels[0].seconds > 0.0
+    assert seen == [(0, 1, "spherical, Euler, reduced, local"), (1, 1, "")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        ({"joints": ["sperical"]}, "spherical"),
+        ({"methods": ["RK5"]}, "RK4"),
+        ({"cspaces": ["SE3", "SE2"]}, "SE3"),
+        ({"updates": ["locale"]}, "local"),
+        ({"solver": "saddles"}, "saddle"),
+    ],
+)
+def test_warmup_knows_its_names_before_it_compiles(arguments, hint, monkeypatch):
+    monkeypatch.setattr(lierb.installation, "integrate", None)
+    with pytest.raises(UnknownNameError, match=f"Did you mean '{hint}'"):
+        lierb.warmup(**arguments)
+
+
+def test_info_counts_the_kernels_of_this_version(tmp_path):
+    count = "import lierb; print(lierb.info()['cache']['kernels'])"
+    assert run(count, tmp_path) == ["0"]
+    run(WARM_UP, tmp_path)
+    assert run(count, tmp_path) == ["1"]
+    (stamp,) = tmp_path.rglob("driver.integrate_blocks.stamp")
+    stamp.write_text("another version")
+    assert run(count, tmp_path) == ["0"]
+
+
+def test_info_is_plain_and_complete():
+    found = json.loads(json.dumps(lierb.info()))
+    assert found["lierb"] == lierb.__version__
+    assert found["threads"] >= 1
+    assert found["threading_layer"] in {"omp", "tbb", "workqueue"}
+    assert {"cpu", "vectors", "fma", "numba", "numpy", "pyarrow", "python"} <= found.keys()
+
+
+class TestCommands:
+    def test_info_prints_what_it_knows(self):
+        result = CliRunner().invoke(cli, ["info"])
+        assert result.exit_code == 0, result.output
+        found = lierb.info()
+        for text in (f"lierb {lierb.__version__}", found["cpu"], found["cache"]["folder"]):
+            assert text in result.stdout
+
+    def test_info_as_json_is_info(self):
+        result = CliRunner().invoke(cli, ["info", "--json"])
+        assert json.loads(result.stdout) == lierb.info()
+
+    def test_warmup_lists_every_kernel(self):
+        options = ["--method", "Euler", "--cspace", "SE3", "--cspace", "reduced"]
+        result = CliRunner().invoke(cli, ["warmup", "spherical", *options])
+        assert result.exit_code == 0, result.output
+        for cspace in ("SE3", "reduced"):
+            assert f"spherical, Euler, {cspace}, local" in result.stdout
+        assert "2 kernels are ready" in result.stdout
+
+    def test_warmup_suggests_a_name(self):
+        result = CliRunner().invoke(cli, ["warmup", "sperical"])
+        assert result.exit_code == 1
+        assert result.stderr.endswith("Did you mean 'spherical'?\n")
