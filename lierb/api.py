@@ -40,6 +40,10 @@ CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
 STATUS_DICTIONARY = pa.array([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
+SUMMARY_ORDER = (
+    "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
+    "velocity_error_max", "rotation_rate_error_max", "energy_drift_max", "orthogonality_error_max",
+)  # fmt: skip
 UNITS = {
     "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
     "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
@@ -123,9 +127,12 @@ def integrate(
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
     steps = _checked_grid(dt, t_end, save_every, measure_every)
-    twists = as_numbers("twist0", twist0, (6,))
-    poses = problem.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
-    count = problem.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
+    twists = as_numbers("twist0", twist0, (6,), copy=None)
+    poses = None if pose0 is None else as_poses("pose0", pose0, copy=None)
+    start = (
+        {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
+    )
+    inputs = run.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
     plan = Plan(
@@ -140,11 +147,10 @@ def integrate(
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
     grid = run.Grid(float(dt), steps, *strides)
-    inputs = run.Inputs.of(problem, poses, twists, count)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
-    def check_start(errors: Array) -> None:
-        _report(checks.violation(problem, poses, twists, errors), on_violation)
+    def check_start(errors: Array, first: int) -> None:
+        _report(checks.violation(inputs, errors, first), on_violation)
 
     checked = on_violation != "off" and bool(problem.joint.rows)
     output = run.integrate(
@@ -163,7 +169,7 @@ def integrate(
         },
     )  # fmt: skip
     return Result(
-        _summary_table(output, grid, metadata),
+        _summary_table(output, metadata),
         _errors_table(output, grid, recorded, plan, metadata) if save_every else None,
     )
 
@@ -269,21 +275,15 @@ def _vectors(array: Array) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
 
 
-def _summary_table(output: run.Output, grid: run.Grid, metadata: dict[str, Any]) -> pa.Table:
-    s = output.summary()
-    status = s["status"].astype(np.int8)
+def _summary_table(output: run.Output, metadata: dict[str, Any]) -> pa.Table:
+    scalars = dict(zip(run.SUMMARY_SCALARS, output.scalars, strict=True))
     columns = {
-        "body": pa.array(np.arange(len(status), dtype=np.int64)),
-        "status": pa.DictionaryArray.from_arrays(status, STATUS_DICTIONARY),
-        "t": pa.array(np.where(status == OK, grid.steps, s["failed_step"]) * grid.dt),
+        "body": pa.array(np.arange(len(output.status), dtype=np.int64)),
+        "status": pa.DictionaryArray.from_arrays(output.status, STATUS_DICTIONARY),
+        "t": pa.array(output.t),
     }
-    scalars = (
-        "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
-        "velocity_error_max", "rotation_rate_error_max", "energy_drift_max",
-        "orthogonality_error_max",
-    )  # fmt: skip
-    columns |= {name: pa.array(s[name]) for name in scalars}
-    columns |= {name: _vectors(s[name]) for name in run.STATE_WIDTHS}
+    columns |= {name: pa.array(scalars[name]) for name in SUMMARY_ORDER}
+    columns |= {name: _vectors(a) for name, a in zip(run.STATE_WIDTHS, output.state, strict=True)}
     return _table(columns, metadata, {})
 
 

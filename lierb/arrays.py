@@ -5,6 +5,7 @@ Componentwise arithmetic gives a body the same bits alone and in any batch; `mat
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,19 +17,23 @@ from lierb.kernels.vec import Mat, Vec, dot, mat_t_mat
 Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
+SLICE = 16384  # bodies looked at together: bounds the memory of checks
 ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoever made R
 
 
-def as_numbers(argument: str, value: ArrayLike, *tails: tuple[int, ...]) -> Array:
+def as_numbers(
+    argument: str, value: ArrayLike, *tails: tuple[int, ...], copy: bool | None = True
+) -> Array:
     """`value` as float64 with a shape that ends in one of `tails`, after at most one batch axis.
 
-    A copy that nobody writes to: what was checked stays so.
+    A copy that nobody writes to, so that what was checked stays so; with copy=None a view of the
+    caller's own array where it is float64, for use within a call.
     """
     try:
         given = np.asarray(value)
         if np.iscomplexobj(given):
             raise TypeError("complex")
-        array = np.array(given, dtype=np.float64)
+        array = np.array(given, dtype=np.float64, copy=copy).view()
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
     array.setflags(write=False)
@@ -41,13 +46,20 @@ def as_numbers(argument: str, value: ArrayLike, *tails: tuple[int, ...]) -> Arra
         raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}")
     if array.size == 0:
         raise ArgumentError(f"{argument} has shape {array.shape}: a batch of no bodies")
-    finite = np.isfinite(array)
-    if not finite.all():
-        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+    if not all(np.isfinite(part).all() for part in _slices(array)):
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ArgumentError(
             f"{argument}{list(where) if where else ''} is {array[where]}; expected finite numbers"
         )
     return array
+
+
+def _slices(array: Array) -> Iterator[Array]:
+    """The array along its first axis, in parts whose temporaries are small."""
+    if array.ndim == 0:
+        yield array
+    for start in range(0, len(array) if array.ndim else 0, SLICE):
+        yield array[start : start + SLICE]
 
 
 def _shape(sizes: tuple[Any, ...]) -> str:
@@ -100,13 +112,13 @@ def pose_matrix(pose: Pose) -> Array:
     return matrix
 
 
-def as_poses(argument: str, value: Any) -> Array:
+def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     """4×4 rigid motions from arrays or from SciPy's `RigidTransform` or `Rotation`."""
     if hasattr(value, "as_matrix"):
         value = value.as_matrix()
         if value.shape[-2:] == (3, 3):  # a Rotation: about the origin
             value = pose_matrix((components(value, 2), (0.0, 0.0, 0.0)))
-    poses = as_numbers(argument, value, (4, 4))
+    poses = as_numbers(argument, value, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     off = np.flatnonzero((poses[..., 3, :] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
     if off.size:
@@ -117,16 +129,23 @@ def as_poses(argument: str, value: Any) -> Array:
 
 def check_rotations(argument: str, matrices: Array) -> None:
     """Raise unless each is orthogonal and right-handed."""
+    first = 0
+    for part in _slices(matrices.reshape(-1, 3, 3)):
+        _check_rotations(argument, part, first, matrices.size // 9)
+        first += len(part)
+
+
+def _check_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
     r = components(matrices, 2)
     gram = mat_t_mat(r, r)
     excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(gram))
-    errors = np.atleast_1d(np.sqrt(dot(excess, excess)))
-    handed = np.atleast_1d(np.linalg.det(matrices))
+    errors = np.sqrt(dot(excess, excess))
+    handed = np.linalg.det(matrices)
     bad = np.flatnonzero((errors > ROTATION_TOLERANCE) | (handed < 0.0))
     if bad.size:
-        first = int(bad[0])
-        label = body_label(argument, first, errors.size)
-        what = "is a reflection" if handed[first] < 0.0 else f"has ‖RᵀR − I‖ = {errors[first]:.2g}"
+        body = int(bad[0])
+        what = "is a reflection" if handed[body] < 0.0 else f"has ‖RᵀR − I‖ = {errors[body]:.2g}"
         raise PoseError(
-            f"the rotation of {label} {what}; expected a rotation matrix to {ROTATION_TOLERANCE:g}"
+            f"the rotation of {body_label(argument, first + body, count)} {what}; "
+            f"expected a rotation matrix to {ROTATION_TOLERANCE:g}"
         )

@@ -9,6 +9,7 @@ import numpy as np
 from lierb.arrays import Array, components, pose_components
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.joints import Joint
+from lierb.kernels import se3
 from lierb.kernels.constraints import (
     Row,
     jacobian,
@@ -21,6 +22,7 @@ from lierb.kernels.newton_euler import SE3, Kinematics, Parameters
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
+from lierb.run import Inputs
 
 TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 
@@ -34,18 +36,17 @@ def require_central_com(problem: Problem) -> None:
         )
 
 
-def violation(
-    problem: Problem, poses: Array, twists: Array, start_columns: Array
-) -> LierbError | None:
-    """The first body's violation of the joint, as an error to raise or to warn of.
+def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbError | None:
+    """The first violation of the joint, as an error to raise or to warn of.
 
-    start_columns : START_COLUMNS of every body, [column][body], as the driver found them.
+    start_columns : START_COLUMNS of the bodies from number `first` on, [column][body].
     """
-    errors, cosines = start_columns[:4], start_columns[4:][_held_axes(problem.joint.rows)]
+    rows = inputs.problem.joint.rows
+    errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
     suspects = ~(errors <= TOLERANCE).all(axis=0) | (cosines <= 0.0).any(axis=0)
     for body in np.flatnonzero(suspects).tolist():
         with np.errstate(all="ignore"):
-            found = _violation_of(problem, poses, twists, body, errors.shape[1])
+            found = _violation_of(inputs, first + body)
         if found is not None:  # else it is at the tolerance, to rounding
             return found
     return None
@@ -57,27 +58,28 @@ def _held_axes(rows: tuple[Row, ...]) -> list[int]:
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 
-def _violation_of(
-    problem: Problem, poses: Array, twists: Array, number: int, count: int
-) -> LierbError | None:
+def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
+    joint = inputs.problem.joint
 
     def own(parts: Any) -> Any:
         if isinstance(parts, tuple):
             return tuple(map(own, parts))
         return float(parts.reshape(-1)[number if parts.size > 1 else 0])
 
-    parameters = Parameters(*map(own, problem.parameters()))
-    pose, twist = own(pose_components(poses)), own(components(twists))
+    parameters = Parameters(*map(own, inputs.problem.parameters()))
+    if inputs.poses is None:
+        pose = se3.compose(parameters.ground, se3.inverse(parameters.body))
+    else:
+        pose = own(pose_components(inputs.poses))
+    twist = own(components(inputs.twists))
     body = SE3.body(parameters)
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)
+    labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
     return _pose_violation(
-        problem.joint, x, body.pitch, 1.0 + norm(pose[1]), body_label("pose0", number, count)
-    ) or _twist_violation(
-        problem.joint, x, body.pitch, velocity, 1.0 + norm(twist),
-        body_label("twist0", number, count),
-    )  # fmt: skip
+        joint, x, body.pitch, 1.0 + norm(pose[1]), labels[0]
+    ) or _twist_violation(joint, x, body.pitch, velocity, 1.0 + norm(twist), labels[1])
 
 
 def _pose_violation(

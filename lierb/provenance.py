@@ -40,7 +40,7 @@ def machine() -> dict[str, Any]:
 
 
 def provenance(
-    problem: Problem, *, twist0: Array, pose0: Array, plan: Plan, options: dict[str, Any]
+    problem: Problem, *, twist0: Array, pose0: Array | None, plan: Plan, options: dict[str, Any]
 ) -> dict[str, Any]:
     joint = problem.joint
     return {
@@ -59,7 +59,7 @@ def provenance(
             "body_frame": _described(joint.body_frame),
             "pitch": _described(joint.pitch),
             "twist0": _described(twist0),
-            "pose0": _described(pose0),
+            "pose0": None if pose0 is None else _described(pose0),
         },
         "units": "SI: kg, m, s, rad, N, N m, J",
     }
@@ -68,5 +68,5 @@ def provenance(
 def _described(array: Array) -> Any:
     if array.size <= LISTED:
         return array.tolist()
-    digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+    digest = hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
     return {"shape": list(array.shape), "sha256": digest}

@@ -9,20 +9,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
 from numba.np.ufunc.parallel import _launch_threads
+from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
+from lierb.joints import closing
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
     ERROR_COLUMNS,
     INPUT_COLUMNS,
     INPUT_WIDTHS,
+    OK,
     START_COLUMNS,
     SUMMARY_COLUMNS,
     integrate_blocks,
@@ -35,7 +37,6 @@ Progress = bool | Callable[[int, int], None] | None
 SUMMARY_SCALARS = (
     "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
     "orthogonality_error_max", "energy_drift_max", "position_error_final", "rotation_error_final",
-    "first_energy", "status", "failed_step",
 )  # fmt: skip
 STATE_WIDTHS = {"R": 9, "r": 3, "omega": 3, "v": 3}
 
@@ -56,52 +57,62 @@ class Grid:
     measure_every: int
     save_every: int
 
-    def saved_steps(self) -> Any:
-        if not self.save_every:
-            return np.empty(0, dtype=np.int64)
-        return np.unique(np.append(np.arange(0, self.steps, self.save_every), self.steps))
+    @property
+    def saved_rows(self) -> int:
+        return -(-self.steps // self.save_every) + 1 if self.save_every else 0
+
+    def saved_steps(self) -> NDArray[np.int64]:
+        return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything about every body, as (1, width) where shared and (n, width) where batched."""
+    """Everything about every body, as given; packed chunk by chunk, never copied as a whole.
 
-    columns: tuple[Array, ...]
+    poses : (4, 4) or (n, 4, 4); None for the closed joint.   twists : (6,) or (n, 6).
+    """
+
+    problem: Problem
+    poses: Array | None
+    twists: Array
     count: int
-
-    @classmethod
-    def of(cls, problem: Problem, poses: Array, twists: Array, count: int) -> Inputs:
-        parts = {
-            "mass": problem.body.mass,
-            "inertia": problem.body.inertia,
-            "com": problem.body.com,
-            "gravity": problem.gravity,
-            "ground_frame": _flat_pose(problem.joint.ground_frame),
-            "body_frame": _flat_pose(problem.joint.body_frame),
-            "pitch": problem.joint.pitch,
-            "pose": _flat_pose(poses),
-            "twist": twists,
-        }
-        return cls(tuple(parts[name].reshape(-1, w) for name, w in INPUT_WIDTHS.items()), count)
 
     def packed(self, start: int, stop: int, width: int) -> Array:
         """Bodies start … stop as [column][body], the last one repeated up to `width`."""
+
+        def own(array: Array, item_axes: int = 0) -> Array:
+            return array[start:stop] if array.ndim > item_axes and len(array) > 1 else array
+
+        body, joint = self.problem.body, self.problem.joint
+        ground, held = own(joint.ground_frame, 2), own(joint.body_frame, 2)
+        if self.poses is not None:
+            poses = own(self.poses, 2)
+        elif ground.ndim == held.ndim == 2:
+            poses = joint.closed_pose
+        else:
+            poses = closing(ground, held)
+        parts = {
+            "mass": own(body.mass),
+            "inertia": own(body.inertia, 2),
+            "com": own(body.com, 1),
+            "gravity": own(self.problem.gravity, 1),
+            "ground_frame": ground.reshape(-1, 16)[:, POSE_ENTRIES],
+            "body_frame": held.reshape(-1, 16)[:, POSE_ENTRIES],
+            "pitch": own(joint.pitch),
+            "pose": poses.reshape(-1, 16)[:, POSE_ENTRIES],
+            "twist": own(self.twists, 1),
+        }
         packed = np.empty((INPUT_COLUMNS, width))
         first = 0
-        for column in self.columns:
-            part = column if len(column) == 1 else column[start:stop]
-            place = packed[first : first + column.shape[1]]
-            place[:, : stop - start] = part.T
-            place[:, stop - start :] = part[-1:].T
-            first += column.shape[1]
+        for name, columns in INPUT_WIDTHS.items():
+            part = parts[name].reshape(-1, columns)
+            packed[first : first + columns, : stop - start] = part.T
+            packed[first : first + columns, stop - start :] = part[-1:].T
+            first += columns
         return packed
 
 
-def _flat_pose(poses: Array) -> Array:
-    flat: Array = np.concatenate(
-        [poses[..., :3, :3].reshape(*poses.shape[:-2], 9), poses[..., :3, 3]], axis=-1
-    )
-    return flat
+POSE_ENTRIES = [0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11]  # of a 4×4 matrix: R row by row, then r
 
 
 @dataclass(frozen=True)
@@ -131,19 +142,26 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Output:
-    """Results of a run: [column][body], state columns [body][component], histories
-    [column][time][body] and [time][body][component]."""
+    """Results of a run, as they become Arrow columns.
 
+    status, t (s), scalars : [body].   state : [body][component].
+    errors : [column][time][body].   states, multipliers : [time][body][component].
+    """
+
+    status: NDArray[np.int8]
+    t: Array
     scalars: Array  # in the order of SUMMARY_SCALARS
-    state: tuple[Array, ...]  # in the order of STATE_WIDTHS; so is `states`
+    state: tuple[Array, ...]  # in the order of STATE_WIDTHS, and so is `states`
     errors: Array
     states: tuple[Array, ...]
     multipliers: Array
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
-        rows = len(grid.saved_steps())
+        rows = grid.saved_rows
         return cls(
+            np.empty(count, dtype=np.int8),
+            np.empty(count),
             np.empty((len(SUMMARY_SCALARS), count)),
             tuple(np.empty((count, width)) for width in STATE_WIDTHS.values()),
             np.empty((len(ERROR_COLUMNS), rows, count)),
@@ -155,15 +173,15 @@ class Output:
     def histories(self) -> tuple[Array, ...]:
         return (self.errors, *self.states, self.multipliers)
 
-    def summary(self) -> dict[str, Array]:
-        named = zip((*SUMMARY_SCALARS, *STATE_WIDTHS), (*self.scalars, *self.state), strict=True)
-        return dict(named)
-
-    def take(self, chunk: Chunk) -> None:
+    def take(self, chunk: Chunk, grid: Grid) -> None:
         """Keep a finished chunk's summary."""
         bodies, found = slice(chunk.start, chunk.stop), chunk.found
         first = len(SUMMARY_SCALARS)
         self.scalars[:, bodies] = found[:first]
+        _first_energy, status, failed_step = found[first : first + 3]
+        self.status[bodies] = status
+        self.t[bodies] = np.where(status == OK, grid.steps, failed_step) * grid.dt
+        first += 3
         for array in self.state:
             array[bodies] = found[first : first + array.shape[1]].T
             first += array.shape[1]
@@ -176,18 +194,20 @@ def integrate(
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
-    check: Callable[[Array], None] | None = None,
+    check: Callable[[Array, int], None] | None = None,
 ) -> Output:
-    """Run every body to the end, chunk by chunk, after `check` has seen all bodies' START_COLUMNS.
+    """Run every body to the end, chunk by chunk, after `check` has seen how all of them start.
 
-    `check` gets them as [column][body], and raises if it does not like them.
+    check : a function of a chunk's START_COLUMNS, [column][body], and the number of its first body.
     """
     _check_threads()
     output = Output.empty(plan, inputs.count, grid, with_state)
     chunks = _Chunks(inputs, plan.lanes)
     with _threads(threads, -(-inputs.count // plan.lanes)):
         if check is not None:
-            check(_start_errors(plan, chunks, output, grid))
+            for chunk in chunks:
+                _call_driver(plan, chunk, output, grid, 0, 0)
+                check(chunk.found[: len(START_COLUMNS)], chunk.start)
         with _reporter(progress, inputs.count * grid.steps) as report:
             for chunk in chunks:
                 for done in _run_chunk(plan, chunk, grid, output):
@@ -208,14 +228,6 @@ class _Chunks:
             yield Chunk.of(self.inputs, start, self.lanes)
 
 
-def _start_errors(plan: Plan, chunks: _Chunks, output: Output, grid: Grid) -> Array:
-    errors = np.empty((len(START_COLUMNS), chunks.inputs.count))
-    for chunk in chunks:
-        _call_driver(plan, chunk, output, grid, 0, 0)
-        errors[:, chunk.start : chunk.stop] = chunk.found[: len(START_COLUMNS)]
-    return errors
-
-
 def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output) -> Iterator[int]:
     """Run a chunk to the end; yields the steps done after each call of the driver."""
     begin, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
@@ -224,7 +236,7 @@ def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output) -> Iterator
         seconds = _call_driver(plan, chunk, output, grid, begin, end)
         begin, ahead = end, max(1, int(CALL_SECONDS / seconds * (end - begin)))
         yield begin
-    output.take(chunk)
+    output.take(chunk, grid)
 
 
 def _call_driver(

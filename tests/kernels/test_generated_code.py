@@ -73,7 +73,7 @@ def test_the_hot_loop_is_made_of_packed_multiply_adds(hot_loop):
 
 
 def test_the_hot_loop_computes_on_packs_only(hot_loop):
-    """Scalars are broadcast (constants, the step), never computed with: no `…sd` but of k itself."""
+    """Scalars are broadcast (constants, the step), never computed with."""
     loop, _ = hot_loop
     scalar = r"v(add|sub|mul|div|sqrt|min|max|fn?m(add|sub)\d{3})sd"
     assert count(loop, scalar) == 0
