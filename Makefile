@@ -12,11 +12,11 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help install demo test lint bench clean
+.PHONY: help install demo test lint bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  %-9s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  %-12s %s\n", $$1, $$2}' $(firstword $(MAKEFILE_LIST))
 
 install: $(VENV)/.dev  ## make the environment in .venv, with everything for development
 
@@ -31,8 +31,11 @@ lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-bench: $(VENV)/.dev  ## run the benchmarks
-	$(BIN)/python -m pytest bench --benchmark-only $(ARGS)
+bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare with the last run
+	$(BIN)/python bench/track.py $(ARGS)
+
+bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the tables
+	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
 
 clean:  ## remove what make made: the environment, results, caches, builds
 	rm -rf $(VENV) results build dist .benchmarks .coverage htmlcov
@@ -42,7 +45,8 @@ clean:  ## remove what make made: the environment, results, caches, builds
 # Each stamp is redone when pyproject.toml changes, and only then.
 $(VENV)/.demo: EXTRAS := cli,plot
 $(VENV)/.dev: EXTRAS := dev
-$(VENV)/.demo $(VENV)/.dev: pyproject.toml
+$(VENV)/.peers: EXTRAS := dev,peers
+$(VENV)/.demo $(VENV)/.dev $(VENV)/.peers: pyproject.toml
 	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
 		echo "lierb needs Python 3.11 to 3.14, and '$(or $(PYTHON),python3)' is not one." >&2; \
 		echo "Name one that is:  make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }

@@ -1,4 +1,4 @@
-"""From the start of a process to its first result: disk cache warm, and empty."""
+"""What a user waits for: a process's first result, and a call with next to nothing to do."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from bench_integrate import integrated, problem_of
 
 PROGRAM = """
 import lierb
@@ -28,4 +29,11 @@ def test_first_result(cache, benchmark, tmp_path_factory):
 
     warm = tmp_path_factory.mktemp("numba")
     start(os.environ | {"NUMBA_CACHE_DIR": str(warm)})
-    benchmark.pedantic(start, setup=environment, rounds=3)
+    benchmark.pedantic(start, setup=environment, rounds=3 if cache == "cold" else 7)
+
+
+@pytest.mark.parametrize("threads", [1, None])
+def test_one_body_ten_steps(threads, benchmark):
+    run = integrated(problem_of("spherical", "tilted", 1), steps=10, threads=threads)
+    run()
+    benchmark.pedantic(run, rounds=500, iterations=1)

@@ -26,7 +26,7 @@ from lierb.joints import JOINTS
 from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import Plan
+from lierb.kernels.plan import Plan, block_lanes
 from lierb.model import Problem
 from lierb.provenance import provenance
 from lierb.tableaus import ButcherTableau, tableau_of
@@ -135,15 +135,16 @@ def integrate(
     inputs = run.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
+    found_by = _solver(problem, cspace, check, solver)
     plan = Plan(
-        lanes=DEFAULT_LANES,
+        lanes=block_lanes(DEFAULT_LANES, found_by, len(problem.joint.rows), tableau.stages),
         rows=problem.joint.rows,
         cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
         update=update,
         stages=tableau.A,  # type: ignore[arg-type]
         weights=tableau.b,  # type: ignore[arg-type]
         multipliers="multipliers" in recorded,
-        solver=_solver(problem, cspace, check, solver),
+        solver=found_by,
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
     grid = run.Grid(float(dt), steps, *strides)

@@ -178,6 +178,10 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
             return signature(seen[args], *args)
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        # Otherwise packs that leave the registers lie across cache lines: LLVM aligns the stack to
+        # 16 bytes only, unless told so before it knows what it will spill.
+        builder.function.attributes.alignstack = 64
+        builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
         traced = [_to_trace(context, builder, t, v) for t, v in zip(sig.args, values, strict=True)]
         return _from_trace(context, builder, sig.return_type, evaluated(*traced))
 

@@ -4,10 +4,11 @@
     a₁ = a′/θ          b₁ = b′/θ
     c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
 
-Three forms, each where it loses nothing: five Taylor terms below 0.1 rad (a time step's angles); up
-to π the entire alternating series with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms
-above. The usual test against a tiny ε would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are
-off by factors of 150 and 1900. `tests/kernels/test_coefficients.py` measures the errors.
+Each form where it loses nothing: five Taylor terms below 0.1 rad and eight below 0.5 rad (a time
+step's angles: RK4, and DOP853 or a spinning top); up to π the entire alternating series with
+2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms above. The usual test against a tiny ε
+would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of 150 and 1900.
+`tests/kernels/test_coefficients.py` measures the errors.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from lierb.kernels.arithmetic import (
 from lierb.kernels.arithmetic import absolute as abs_
 
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
+MEDIUM = 0.5**2  # and eight
 SERIES = PI**2  # θ² up to which the entire series is used
 
 
@@ -47,17 +49,17 @@ def _alternating(terms: int, term: Any) -> tuple[float, ...]:
     return tuple(float((-1) ** k * Fraction(term(k))) for k in range(terms))
 
 
-SINC_TERMS = _alternating(5, lambda k: Fraction(1, factorial(2 * k + 1)))
+SINC_TERMS = _alternating(8, lambda k: Fraction(1, factorial(2 * k + 1)))
 A_TERMS = _alternating(14, lambda k: Fraction(1, factorial(2 * k + 2)))
 B_TERMS = _alternating(13, lambda k: Fraction(1, factorial(2 * k + 3)))
 A1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 4)))
 B1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 5)))
 E_TERMS = _alternating(12, lambda k: Fraction(2 * k + 2, factorial(2 * k + 6)))  # e = 2a c₁
 
-# c₀ = Σ |B₂ₖ₊₂| zᵏ/(2k+2)!, with the Bernoulli numbers |B₂| … |B₁₂|
-_BERNOULLI = [Fraction(*q) for q in ((1, 6), (1, 30), (1, 42), (1, 30), (5, 66), (691, 2730))]
-_C0 = [number / factorial(2 * k + 2) for k, number in enumerate(_BERNOULLI)]
-C0_TERMS = tuple(float(c) for c in _C0[:5])
+# c₀ = Σ |B₂ₖ₊₂| zᵏ/(2k+2)!, with the Bernoulli numbers |B₂| … |B₁₈|
+_BERNOULLI = "1/6 1/30 1/42 1/30 5/66 691/2730 7/6 3617/510 43867/798".split()
+_C0 = [Fraction(number) / factorial(2 * k + 2) for k, number in enumerate(_BERNOULLI)]
+C0_TERMS = tuple(float(c) for c in _C0[:8])
 C1_TERMS = tuple(float(2 * (k + 1) * c) for k, c in enumerate(_C0[1:]))
 
 
@@ -75,20 +77,22 @@ def coefficients(z: Any) -> Coefficients:
     A caller takes what it needs: what is left over is dropped when the formula is compiled.
     """
     small = z < SMALL
-    every = branch(all_lanes(small), lambda: _short(z), lambda: where(small, _short(z), _long(z)))
-    return Coefficients(*every)
+
+    def beyond_small() -> Any:
+        medium = z < MEDIUM
+        larger = branch(
+            all_lanes(medium),
+            lambda: _taylor(z, 8),
+            lambda: where(medium, _taylor(z, 8), _long(z)),
+        )
+        return where(small, _taylor(z, 5), larger)
+
+    return Coefficients(*branch(all_lanes(small), lambda: _taylor(z, 5), beyond_small))
 
 
-def _short(z: Any) -> tuple[Any, ...]:
-    return (
-        horner(z, SINC_TERMS),
-        horner(z, A_TERMS[:5]),
-        horner(z, B_TERMS[:5]),
-        horner(z, A1_TERMS[:5]),
-        horner(z, B1_TERMS[:5]),
-        horner(z, C0_TERMS),
-        horner(z, C1_TERMS),
-    )
+def _taylor(z: Any, terms: int) -> tuple[Any, ...]:
+    series = (SINC_TERMS, A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
+    return tuple(horner(z, coefficients[:terms]) for coefficients in series)
 
 
 def _long(z: Any) -> tuple[Any, ...]:

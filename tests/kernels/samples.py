@@ -15,7 +15,7 @@ from lierb.kernels.arithmetic import flatten
 from lierb.kernels.batch import GROUPS, SIGNATURES
 from lierb.kernels.zero import is_zero
 
-CUTOVERS = (0.1, np.pi)  # rad: series of five terms, long series, closed forms
+CUTOVERS = (0.1, 0.5, np.pi)  # rad: series of five terms, of eight, long series, closed forms
 NUMBER_TYPES = ("lanes", "arrays", "floats")
 LINEAR = ("Ad", "ad", "dexp", "dexpinv")  # in their second argument
 

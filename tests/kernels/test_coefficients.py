@@ -96,7 +96,11 @@ def test_coefficients_at_zero_are_the_limits(number_type):
 
 
 def test_coefficients_cut_over_where_the_tests_are_dense():
-    assert pytest.approx(CUTOVERS, rel=1e-15) == [module.SMALL**0.5, module.SERIES**0.5]
+    assert pytest.approx(CUTOVERS, rel=1e-15) == [
+        module.SMALL**0.5,
+        module.MEDIUM**0.5,
+        module.SERIES**0.5,
+    ]
 
 
 @every_number

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from types import SimpleNamespace
 
 import numba
 import pytest
@@ -12,7 +13,7 @@ from numba import float64, int64, types
 from lierb.joints import JOINTS
 from lierb.kernels.driver import integrate_block
 from lierb.kernels.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
-from lierb.kernels.plan import Plan
+from lierb.kernels.plan import Plan, block_lanes
 from lierb.tableaus import TABLEAUS
 
 pytestmark = pytest.mark.skipif(
@@ -20,8 +21,8 @@ pytestmark = pytest.mark.skipif(
     reason="the patterns are those of x86-64 with AVX and FMA",
 )
 
-# (joint, c-space, solver), and fused multiply–adds that one RK4 step takes at least: the six
-# coordinates of X and V times four stages and the end, and the solver's own.
+# (joint, c-space, solver), and fused multiply–adds that one RK4 step takes on a pack at least:
+# the coordinates of X and V times four stages and the end, and the solver's own.
 PLANS = {
     "gain": ("spherical", "SE3", "gain", 200),
     "reduced": ("revolute", "SE3", "reduced", 50),
@@ -48,19 +49,21 @@ def innermost_loops(assembly: str) -> list[list[str]]:
 
 
 @pytest.fixture(scope="module", params=PLANS)
-def hot_loop(request) -> tuple[Counter, int]:
-    """How often each operation occurs in the loop over steps, and the FMAs to expect."""
+def hot_loop(request) -> SimpleNamespace:
+    """How often each operation occurs in the loop over steps, and the FMAs to expect there."""
     joint, cspace, solver, expected = PLANS[request.param]
     method = TABLEAUS["RK4"]
     plan = Plan(
-        DEFAULT_LANES, JOINTS[joint].rows, cspace, "local", method.A, method.b,
-        multipliers=False, solver=solver,
+        block_lanes(DEFAULT_LANES, solver, len(JOINTS[joint].rows), method.stages),
+        JOINTS[joint].rows, cspace, "local", method.A, method.b, multipliers=False, solver=solver,
     )  # fmt: skip
     arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3)]
     signature = (numba.typeof(plan), *arrays, *[int64] * 5, float64, int64, int64)
     integrate_block.compile(signature)
-    loops = map(Counter, innermost_loops(integrate_block.inspect_asm(signature)))
-    return max(loops, key=lambda loop: count(loop, PACKED_FMA.pattern)), expected
+    assembly = integrate_block.inspect_asm(signature)
+    loops = map(Counter, innermost_loops(assembly))
+    hottest = max(loops, key=lambda loop: count(loop, PACKED_FMA.pattern))
+    return SimpleNamespace(assembly=assembly, operations=hottest, expected=expected)
 
 
 def count(loop: Counter, pattern: str) -> int:
@@ -68,23 +71,24 @@ def count(loop: Counter, pattern: str) -> int:
 
 
 def test_the_hot_loop_is_made_of_packed_multiply_adds(hot_loop):
-    loop, expected = hot_loop
-    assert count(loop, PACKED_FMA.pattern) >= expected
+    assert count(hot_loop.operations, PACKED_FMA.pattern) >= hot_loop.expected
 
 
 def test_the_hot_loop_computes_on_packs_only(hot_loop):
     """Scalars are broadcast (constants, the step), never computed with."""
-    loop, _ = hot_loop
     scalar = r"v(add|sub|mul|div|sqrt|min|max|fn?m(add|sub)\d{3})sd"
-    assert count(loop, scalar) == 0
+    assert count(hot_loop.operations, scalar) == 0
 
 
 def test_the_hot_loop_calls_nothing(hot_loop):
-    loop, _ = hot_loop
-    assert count(loop, r"callq?") == 0
+    assert count(hot_loop.operations, r"callq?") == 0
 
 
 def test_the_hot_loop_fuses_more_than_it_multiplies(hot_loop):
     """Products that are not fused are those that have nothing to be added to."""
-    loop, _ = hot_loop
+    loop = hot_loop.operations
     assert count(loop, PACKED_FMA.pattern) > count(loop, "vmulpd")
+
+
+def test_packs_that_leave_the_registers_stay_within_cache_lines(hot_loop):
+    assert re.search(r"andq\t\$-64, %rsp", hot_loop.assembly)
