@@ -1,0 +1,93 @@
+"""lierb itself, through its public face, at the settings of the tables: maxima every 10 steps.
+
+`…-tilted` is the same top described the hard way: axes of body and joint turned, full inertia, every
+body with joint frames of its own. `…-revolute` turns about the body's e₂ (of ω₀ that part);
+`…-universal` keeps the body's e₂ perpendicular to the ground's e₃ (of ω₀ the second and third).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+import lierb
+from peers import heavy_top as top
+from peers.heavy_top import Final, Form
+
+FORMS = {
+    "reduced": Form("reduced", 65536, "lierb, reduced"),
+    "gain": Form("reduced", 65536, "lierb, SE(3), constant gain"),
+    "reduced-dop853": Form(
+        "reduced", 65536, "lierb, reduced, DOP853", accuracy=1 / 48,
+        accuracies=(1 / 12, 1 / 24, 1 / 48, 1 / 72, 1 / 96, 1 / 144, 1 / 192),
+    ),
+    "saddle": Form("general", 16384, "lierb, SE(3), saddle point"),
+    "saddle-so3xr3": Form("general", 16384, "lierb, SO(3)×ℝ³, saddle point"),
+    **{
+        name: Form(family, bodies, f"lierb, {name}", accuracies=(), threads=(1,))
+        for name, family, bodies in (
+            ("reduced-tilted", "reduced", 65536), ("gain-tilted", "reduced", 65536),
+            ("saddle-tilted", "general", 16384),
+            ("saddle-revolute", "general", 16384), ("saddle-revolute-tilted", "general", 16384),
+            ("saddle-universal", "general", 16384), ("saddle-universal-tilted", "general", 16384),
+        )
+    },
+}  # fmt: skip
+OPTIONS = {
+    "reduced": {"cspace": "reduced"},
+    "gain": {},
+    "reduced-dop853": {"cspace": "reduced", "method": "DOP853"},
+    "saddle": {"solver": "saddle"},
+    "saddle-so3xr3": {"cspace": "SO3xR3"},
+}
+# The joint frame in the ground, its axes as columns, and the part of ω₀ that the joint allows.
+JOINTS = {
+    "spherical": (np.eye(3), (1, 1, 1)),
+    "revolute": (np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), (0, 1, 0)),
+    "universal": (np.eye(3), (0, 1, 1)),
+}
+TURN = lierb.lie.so3.exp((0.7, -0.4, 1.1))
+
+
+def available() -> str:
+    return ""
+
+
+def config() -> dict[str, object]:
+    from lierb.provenance import machine
+
+    return {**machine(), "measure_every": 10}
+
+
+def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callable[[], Final]:
+    words = form.split("-")
+    name = next((word for word in words if word in JOINTS), "spherical")
+    turn = TURN if "tilted" in words else np.eye(3)  # the body's axes, seen from the principal ones
+    axes, allowed = JOINTS[name]
+    ground, pose0 = np.eye(4), np.eye(4)
+    ground[:3, :3] = TURN @ axes if name == "spherical" and "tilted" in words else axes
+    pose0[:3, :3], pose0[:3, 3] = turn, top.CENTRE
+    held = np.linalg.inv(pose0) @ ground
+    if "tilted" in words:
+        ground, held = (np.tile(frame, (len(omega0), 1, 1)) for frame in (ground, held))
+    joint = getattr(lierb.joints, name)(ground_frame=ground, body_frame=held)
+    body = lierb.Body(top.MASS, turn.T @ np.diag(top.INERTIA) @ turn)
+    problem = lierb.Problem(body, joint, top.GRAVITY)
+    twist0 = joint.twist(omega=(omega0 * allowed) @ turn)
+    options = OPTIONS["-".join(w for w in words if w not in JOINTS and w != "tilted")]
+    steps = round(top.T_END / accuracy)
+
+    def integrate() -> Final:
+        summary = lierb.integrate(
+            problem, twist0=twist0, dt=top.T_END / steps, t_end=top.T_END, measure_every=10,
+            threads=threads, progress=False, **options,
+        ).summary  # fmt: skip
+        centre, omega = (_vectors(summary[name]) for name in ("r", "omega"))
+        return Final(centre, omega @ turn.T)
+
+    return integrate
+
+
+def _vectors(column) -> np.ndarray:
+    return column.combine_chunks().flatten().to_numpy().reshape(-1, 3)
