@@ -14,7 +14,19 @@ from typing import Any, NamedTuple
 from lierb.kernels.arithmetic import PI, fma, rint, where
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.newton_euler import Kinematics
-from lierb.kernels.vec import UNIT, ZERO3, Vec, axpy, column, cross, dot, mat_t_vec, row, sub
+from lierb.kernels.vec import (
+    UNIT,
+    ZERO3,
+    Vec,
+    axpy,
+    column,
+    cross,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    row,
+    sub,
+)
 from lierb.kernels.zero import ZERO
 
 
@@ -57,6 +69,8 @@ def jacobian(r: Row, x: Kinematics, pitch: Any) -> Vec:
         return UNIT[r.i] + ZERO3
     if r.kind == "Q":
         return cross(UNIT[r.j], row(x.q, r.i)) + ZERO3
+    if r.kind == "point":
+        return cross(x.arm, UNIT[r.i]) + x.translation(column(x.q, r.i), UNIT[r.i])
     if r.kind == "Qtd":
         direction = UNIT[r.i]
         arm = sub(x.arm, mat_t_vec(x.q, x.d))
@@ -79,6 +93,8 @@ def acceleration(r: Row, x: Kinematics) -> Any:
         swing = cross(x.omega, b)
         rate = sub(x.point_rate, swing)
         return -dot(UNIT[r.i], sub(x.point_bias, cross(x.omega, axpy(2.0, rate, swing))))
+    if r.kind == "point":
+        return -x.point_bias[r.i]
     return -dot(row(x.q, r.i), x.point_bias)
 
 
@@ -94,6 +110,33 @@ def value(r: Row, x: Kinematics, pitch: Any) -> Any:
     slip = fma(-pitch, atan2(x.q[3], x.q[0]), x.d[2])
     turns = rint(slip / where(turn == 0.0, 1.0, turn))
     return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
+
+
+# ---- the rows as they are solved ---------------------------------------------------------------
+
+POINT = tuple(Row("point", i) for i in range(3))  # Qᵀ times the rows d1 d2 d3: their body axes
+HELD = tuple(Row("d", i) for i in range(3))
+
+
+def solving_rows(rows: tuple[Row, ...]) -> tuple[Row, ...]:
+    """The same constraints as rows of which as many as can be are constant, and those first.
+
+    In body axes M is constant, and so are `Omega` rows and rows that hold a point. What is made of
+    them alone does not depend on the pose: the compiler takes it out of the loop over steps.
+    """
+    held = POINT if set(HELD) <= set(rows) else ()
+    fixed = tuple(r for r in rows if r.kind == "Omega")
+    return (*fixed, *held, *(r for r in rows if r not in fixed and not (held and r in HELD)))
+
+
+def given_multipliers(
+    rows: tuple[Row, ...], solved: tuple[Row, ...], multipliers: tuple[Any, ...], q: Any
+) -> tuple[Any, ...]:
+    """λ of the joint's own rows, in their order, from that of its `solving_rows`."""
+    found = dict(zip(solved, multipliers, strict=True))
+    if POINT[0] in found:
+        found |= zip(HELD, mat_vec(q, tuple(found[r] for r in POINT)), strict=True)
+    return tuple(found[r] for r in rows)
 
 
 def _squares(numbers: list[Any]) -> Any:

@@ -155,16 +155,18 @@ def advance(
     """Step number k; a body that fails keeps its status and step, and is NaN from then on."""
     state, record = State(*state), Record(*record)
     moved, singular = step(plan, Body(*body), state, h)
-    total = moved.velocity[0]
-    for number in (*moved.velocity[1:], *moved.x, *moved.chart[0], *moved.chart[1]):
+    q, d = moved.chart
+    total = q[0] + q[4] + q[8]  # an angle that is not finite spoils all of Q
+    for number in (*moved.velocity, *moved.x, *d):
         total = total + number
     finite = absolute(total) <= LARGEST  # false for NaN
     now = where(singular > 0.5, float(SINGULAR), where(finite, float(OK), float(NON_FINITE)))
     fresh = (now > 0.0) & (record.status == OK)
     status = where(fresh, now, record.status)
     failed_step = where(fresh, real(k), record.failed_step)
-    velocity = tuple(  # NaN spreads to the pose by itself
-        v if is_zero(v) else where(status == OK, v, NAN) for v in moved.velocity
+    # NaN from the next step on, and from there into the pose: no step waits for its own status.
+    velocity = tuple(
+        v if is_zero(v) else where(record.status == OK, v, NAN) for v in moved.velocity
     )
     return (
         moved._replace(velocity=velocity),

@@ -27,6 +27,7 @@ from lierb.kernels.vec import (
     add,
     axpy,
     cross,
+    cross_add,
     dot,
     inverse_symmetric,
     mat_mat,
@@ -71,16 +72,16 @@ class Body(NamedTuple):
     def momentum(self, velocity: Vec) -> Vec:
         """M V about the body frame's origin, on SE(3)."""
         omega, v = velocity[:3], velocity[3:]
-        angular = add(mat_vec(self.origin_inertia, omega), cross(self.first_moment, v))
-        return angular + add(scale(self.mass, v), cross(omega, self.first_moment))
+        angular = cross_add(self.first_moment, v, mat_vec(self.origin_inertia, omega))
+        return angular + cross_add(omega, self.first_moment, scale(self.mass, v))
 
     def wrench(self, fall: Vec, velocity: Vec) -> Vec:
         """ad_Vᵀ M V + W about the body frame's origin, on SE(3); `fall` is gravity in body axes."""
         omega, v = velocity[:3], velocity[3:]
         momentum = self.momentum(velocity)
-        torque = add(cross(momentum[:3], omega), cross(momentum[3:], v))
+        torque = cross_add(momentum[3:], v, cross(momentum[:3], omega))
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
-        return add(torque, cross(self.first_moment, fall)) + force
+        return cross_add(self.first_moment, fall, torque) + force
 
 
 class Kinematics(NamedTuple):
@@ -131,13 +132,13 @@ def unit_inertia(c: Vec) -> Mat:
 def response(body: Body, torque: Vec, force: Vec) -> Vec:
     """M⁻¹ of a wrench about the centre of mass, in body axes: (Θ⁻¹τ, f/m + c × Θ⁻¹τ)."""
     alpha = mat_vec(body.inertia_inverse, torque)
-    return alpha + add(scale(1.0 / body.mass, force), cross(body.com, alpha))
+    return alpha + cross_add(body.com, alpha, scale(1.0 / body.mass, force))
 
 
 def row_response(body: Body, row: Vec) -> Vec:
     """M⁻¹ Jᵀ for one row of J, a wrench about the body frame's origin."""
     torque, force = row[:3], row[3:]
-    return response(body, sub(torque, cross(body.com, force)), force)
+    return response(body, cross_add(force, body.com, torque), force)
 
 
 def kinetic_energy(body: Body, omega: Vec, com_velocity: Vec) -> Any:
@@ -183,16 +184,21 @@ class SE3:
     def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
         """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESE3, about the centre of mass)."""
         omega = velocity[:3]
-        com_velocity = add(velocity[3:], cross(omega, body.com))
+        com_velocity = cross_add(omega, body.com, velocity[3:])
         gyroscopic = cross(mat_vec(body.inertia, omega), omega)
-        fall = sub(mat_t_vec(pose[0], body.gravity), cross(omega, com_velocity))
+        fall = cross_add(com_velocity, omega, mat_t_vec(pose[0], body.gravity))
         alpha = mat_vec(body.inertia_inverse, gyroscopic)
-        return alpha + add(fall, cross(body.com, alpha))
+        return alpha + cross_add(body.com, alpha, fall)
+
+    @staticmethod
+    def velocity_rate(pose: Pose, acceleration: Vec) -> Vec:
+        """V̇ from ω̇ and the acceleration of translation in body axes."""
+        return acceleration
 
     @staticmethod
     def energy(body: Body, pose: Pose, velocity: Vec) -> Any:
         omega = velocity[:3]
-        moving = kinetic_energy(body, omega, add(velocity[3:], cross(omega, body.com)))
+        moving = kinetic_energy(body, omega, cross_add(omega, body.com, velocity[3:]))
         return moving + _potential_energy(body, add(pose[1], mat_vec(pose[0], body.com)))
 
 
@@ -233,10 +239,15 @@ class SO3xR3:
 
     @staticmethod
     def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
-        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESO3xR3)."""
+        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESO3xR3), its second half in body axes too."""
         omega = velocity[:3]
         gyroscopic = cross(mat_vec(body.inertia, omega), omega)
-        return mat_vec(body.inertia_inverse, gyroscopic) + body.gravity
+        return mat_vec(body.inertia_inverse, gyroscopic) + mat_t_vec(pose[0], body.gravity)
+
+    @staticmethod
+    def velocity_rate(pose: Pose, acceleration: Vec) -> Vec:
+        """V̇ from ω̇ and the acceleration of translation in body axes."""
+        return acceleration[:3] + mat_vec(pose[0], acceleration[3:])
 
     @staticmethod
     def energy(body: Body, pose: Pose, velocity: Vec) -> Any:

@@ -7,7 +7,7 @@ from typing import Any
 
 from lierb.kernels.arithmetic import absolute, any_lanes, branch, fma, sqrt, where
 from lierb.kernels.newton_euler import Body, kinetic_energy, row_response
-from lierb.kernels.vec import Vec, add, axpy, cross, dot, norm
+from lierb.kernels.vec import Vec, axpy, cross_add, dot, norm
 from lierb.kernels.zero import ZERO
 
 # A row whose pivot has shrunk to this part of its diagonal depends on the rows before it: plain
@@ -61,7 +61,7 @@ def solve(
         if velocity is None:
             return ZERO
         omega = velocity[:3]
-        com_velocity = add(velocity[3:], cross(omega, body.com))
+        com_velocity = cross_add(omega, body.com, velocity[3:])
         energy = 2.0 * kinetic_energy(body, omega, com_velocity)
         return sqrt(schur[i][i] * energy) * norm(omega)
 

@@ -5,7 +5,18 @@ from __future__ import annotations
 from lierb.kernels import so3
 from lierb.kernels.coefficients import Coefficients
 from lierb.kernels.so3 import angle_coefficients as _angle_coefficients
-from lierb.kernels.vec import ZERO3, Mat, Vec, add, axpy, cross, dot, mat_vec, neg
+from lierb.kernels.vec import (
+    ZERO3,
+    Mat,
+    Vec,
+    axpy,
+    cross,
+    cross_add,
+    dot,
+    mat_vec,
+    mat_vec_add,
+    neg,
+)
 
 Pose = tuple[Mat, Vec]
 identity: Pose = (so3.identity, ZERO3)
@@ -18,7 +29,7 @@ def angle_coefficients(x: Vec) -> Coefficients:
 
 def compose(c1: Pose, c2: Pose) -> Pose:
     """(R₁R₂, r₁ + R₁r₂)."""
-    return so3.compose(c1[0], c2[0]), add(c1[1], mat_vec(c1[0], c2[1]))
+    return so3.compose(c1[0], c2[0]), mat_vec_add(c1[0], c2[1], c1[1])
 
 
 def inverse(c: Pose) -> Pose:
@@ -42,12 +53,12 @@ def log(c: Pose) -> Vec:
 def Ad(c: Pose, x: Vec) -> Vec:
     """(Rξ, r × Rξ + Rη): a body-fixed twist seen from the other frame."""
     xi = mat_vec(c[0], x[:3])
-    return xi + add(cross(c[1], xi), mat_vec(c[0], x[3:]))
+    return xi + cross_add(c[1], xi, mat_vec(c[0], x[3:]))
 
 
 def ad(x: Vec, y: Vec) -> Vec:
     """[X, Y] = (ξ×ξ′, ξ×η′ + η×ξ′)  (Müller, eq. adse3)."""
-    return cross(x[:3], y[:3]) + add(cross(x[:3], y[3:]), cross(x[3:], y[:3]))
+    return cross(x[:3], y[:3]) + cross_add(x[:3], y[3:], cross(x[3:], y[:3]))
 
 
 def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
@@ -60,7 +71,7 @@ def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
     xw, ew, pitch = cross(xi, v[:3]), cross(eta, v[:3]), dot(xi, eta)
     xxw = cross(xi, xw)
     rate = axpy(k.b, xxw, axpy(k.a, xw, v[:3]))
-    mixed = add(cross(eta, xw), cross(xi, ew))
+    mixed = cross_add(eta, xw, cross(xi, ew))
     coupled = axpy(k.b, mixed, axpy(k.a, ew, so3.dexp(xi, v[3:], k)))
     return rate + axpy(pitch * k.b1, xxw, axpy(pitch * k.a1, xw, coupled))
 
@@ -75,9 +86,9 @@ def dexpinv(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
     """
     k = k or angle_coefficients(x)
     xi, eta = x[:3], x[3:]
-    xw, ew, xv = cross(xi, v[:3]), cross(eta, v[:3]), cross(xi, v[3:])
+    xw, bracket = cross(xi, v[:3]), cross_add(eta, v[:3], cross(xi, v[3:]))
     xxw = cross(xi, xw)
     rate = axpy(k.c0, xxw, axpy(-0.5, xw, v[:3]))
-    second = add(cross(eta, xw), cross(xi, add(ew, xv)))
-    coupled = axpy(k.c0, second, axpy(-0.5, add(xv, ew), v[3:]))
+    second = cross_add(eta, xw, cross(xi, bracket))
+    coupled = axpy(k.c0, second, axpy(-0.5, bracket, v[3:]))
     return rate + axpy(dot(xi, eta) * k.c1, xxw, coupled)

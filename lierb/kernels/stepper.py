@@ -11,7 +11,13 @@ from typing import Any, NamedTuple
 
 from lierb.kernels import so3
 from lierb.kernels.arithmetic import PI, any_lanes, branch, fma, maximum, where
-from lierb.kernels.constraints import acceleration, jacobian, value
+from lierb.kernels.constraints import (
+    acceleration,
+    given_multipliers,
+    jacobian,
+    solving_rows,
+    value,
+)
 from lierb.kernels.newton_euler import Body
 from lierb.kernels.plan import Plan
 from lierb.kernels.saddle import solve
@@ -45,10 +51,17 @@ def accelerate(
 ) -> tuple[Vec, tuple[Any, ...], Any]:
     """V̇, λ and the mark of a singular configuration."""
     x = plan.space.kinematics(body, pose, velocity)
-    rows = [jacobian(r, x, body.pitch) for r in plan.rows]
-    eta = [acceleration(r, x) for r in plan.rows]
-    free = plan.space.free_acceleration(body, pose, velocity)
-    return solve(body, rows, eta, free, velocity)
+    in_body_axes = x._replace(is_body_fixed=True)
+    rows = solving_rows(plan.rows)
+    found, multipliers, singular = solve(
+        body,
+        [jacobian(r, in_body_axes, body.pitch) for r in rows],
+        [acceleration(r, x) for r in rows],
+        plan.space.free_acceleration(body, pose, velocity),
+        velocity,
+    )
+    multipliers = given_multipliers(plan.rows, rows, multipliers, pose[0])
+    return plan.space.velocity_rate(pose, found), multipliers, singular
 
 
 def step(plan: Plan, body: Body, state: State, h: Any) -> tuple[State, Any]:

@@ -58,6 +58,15 @@ def cross(a: Vec, b: Vec) -> Vec:
     )
 
 
+def cross_add(a: Vec, b: Vec, c: Vec) -> Vec:
+    """a × b + c."""
+    return (
+        fma(a[1], b[2], fma(-a[2], b[1], c[0])),
+        fma(a[2], b[0], fma(-a[0], b[2], c[1])),
+        fma(a[0], b[1], fma(-a[1], b[0], c[2])),
+    )
+
+
 def row(m: Mat, i: int) -> Vec:
     return m[3 * i : 3 * i + 3]
 
@@ -72,6 +81,14 @@ def transpose(m: Mat) -> Mat:
 
 def mat_vec(m: Mat, a: Vec) -> Vec:
     return tuple(dot(row(m, i), a) for i in range(3))
+
+
+def mat_vec_add(m: Mat, a: Vec, c: Vec) -> Vec:
+    """m a + c."""
+    x, y, z = a
+    return tuple(
+        fma(m[3 * i], x, fma(m[3 * i + 1], y, fma(m[3 * i + 2], z, c[i]))) for i in range(3)
+    )
 
 
 def mat_t_vec(m: Mat, a: Vec) -> Vec:

@@ -20,9 +20,9 @@ INLINE Kinematics kinematics(Quaternion q, Vec omega) {
             omega};
 }
 
-// The rows that a joint has besides the three that hold the pivot: they are purely angular. `row`
-// is their part of J, `dot` and `subtract` know its zeros, `eta` is minus the row's acceleration at
-// V̇ = 0.
+// The rows that a joint has besides the three that hold the pivot, all of them purely angular:
+// dot(k, a) is row k times a, response(k, s) is s times row k, minus takes away a multiple of that,
+// and eta is minus the row's acceleration at V̇ = 0.
 struct Spherical {
     static constexpr int ROWS = 0;
     INLINE Spherical(const Kinematics&) {}
@@ -48,12 +48,12 @@ struct Revolute {  // Ω₁ = Ω₃ = 0: about the body's e₂
 
 struct Universal {  // R₃₂ = 0: the body's e₂ stays perpendicular to the ground's e₃
     static constexpr int ROWS = 1;
-    Lanes x, z, bias;  // the row is e₂ × e3 = (x, 0, z)
+    Lanes x, z, rest;  // the row is e₂ × e3 = (x, 0, z)
     INLINE Universal(const Kinematics& k)
         : x(k.e3.z), z(-k.e3.x),
-          bias(::dot(k.omega, k.omega) * k.e3.y - ::dot(k.omega, k.e3) * k.omega.y) {}
+          rest(::dot(k.omega, k.omega) * k.e3.y - ::dot(k.omega, k.e3) * k.omega.y) {}
     INLINE Lanes dot(int, Vec a) const { return x * a.x + z * a.z; }
-    INLINE Lanes eta(int) const { return bias; }
+    INLINE Lanes eta(int) const { return rest; }
     INLINE Vec response(int, Constant s) const { return {s.x * x, Lanes{}, s.z * z}; }
     INLINE Vec minus(int, Lanes factor, Constant s, Vec a) const {
         return {a.x - factor * (s.x * x), a.y, a.z - factor * (s.z * z)};
@@ -68,7 +68,7 @@ INLINE void solve(Lanes (&s)[N][N], Lanes (&rhs)[N]) {
     for (int j = 0; j < N; j++) {
         if (WIDTH < 8 || (j % 2 == 0 && j + 1 == N)) {
             pivot_inverse[j] = 1.0 / s[j][j];
-        } else if (j % 2 == 0) {  // this one and the next by one division, which is slow on 512 bits
+        } else if (j % 2 == 0) {  // and the next by the same division: they are slow on 512 bits
             const Lanes p = s[j][j], minor = p * s[j + 1][j + 1] - s[j + 1][j] * s[j + 1][j];
             const Lanes r = 1.0 / (p * minor);
             pivot_inverse[j] = minor * r;
@@ -90,11 +90,13 @@ INLINE void solve(Lanes (&s)[N][N], Lanes (&rhs)[N]) {
     }
 }
 
-template <class Joint, int TERMS>
-struct Saddle {
+// A free body on SE(3), but for its accelerations.
+template <int TERMS>
+struct Free {
     struct Base {
         Quaternion q;
         Vec r, omega, v;
+        Vec half_up;  // R₀ᵀe₃/2
     };
     struct Point {
         Vec xi, eta;  // X/2; but as a rate, that of X
@@ -105,12 +107,12 @@ struct Saddle {
         }
     };
 
-    Constant centre, pivot;   // pivot: from the centre of mass, body axes
-    Constant response;        // m Θ⁻¹
-    Constant gyroscopic;      // of Euler's equations: (Θ₂ − Θ₃)/Θ₁, …
+    Constant centre, pivot;  // pivot: from the centre of mass, body axes
+    Constant response;       // m Θ⁻¹; all of M⁻¹ is taken m-fold, and λ is 1/m of what it should be
+    Constant gyroscopic;     // of Euler's equations: (Θ₂ − Θ₃)/Θ₁, …
     double gravity;
 
-    explicit Saddle(const Top& top) : centre(top.centre), gravity(top.gravity) {
+    explicit Free(const Top& top) : centre(top.centre), gravity(top.gravity) {
         const Constant j = top.inertia;
         pivot = {-centre.x, -centre.y, -centre.z};
         response = {top.mass / j.x, top.mass / j.y, top.mass / j.z};
@@ -119,33 +121,70 @@ struct Saddle {
 
     INLINE Base start(Vec omega) const {
         const Lanes zero = 0.0 * omega.x;
+        const Quaternion q{zero + 1.0, zero, zero, zero};
         const Vec r{zero + centre.x, zero + centre.y, zero + centre.z};
-        return {{zero + 1.0, zero, zero, zero}, r, omega, cross(pivot, omega)};
+        return {q, r, omega, cross(pivot, omega), half_of_up(q)};
     }
     INLINE Final finish(const Base& base) const { return {base.r, base.omega}; }
     INLINE Point origin(const Base& base) const { return {{}, {}, base.omega, base.v}; }
 
-    // All of M⁻¹ is taken m-fold, and so all of λ is 1/m of what it should be.
+    // M⁻¹(ad_Vᵀ M V + W)
+    INLINE Vec free_turning(Vec w) const {
+        return {gyroscopic.x * (w.y * w.z), gyroscopic.y * (w.z * w.x), gyroscopic.z * (w.x * w.y)};
+    }
+    INLINE Vec free_falling(Vec half_up, Point at) const {
+        return cross_add(2 * gravity * half_up, at.v, at.omega);
+    }
+
+    // Rᵀd̈ at V̇ = 0: −η of the rows that hold the pivot, in body axes
+    INLINE Vec bias(Point at) const {
+        return cross(at.omega, cross_add(at.v, at.omega, pivot));
+    }
+
+    // Ẋ by dexp⁻¹ of −X
+    INLINE void local_rates(Point at, Point& rates) const {
+        const Vec x = at.xi, e = at.eta, w = at.omega, v = at.v;
+        const Lanes y = dot(x, x), c0 = series<TERMS>(COT, y);
+        const Lanes c1 = dot(x, e) * series<TERMS - 1>(COT_RATE, y);
+        const Vec xw = cross(x, w), turning = axpy(c0, xw, w);
+        const Vec moving = axpy(c1, xw, axpy(c0, cross_add(cross(e, w), x, v), v));
+        rates.xi = cross_add(w, x, turning);
+        rates.eta = cross_add(cross_add(v, x, moving), e, turning);
+    }
+
+    INLINE Base onward(const Base& base, Point at) const {
+        const Vec x = at.xi;
+        const Lanes y = dot(x, x), sinc = series<TERMS>(SINC, y);
+        // dexp of X, half of it
+        const Vec xe = cross(x, at.eta);
+        const Vec moved = cross_add(axpy(sinc * sinc, xe, at.eta), series<TERMS>(TURN, y) * x, xe);
+        const Quaternion q = turned<TERMS>(base.q, x);
+        return {q, base.r + 2.0 * rotated(base.q, moved), at.omega, at.v, half_of_up(q)};
+    }
+};
+
+// The saddle point as it stands: the pivot's rows in ground axes, everything made anew.
+template <class Joint, int TERMS>
+struct Saddle : Free<TERMS> {
+    using typename Free<TERMS>::Base;
+    using typename Free<TERMS>::Point;
+    using Free<TERMS>::Free;
+
     INLINE void accelerate(Quaternion q, Point at, Point& rates) const {
         constexpr int ROWS = 3 + Joint::ROWS;
-        const Vec w = at.omega;
-        const Kinematics k = kinematics(q, w);
+        const Kinematics k = kinematics(q, at.omega);
         const Joint joint(k);
         const Vec direction[3] = {k.e1, k.e2, k.e3};
-
-        // free motion
-        const Vec alpha{gyroscopic.x * (w.y * w.z), gyroscopic.y * (w.z * w.x),
-                        gyroscopic.z * (w.x * w.y)};
-        const Vec fall = cross_add(gravity * k.e3, at.v, w);
-        const Vec bias = cross(w, cross_add(at.v, w, pivot));  // Rᵀd̈ at V̇ = 0
+        const Vec alpha = this->free_turning(at.omega);
+        const Vec fall = this->free_falling(0.5 * k.e3, at);
+        const Vec free = fall + this->bias(at);
 
         Vec arm[3], turn[ROWS];
         Lanes s[ROWS][ROWS], rhs[ROWS];
-        const Vec free = fall + bias;
 #pragma GCC unroll 6
         for (int i = 0; i < 3; i++) {
-            arm[i] = cross(pivot, direction[i]);
-            turn[i] = scaled(response, arm[i]);
+            arm[i] = cross(this->pivot, direction[i]);
+            turn[i] = scaled(this->response, arm[i]);
             rhs[i] = dot_add(dot(direction[i], free), arm[i], alpha);
 #pragma GCC unroll 6
             for (int j = 0; j <= i; j++)
@@ -153,7 +192,7 @@ struct Saddle {
         }
 #pragma GCC unroll 6
         for (int i = 3; i < ROWS; i++) {
-            turn[i] = joint.response(i - 3, response);
+            turn[i] = joint.response(i - 3, this->response);
             rhs[i] = joint.dot(i - 3, alpha) - joint.eta(i - 3);
 #pragma GCC unroll 6
             for (int j = 0; j <= i; j++) s[i][j] = joint.dot(i - 3, turn[j]);
@@ -169,48 +208,95 @@ struct Saddle {
         }
 #pragma GCC unroll 6
         for (int i = 3; i < ROWS; i++)
-            rates.omega = joint.minus(i - 3, rhs[i], response, rates.omega);
+            rates.omega = joint.minus(i - 3, rhs[i], this->response, rates.omega);
     }
 
     INLINE Point first_rates(const Base& base) const {
         Point rates{base.omega, base.v, {}, {}};
-        accelerate(base.q, origin(base), rates);
+        accelerate(base.q, this->origin(base), rates);
         return rates;
     }
-
     INLINE Point rates(const Base& base, Point at) const {
-        const Vec x = at.xi, e = at.eta, w = at.omega, v = at.v;
-        const Lanes y = dot(x, x), c0 = series<TERMS>(COT, y);
-        const Lanes c1 = dot(x, e) * series<TERMS - 1>(COT_RATE, y);
         Point rates;
-        // dexp⁻¹ of −X
-        const Vec xw = cross(x, w), turning = axpy(c0, xw, w);
-        const Vec moving = axpy(c1, xw, axpy(c0, cross_add(cross(e, w), x, v), v));
-        rates.xi = cross_add(w, x, turning);
-        rates.eta = cross_add(cross_add(v, x, moving), e, turning);
-        accelerate(turned<TERMS>(base.q, x), at, rates);
+        this->local_rates(at, rates);
+        accelerate(turned<TERMS>(base.q, at.xi), at, rates);
         return rates;
-    }
-
-    INLINE Base onward(const Base& base, Point at) const {
-        const Vec x = at.xi;
-        const Lanes y = dot(x, x), sinc = series<TERMS>(SINC, y);
-        // dexp of X, half of it
-        const Vec xe = cross(x, at.eta);
-        const Vec moved = cross_add(axpy(sinc * sinc, xe, at.eta), series<TERMS>(TURN, y) * x, xe);
-        return {turned<TERMS>(base.q, x), base.r + 2.0 * rotated(base.q, moved), at.omega, at.v};
     }
 };
 
-template <class Joint>
+// The same constraint, knowing that in body axes the pivot's rows [−p̂ I] and their Schur complement
+// are constant: their part of the solution is a constant matrix. K is what is left of M⁻¹ for
+// torques.
+template <class Joint, int TERMS>
+struct FixedRows : Free<TERMS> {
+    using typename Free<TERMS>::Base;
+    using typename Free<TERMS>::Point;
+
+    Symmetric holding;     // (J M⁻¹ Jᵀ)⁻¹
+    Symmetric compliance;  // K
+    double pair[3];        // inverse of K's first and third rows and columns: 11, 13, 33
+
+    explicit FixedRows(const Top& top) : Free<TERMS>(top) {
+        const Constant p = this->pivot, w = this->response;
+        holding = Symmetric{1 + w.y * p.z * p.z + w.z * p.y * p.y,
+                            1 + w.x * p.z * p.z + w.z * p.x * p.x,
+                            1 + w.x * p.y * p.y + w.y * p.x * p.x,
+                            -w.z * p.x * p.y, -w.y * p.x * p.z, -w.x * p.y * p.z}.inverse();
+        const double pp = p.x * p.x + p.y * p.y + p.z * p.z;
+        compliance = Symmetric{1 / w.x + pp - p.x * p.x, 1 / w.y + pp - p.y * p.y,
+                               1 / w.z + pp - p.z * p.z, -p.x * p.y, -p.x * p.z,
+                               -p.y * p.z}.inverse();
+        const Symmetric& k = compliance;
+        const double d = k.xx * k.zz - k.xz * k.xz;
+        pair[0] = k.zz / d, pair[1] = -k.xz / d, pair[2] = k.xx / d;
+    }
+
+    INLINE void accelerate(Vec half_up, Point at, Point& rates) const {
+        const Vec alpha = this->free_turning(at.omega), fall = this->free_falling(half_up, at);
+        const Vec force = holding * cross_add(fall + this->bias(at), alpha, this->pivot);
+        Vec turn = scaled(this->response, cross(this->pivot, force));
+        rates.omega = axpy(-1.0, turn, alpha);
+        rates.v = axpy(-1.0, force, fall);
+        if constexpr (Joint::ROWS == 1) {
+            const Joint joint({{}, {}, 2.0 * half_up, at.omega});
+            const Vec a{joint.x, Lanes{}, joint.z};
+            turn = compliance * a;
+            turn = (joint.dot(0, rates.omega) - joint.eta(0)) / joint.dot(0, turn) * turn;
+        } else if constexpr (Joint::ROWS == 2) {
+            const Lanes x = rates.omega.x, z = rates.omega.z;
+            turn = compliance * Vec{pair[0] * x + pair[1] * z, Lanes{}, pair[1] * x + pair[2] * z};
+        }
+        if constexpr (Joint::ROWS > 0) {
+            rates.omega = axpy(-1.0, turn, rates.omega);
+            rates.v = cross_add(rates.v, turn, this->pivot);
+        }
+    }
+
+    INLINE Point first_rates(const Base& base) const {
+        Point rates{base.omega, base.v, {}, {}};
+        accelerate(base.half_up, this->origin(base), rates);
+        return rates;
+    }
+    INLINE Point rates(const Base& base, Point at) const {
+        Point rates;
+        this->local_rates(at, rates);
+        accelerate(carried_back<TERMS>(at.xi, base.half_up), at, rates);
+        return rates;
+    }
+};
+
+template <template <class, int> class Motion, class Joint>
 void integrate(const Job& job) {
-    by_angle(job, [&](auto terms) { Integrator<RK4, Saddle<Joint, terms>>(job).run(job); });
+    by_angle(job, [&](auto terms) { Integrator<RK4, Motion<Joint, terms>>(job).run(job); });
 }
 
 }  // namespace
 
 extern "C" {
-void general(const Job* job) { integrate<Spherical>(*job); }
-void general_revolute(const Job* job) { integrate<Revolute>(*job); }
-void general_universal(const Job* job) { integrate<Universal>(*job); }
+void general(const Job* job) { integrate<Saddle, Spherical>(*job); }
+void general_revolute(const Job* job) { integrate<Saddle, Revolute>(*job); }
+void general_universal(const Job* job) { integrate<Saddle, Universal>(*job); }
+void general_fixed(const Job* job) { integrate<FixedRows, Spherical>(*job); }
+void general_fixed_revolute(const Job* job) { integrate<FixedRows, Revolute>(*job); }
+void general_fixed_universal(const Job* job) { integrate<FixedRows, Universal>(*job); }
 }

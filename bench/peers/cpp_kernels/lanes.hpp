@@ -7,9 +7,8 @@ typedef Lanes Unaligned __attribute__((aligned(8)));
 #define INLINE inline __attribute__((always_inline))
 
 // Sums are written from left to right as a + b·c, which the compiler contracts into FMAs.
-
-// Copied member by member: GCC would move a whole struct in half registers, and loads of whole ones
-// would have to wait for these.
+// Structs are copied member by member: left to itself, GCC moves them in halves of a register, and
+// the next load of a whole one has to wait for both stores.
 
 template <class T>
 struct Triple {
@@ -116,32 +115,25 @@ INLINE Vec half_of_up(Quaternion q) {
 }
 
 // ---- functions of the half-angle vector x = ξ/2, at y = |x|² -----------------------------------
-// Taylor series. How many terms are exact to rounding depends on the largest angle.
+// Taylor series. How many terms are exact to rounding depends on the largest angle (`by_angle`).
 
 // cos|x| and sinc|x|
-constexpr double COS[] = {1, -1. / 2, 1. / 24, -1. / 720, 1. / 40320, -1. / 3628800, 1. / 479001600,
-                          -1. / 87178291200, 1. / 20922789888000, -1. / 6402373705728000};
-constexpr double SINC[] = {1, -1. / 6, 1. / 120, -1. / 5040, 1. / 362880, -1. / 39916800,
-                           1. / 6227020800, -1. / 1307674368000, 1. / 355687428096000};
-// 2 sinc|2x| and 2 sinc²|x|
-constexpr double SINE[] = {2, -4. / 3, 4. / 15, -8. / 315, 4. / 2835, -8. / 155925, 8. / 6081075,
-                           -16. / 638512875, 4. / 10854718875};
-constexpr double SQUARE[] = {2, -2. / 3, 4. / 45, -2. / 315, 4. / 14175, -4. / 467775,
-                             8. / 42567525, -2. / 638512875, 4. / 97692469875};
-// (1 − sinc|2x|)/y
-constexpr double TURN[] = {2. / 3, -2. / 15, 4. / 315, -2. / 2835, 4. / 155925, -4. / 6081075,
-                           8. / 638512875, -2. / 10854718875, 4. / 1856156927625};
-// (1 − |x| cot|x|)/y, and twice its derivative
-constexpr double COT[] = {1. / 3, 1. / 45, 2. / 945, 1. / 4725, 2. / 93555, 1382. / 638512875,
-                          4. / 18243225, 3617. / 162820783125, 87734. / 38979295480125};
-constexpr double COT_RATE[] = {2 * COT[1], 4 * COT[2], 6 * COT[3], 8 * COT[4], 10 * COT[5],
-                               12 * COT[6], 14 * COT[7], 16 * COT[8]};
+constexpr double COS[] = {1, -1. / 2, 1. / 24, -1. / 720, 1. / 40320, -1. / 3628800};
+constexpr double SINC[] = {1, -1. / 6, 1. / 120, -1. / 5040, 1. / 362880};
+// of rotation by ξ: 2 sinc|2x| and 2 sinc²|x|
+constexpr double SINE[] = {2, -4. / 3, 4. / 15, -8. / 315, 4. / 2835};
+constexpr double SQUARE[] = {2, -2. / 3, 4. / 45, -2. / 315, 4. / 14175};
+// of dexp: (1 − sinc|2x|)/y
+constexpr double TURN[] = {2. / 3, -2. / 15, 4. / 315, -2. / 2835, 4. / 155925};
+// of dexp⁻¹: (1 − |x| cot|x|)/y, and twice its derivative
+constexpr double COT[] = {1. / 3, 1. / 45, 2. / 945, 1. / 4725, 2. / 93555};
+constexpr double COT_RATE[] = {2 * COT[1], 4 * COT[2], 6 * COT[3], 8 * COT[4]};
 
 template <int TERMS, int KNOWN>
 INLINE Lanes series(const double (&c)[KNOWN], Lanes y) {
     static_assert(1 < TERMS && TERMS <= KNOWN);
     Lanes total = c[TERMS - 2] + y * c[TERMS - 1];
-#pragma GCC unroll 10
+#pragma GCC unroll 6
     for (int k = TERMS - 3; k >= 0; k--) total = c[k] + y * total;
     return total;
 }
@@ -151,4 +143,12 @@ template <int TERMS>
 INLINE Quaternion turned(Quaternion q, Vec x) {
     const Lanes y = dot(x, x);
     return axpy(series<TERMS + 1>(COS, y), q, product(q, series<TERMS>(SINC, y) * x));
+}
+
+// exp(−ξ) a, by cross products that need not wait for the series
+template <int TERMS>
+INLINE Vec carried_back(Vec x, Vec a) {
+    const Lanes y = dot(x, x);
+    const Vec t = cross(a, x);
+    return axpy(series<TERMS>(SQUARE, y), cross(t, x), axpy(series<TERMS>(SINE, y), t, a));
 }

@@ -3,8 +3,8 @@
 
 namespace {
 
-// State: q, and l = J ω about the pivot in body axes. A Runge–Kutta method takes the same steps in l
-// as in ω, and l̇ = l×ω + m c×Rᵀg needs J⁻¹ once only.
+// State: q, and l = J ω about the pivot in body axes. A Runge–Kutta method takes the same steps in
+// l as in ω, and l̇ = l×ω + m c×Rᵀg needs J⁻¹ once only.
 struct Reduced {
     struct Base {
         Quaternion q;
@@ -63,10 +63,7 @@ struct Rkmk : Reduced {
     INLINE Point rates(const Base& base, Point at) const {
         const Lanes y = dot(at.x, at.x);
         const Vec omega = inverse * at.l;
-        // exp(−ξ) of half_up, by cross products that need not wait for the series
-        const Vec t = cross(base.half_up, at.x), tt = cross(t, at.x);
-        const Vec half_up = axpy(series<TERMS>(SQUARE, y), tt,
-                                 axpy(series<TERMS>(SINE, y), t, base.half_up));
+        const Vec half_up = carried_back<TERMS>(at.x, base.half_up);
         // dexp⁻¹ of −ξ: ω + ½ ξ×ω + c₀ ξ×(ξ×ω)
         const Vec u = axpy(series<TERMS>(COT, y), cross(at.x, omega), omega);
         return {cross_add(omega, at.x, u), momentum_rate(at.l, omega, half_up)};

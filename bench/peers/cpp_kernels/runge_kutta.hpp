@@ -2,8 +2,8 @@
 //
 // A block is WIDTH bodies. The stages of one block hang together, each on the one before, so that
 // one block alone leaves the FMA units waiting. GROUP of them therefore take each stage in turn,
-// with their states in the L1 cache: a stage is short enough for the core to overlap the next
-// block's with. That beats one or two blocks at a time kept in registers by a third.
+// with their states in the L1 cache: a stage is short enough for the core to overlap it with the
+// next block's. That beats one block kept in registers all the time by a third, two by an eighth.
 #pragma once
 
 #include <algorithm>
@@ -114,7 +114,8 @@ class Integrator {
     INLINE void stage(Block* first, Block* last) const {
         EACH_BLOCK {
             p->rates[STAGE] = motion.rates(p->base, reached<STAGE>(*p));
-            if constexpr (STAGE == STAGES - 1) begin(*p, motion.onward(p->base, reached<STAGES>(*p)));
+            if constexpr (STAGE == STAGES - 1)
+                begin(*p, motion.onward(p->base, reached<STAGES>(*p)));
         }
     }
 
@@ -163,11 +164,10 @@ public:
 
 constexpr double FASTEST = 20;  // rad/s; none of the benchmark's tops gets there
 
-// Gives `integrate` the number of series terms, a compile-time constant, that the step asks for.
+// Gives `integrate` the number of series terms, a compile-time constant, that the step asks for:
+// three up to 1 ms; five are exact up to 12 ms, and beyond that RK4 is not.
 template <class F>
 void by_angle(const Job& job, F integrate) {
-    const double x = 0.5 * FASTEST * job.h;
-    if (x <= 0.0101) integrate(std::integral_constant<int, 3>());
-    else if (x <= 0.13) integrate(std::integral_constant<int, 5>());
-    else integrate(std::integral_constant<int, 9>());
+    if (0.5 * FASTEST * job.h < 0.0101) integrate(std::integral_constant<int, 3>());
+    else integrate(std::integral_constant<int, 5>());
 }
