@@ -31,13 +31,15 @@ def main() -> int:
         if not raw.exists() or not raw.stat().st_size:
             return int(code) or 1
         run = shortened(json.loads(raw.read_text()))
-    last = latest(kind(run))
+    Console(width=100, highlight=False).print(change_table(run, latest(kind(run))))
+    if code != 0:
+        print("not stored: a benchmark failed")
+        return int(code)
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{run['time'].replace(':', '')}-{kind(run)}.json"
     path.write_text(json.dumps(run, indent=1) + "\n")
-    Console(width=100, highlight=False).print(change_table(run, last))
     print(f"stored in {path.relative_to(BENCH.parent)}")
-    return int(code)
+    return 0
 
 
 def shortened(raw: dict[str, Any]) -> dict[str, Any]:
@@ -72,8 +74,12 @@ def kind(run: dict[str, Any]) -> str:
 
 
 def latest(wanted: str) -> dict[str, Any] | None:
-    stored = sorted(RESULTS.glob(f"*-{wanted}.json"))
-    return json.loads(stored[-1].read_text()) if stored else None
+    """The last stored run on such a machine, with what it left out taken from those before it."""
+    stored = [json.loads(path.read_text()) for path in sorted(RESULTS.glob(f"2*-{wanted}.json"))]
+    if not stored:
+        return None
+    entries = {name: entry for run in stored for name, entry in run["benchmarks"].items()}
+    return {**stored[-1], "benchmarks": entries}
 
 
 def figure(entry: dict[str, Any]) -> tuple[str, float, bool]:
@@ -104,7 +110,8 @@ def change_table(run: dict[str, Any], last: dict[str, Any] | None) -> Table:
     for name, entry in run["benchmarks"].items():
         text, number, more_is_better = figure(entry)
         before = last and last["benchmarks"].get(name)
-        change = number / figure(before)[1] - 1.0 if before else None
+        comparable = before and before.get("unit") == entry.get("unit")
+        change = number / figure(before)[1] - 1.0 if comparable else None
         table.add_row(name, text, "" if change is None else _marked(change, more_is_better))
     return table
 

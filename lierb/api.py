@@ -150,13 +150,12 @@ def integrate(
     grid = run.Grid(float(dt), steps, *strides)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
-    def check_start(errors: Array, first: int) -> None:
-        _report(checks.violation(inputs, errors, first), on_violation)
+    def check_start(errors: Array, first: int) -> bool:
+        error = checks.violation(inputs, errors, first)
+        _report(error, on_violation)
+        return error is None
 
     checked = on_violation != "off" and bool(problem.joint.rows)
-    output = run.integrate(
-        plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
-    )
     metadata = provenance(
         problem,
         twist0=twists,
@@ -169,6 +168,9 @@ def integrate(
             "record": list(recorded), "check": check, "solver": plan.solver,
         },
     )  # fmt: skip
+    output = run.integrate(
+        plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
+    )
     return Result(
         _summary_table(output, metadata),
         _errors_table(output, grid, recorded, plan, metadata) if save_every else None,

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from lierb.arrays import Array, components, pose_components
+from lierb.arrays import Array
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.joints import Joint
-from lierb.kernels import se3
 from lierb.kernels.constraints import (
     Row,
     jacobian,
@@ -18,7 +17,8 @@ from lierb.kernels.constraints import (
     rotation_error_squared,
     value,
 )
-from lierb.kernels.newton_euler import SE3, Kinematics, Parameters
+from lierb.kernels.driver import parameters_of
+from lierb.kernels.newton_euler import SE3, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
@@ -61,18 +61,7 @@ def _held_axes(rows: tuple[Row, ...]) -> list[int]:
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
     joint = inputs.problem.joint
-
-    def own(parts: Any) -> Any:
-        if isinstance(parts, tuple):
-            return tuple(map(own, parts))
-        return float(parts.reshape(-1)[number if parts.size > 1 else 0])
-
-    parameters = Parameters(*map(own, inputs.problem.parameters()))
-    if inputs.poses is None:
-        pose = se3.compose(parameters.ground, se3.inverse(parameters.body))
-    else:
-        pose = own(pose_components(inputs.poses))
-    twist = own(components(inputs.twists))
+    parameters, pose, twist = parameters_of(list(inputs.packed(number, number + 1, 1)[:, 0]))
     body = SE3.body(parameters)
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)

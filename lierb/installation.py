@@ -90,7 +90,8 @@ def warmup(
     """Compile the kernel of every combination, or load it from the disk cache.
 
     joints : names of the catalogue, or joints.   methods, cspaces, updates, solver : as in
-        `integrate`.   multipliers : for runs that record them; those have kernels of their own.
+        `integrate` ("auto" means "saddle" there where check is not "raise").
+    multipliers : for runs that record them; those have kernels of their own.
     progress : a function of (kernels done, kernels in all, the next one's name).
 
     A kernel serves every body, frame, gravity, step and batch size. A joint whose motions are no
@@ -101,7 +102,8 @@ def warmup(
     ['revolute']
     """
     tell = progress or (lambda done, total, what: None)
-    cspaces, updates = tuple(cspaces), tuple(updates)
+    joints, methods = _several(joints, Joint), _several(methods, ButcherTableau)
+    cspaces, updates = _several(cspaces), _several(updates)
     for cspace, update in product(cspaces, updates):
         check_names(cspace=cspace, update=update, solver=solver)
     wanted = [
@@ -122,12 +124,17 @@ def warmup(
             Problem(ANY_BODY, joint), twist0=(0.0,) * 6, dt=1.0, t_end=1.0, method=tableau,
             cspace=cspace, update=update, solver="auto" if cspace == "reduced" else solver,
             save_every=1 if multipliers else None, record=("multipliers",) if multipliers else (),
-            progress=False,
+            progress=False, check="raise" if joint.subgroup else "off",
         )  # fmt: skip
         seconds = time.perf_counter() - began
         ready.append(Kernel(joint.name, tableau.name, cspace, update, seconds))
     tell(len(ready), len(wanted), "")
     return ready
+
+
+def _several(given: Any, *single: type) -> tuple[Any, ...]:
+    """One name or thing, or many of them."""
+    return (given,) if isinstance(given, (str, *single)) else tuple(given)
 
 
 def _named(name: str) -> Joint:

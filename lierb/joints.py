@@ -56,7 +56,9 @@ class Joint:
     @cached_property
     def closed_pose(self) -> Array:
         """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide."""
-        return closing(self.ground_frame, self.body_frame)
+        pose = closing(self.ground_frame, self.body_frame)
+        pose.setflags(write=False)  # shared by all who ask
+        return pose
 
     def twist(
         self,
@@ -342,10 +344,8 @@ _ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["screw"]
 
 
 def _row(name: str | Row) -> Row:
-    if isinstance(name, Row):
-        return name
     try:
-        return Row.parse(name.replace("Ω", "Omega"))
+        return Row.parse(str(name) if isinstance(name, Row) else name.replace("Ω", "Omega"))
     except (ValueError, AttributeError, TypeError):
         raise unknown_name("row", name, _ROW_NAMES) from None
 

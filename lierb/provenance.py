@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from lierb.arrays import Array
+from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
 
@@ -45,7 +46,8 @@ def provenance(
     joint = problem.joint
     return {
         **machine(),
-        "lanes": plan.lanes,
+        "lanes": DEFAULT_LANES,
+        "block": plan.lanes,
         "options": options,
         "tableau": {"A": plan.stages, "b": plan.weights},
         "problem": {

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numba.np.ufunc.parallel import _launch_threads
 from numpy.typing import NDArray
 
 from lierb.arrays import Array
@@ -194,24 +193,25 @@ def integrate(
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
-    check: Callable[[Array, int], None] | None = None,
+    check: Callable[[Array, int], bool] | None = None,
 ) -> Output:
     """Run every body to the end, chunk by chunk, after `check` has seen how all of them start.
 
-    check : a function of a chunk's START_COLUMNS, [column][body], and the number of its first body.
+    check : a function of a chunk's START_COLUMNS, [column][body], and the number of its first body;
+        it raises, or says whether it wants to see the next chunk.
     """
     _check_threads()
+    used = _threads(threads, -(-inputs.count // plan.lanes))
     output = Output.empty(plan, inputs.count, grid, with_state)
     chunks = _Chunks(inputs, plan.lanes)
-    with _threads(threads, -(-inputs.count // plan.lanes)):
-        if check is not None:
-            for chunk in chunks:
-                _call_driver(plan, chunk, output, grid, 0, 0)
-                check(chunk.found[: len(START_COLUMNS)], chunk.start)
-        with _reporter(progress, inputs.count * grid.steps) as report:
-            for chunk in chunks:
-                for done in _run_chunk(plan, chunk, grid, output):
-                    report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
+    for chunk in chunks if check is not None else ():
+        _call_driver(plan, chunk, output, grid, 0, 0, used)
+        if not check(chunk.found[: len(START_COLUMNS)], chunk.start):  # type: ignore[misc]
+            break
+    with _reporter(progress, inputs.count * grid.steps) as report:
+        for chunk in chunks:
+            for done in _run_chunk(plan, chunk, grid, output, used):
+                report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
     return output
 
 
@@ -228,19 +228,19 @@ class _Chunks:
             yield Chunk.of(self.inputs, start, self.lanes)
 
 
-def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output) -> Iterator[int]:
+def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output, threads: int) -> Iterator[int]:
     """Run a chunk to the end; yields the steps done after each call of the driver."""
     begin, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
     while begin < grid.steps:
         end = min(begin + ahead, grid.steps)
-        seconds = _call_driver(plan, chunk, output, grid, begin, end)
+        seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
         begin, ahead = end, max(1, int(CALL_SECONDS / seconds * (end - begin)))
         yield begin
     output.take(chunk, grid)
 
 
 def _call_driver(
-    plan: Plan, chunk: Chunk, output: Output, grid: Grid, begin: int, end: int
+    plan: Plan, chunk: Chunk, output: Output, grid: Grid, begin: int, end: int, threads: int
 ) -> float:
     """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
     arguments = (
@@ -248,7 +248,7 @@ def _call_driver(
         chunk.start, begin, end, grid.steps, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
     _jit.ensure_compiled(integrate_blocks, plan, *arguments)
-    with _driver_lock, np.errstate(all="ignore"):
+    with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         began = time.perf_counter()
         integrate_blocks(plan, *arguments)
         return max(time.perf_counter() - began, 1e-6)
@@ -276,7 +276,7 @@ def threading_layer() -> str:
     """Numba's threading layer, its threads started."""
     _check_threads()
     with _driver_lock:
-        _launch_threads()
+        numba.get_num_threads()  # starts them
     return str(numba.threading_layer())
 
 
@@ -289,29 +289,30 @@ def _check_threads() -> None:
         )
 
 
-@contextmanager
-def _threads(count: int | None, blocks: int) -> Iterator[None]:
-    """This Python thread's number of Numba threads set, never to more than there are blocks."""
-    before = numba.get_num_threads()
-    used = min(before if count is None else _checked(count), blocks)
-    if used == before:
-        yield
-        return
-    numba.set_num_threads(used)
-    try:
-        yield
-    finally:
-        numba.set_num_threads(before)
-
-
-def _checked(count: int) -> int:
+def _threads(count: int | None, blocks: int) -> int:
+    """How many threads a call uses: as many as asked for, but no more than it has blocks."""
     most = numba.config.NUMBA_NUM_THREADS
+    if count is None:
+        count = numba.get_num_threads()
     whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
     if not whole or not 1 <= count <= most:
         raise ArgumentError(
             f"threads={count!r}; expected 1 … {most}, the threads that Numba started with"
         )
-    return count
+    return min(int(count), blocks)
+
+
+@contextmanager
+def _thread_mask(count: int) -> Iterator[None]:
+    """This Python thread's number of Numba threads set, and set back."""
+    before = numba.get_num_threads()
+    if count != before:
+        numba.set_num_threads(count)
+    try:
+        yield
+    finally:
+        if count != before:
+            numba.set_num_threads(before)
 
 
 # ---- progress ----------------------------------------------------------------------------------

@@ -578,6 +578,20 @@ BAD_STATES = {
 }
 
 
+def test_check_warn_warns_once_about_a_batch_of_many_chunks(monkeypatch):
+    monkeypatch.setattr(lierb.run, "CHUNK_BODIES", 16)
+    loose = np.tile((0, 0, 0, 0, 0, 1.0), (60, 1))
+    with pytest.warns(InconsistentStateWarning) as told, pytest.raises(DriverReached):
+        integrate(twist0=loose, check="warn")
+    assert len(told) == 1
+    assert told[0].filename == __file__
+
+
+def test_closed_pose_is_no_ones_to_change():
+    with pytest.raises(ValueError, match="read-only"):
+        joints.spherical(POINT).closed_pose[0, 0] = 2.0
+
+
 @pytest.mark.parametrize("argument", BAD_STATES)
 def test_check_warn_warns_once_and_runs(argument):
     with (

@@ -61,6 +61,17 @@ def test_warmup_leaves_out_what_does_not_exist():
     assert seen == [(0, 1, "spherical, Euler, reduced, local"), (1, 1, "")]
 
 
+def test_warmup_takes_one_name_for_a_list_of_one():
+    (kernel,) = lierb.warmup("spherical", methods="Euler", cspaces="reduced")
+    assert (kernel.joint, kernel.method, kernel.cspace) == ("spherical", "Euler", "reduced")
+
+
+def test_warmup_takes_a_joint_that_does_not_close_at_rest():
+    held = lierb.joints.from_rows(["Q11"])
+    (kernel,) = lierb.warmup(held, methods="Euler")
+    assert kernel.joint == "from_rows"
+
+
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [

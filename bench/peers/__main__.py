@@ -33,7 +33,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m peers")
     names = sorted(m.name for m in pkgutil.iter_modules(peers.__path__) if m.name not in NOT_PEERS)
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PEER")
-    parser.add_argument("--passes", type=int, default=3, help="through the whole list; default 3")
+    parser.add_argument("--passes", type=int, default=2, help="through the whole list; default 2")
     parser.add_argument("--report", type=Path, help="print the tables of a stored run")
     given = parser.parse_args()
     if given.report is None:
@@ -69,15 +69,14 @@ def measured(names: list[str], passes: int) -> dict[str, Any]:
                 entry = entries.setdefault(
                     f"{name}/{form_name}",
                     {"label": form.label, "family": form.family, "adaptive": form.adaptive,
-                     "curve": {}},
+                     "curve": []},
                 )  # fmt: skip
                 print(f"[{turn + 1}/{passes}] {name}/{form_name}", file=sys.stderr, flush=True)
                 for threads in form.threads:
-                    keep(entry, f"threads_{threads}", worker(name, form_name, threads=threads))
-                for accuracy in form.accuracies if turn == 0 else ():
-                    bodies = max(64, form.bodies // 4)
-                    found = worker(name, form_name, accuracy=accuracy, bodies=bodies)
-                    entry["curve"][repr(accuracy)] = found
+                    curve = threads == 1 and not entry["curve"]
+                    found = worker(name, form_name, threads, curve)
+                    entry["curve"] = found.pop("curve", entry["curve"])
+                    keep(entry, f"threads_{threads}", found)
     return {
         "time": datetime.now(UTC).isoformat(timespec="seconds").removesuffix("+00:00"),
         "machine": machine,
@@ -88,15 +87,12 @@ def measured(names: list[str], passes: int) -> dict[str, Any]:
     }
 
 
-def worker(peer: str, form: str, **options: object) -> dict[str, Any]:
+def worker(peer: str, form: str, threads: int, curve: bool) -> dict[str, Any]:
     """One measurement; {"failed": why} where it broke."""
-    command = [sys.executable, "-m", "peers.worker", peer, form]
-    for name, value in options.items():
-        command += [f"--{name}", str(value)]
-    threads = str(options.get("threads", 1))
-    environment = os.environ | {
-        f"{kind}_NUM_THREADS": threads for kind in ("OMP", "MKL", "OPENBLAS")
-    }
+    command = [sys.executable, "-m", "peers.worker", peer, form, "--threads", str(threads)]
+    command += ["--curve"] if curve else []
+    pools = ("OMP", "MKL", "OPENBLAS")
+    environment = os.environ | {f"{pool}_NUM_THREADS": str(threads) for pool in pools}
     try:
         done = subprocess.run(
             command, cwd=Path(__file__).parent.parent, env=environment, capture_output=True,

@@ -1,6 +1,6 @@
 """lierb itself, through its public face, at the settings of the tables: maxima every 10 steps.
 
-`…-tilted` is the same top described the hard way: axes of body and joint turned, full inertia, every
+`…-tilted` is the same top described the hard way: axes turned, full inertia, every
 body with joint frames of its own. `…-revolute` turns about the body's e₂ (of ω₀ that part);
 `…-universal` keeps the body's e₂ perpendicular to the ground's e₃ (of ω₀ the second and third).
 """

@@ -18,7 +18,7 @@ from peers.heavy_top import Final, Form
 FORMS = {
     "reduced": Form(
         "reduced", 32768, "numbalsoda, reduced, DOP853", adaptive=True, accuracy=1e-8,
-        accuracies=(1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13),
+        accuracies=(1e-5, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13),
     )
 }  # fmt: skip
 ATOL_PER_RTOL = 1.0  # of a quaternion and of ω, which are of order one

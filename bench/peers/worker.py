@@ -18,6 +18,17 @@ def cpu_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
+def timed(integrate, rounds: int) -> tuple[float, float, object]:
+    """The best wall and CPU seconds of so many rounds, and what came out."""
+    walls, cpus = [], []
+    for _ in range(rounds):
+        wall, cpu = time.perf_counter(), cpu_seconds()
+        final = integrate()
+        walls.append(time.perf_counter() - wall)
+        cpus.append(cpu_seconds() - cpu)
+    return min(walls), min(cpus), final
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("peer")
@@ -25,7 +36,8 @@ def main() -> None:
     parser.add_argument("--bodies", type=int, help="default: the form's own")
     parser.add_argument("--accuracy", type=float, help="default: the form's own")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--curve", action="store_true", help="also at the form's other accuracies")
     given = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: given.threads])
 
@@ -37,30 +49,27 @@ def main() -> None:
         print(json.dumps({"unavailable": reason}))
         return
     form = peer.FORMS[given.form]
+
+    def measured(accuracy: float, bodies: int, rounds: int) -> dict[str, object]:
+        integrate = peer.run(given.form, heavy_top.samples(bodies), accuracy, given.threads)
+        integrate()
+        cold = time.time() - START
+        wall, cpu, final = timed(integrate, rounds)
+        return {
+            "bodies": bodies,
+            "accuracy": accuracy,
+            "wall_s": wall,
+            "cpu_s": cpu,
+            "cold_s": cold,
+            "error_m": heavy_top.error(final),
+        }
+
     accuracy = form.accuracy if given.accuracy is None else given.accuracy
-    omega0 = heavy_top.samples(given.bodies or form.bodies)
-    integrate = peer.run(given.form, omega0, accuracy, given.threads)
-    final = integrate()
-    cold = time.time() - START
-    rounds = []
-    for _ in range(given.rounds):
-        wall, cpu = time.perf_counter(), cpu_seconds()
-        final = integrate()
-        rounds.append((time.perf_counter() - wall, cpu_seconds() - cpu))
-    print(
-        json.dumps(
-            {
-                "bodies": len(omega0),
-                "accuracy": accuracy,
-                "threads": given.threads,
-                "wall_s": min(wall for wall, _ in rounds),
-                "cpu_s": min(cpu for _, cpu in rounds),
-                "cold_s": cold,
-                "error_m": heavy_top.error(final),
-                "config": peer.config(),
-            }
-        )
-    )
+    found = measured(accuracy, given.bodies or form.bodies, given.rounds)
+    if given.curve:
+        few = max(64, form.bodies // 4)
+        found["curve"] = [measured(a, few, rounds=2) for a in form.accuracies]
+    print(json.dumps({**found, "threads": given.threads, "config": peer.config()}))
 
 
 if __name__ == "__main__":

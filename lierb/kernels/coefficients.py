@@ -92,7 +92,7 @@ def coefficients(z: Any) -> Coefficients:
 
 def _taylor(z: Any, terms: int) -> tuple[Any, ...]:
     series = (SINC_TERMS, A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
-    return tuple(horner(z, coefficients[:terms]) for coefficients in series)
+    return tuple(horner(z, every[:terms]) for every in series)
 
 
 def _long(z: Any) -> tuple[Any, ...]:

@@ -3,7 +3,8 @@
 Rows act on D = (Q, d), the body's joint frame seen from the ground's: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0 (a fixed axis, as a condition on velocity), `screw`
 d₃ − pitch·φ = 0. Each has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the
-acceleration constraint J V̇ = η, so that η = −(ḧ at V̇ = 0).
+acceleration constraint J V̇ = η, so that η = −(ḧ at V̇ = 0). `solving_rows` has a kind of its own,
+`point`: the rows d1 d2 d3, turned to body axes.
 """
 
 from __future__ import annotations

@@ -81,7 +81,8 @@ def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
     return [load(array, (c, first), plan.lanes) for c in range(count)]
 
 
-def _parameters(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
+def parameters_of(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
+    """Parameters, pose and twist from the numbers of the input columns."""
     parts = {}
     start = 0
     for name, width in INPUT_WIDTHS.items():
@@ -104,7 +105,7 @@ def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
 
 
 def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
-    parameters, _, _ = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    parameters, _, _ = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     body = plan.space.body(parameters)
     if plan.slots is None:
         return body
@@ -112,7 +113,7 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
 
 
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
-    parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     start = State(chart, tuple(0.0 * v for v in velocity), velocity)
     start = _structured(plan, start, parameters.pitch)
@@ -217,7 +218,7 @@ def user_state(
     plan: Plan, inputs: Any, state: State, record: Record, first: Any
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
-    parameters, _, _ = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    parameters, _, _ = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     state = State(*state)
     pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), state.velocity)
     return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
@@ -267,7 +268,7 @@ def store_summary(
 
 def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     """How far the start, as given, is off the joint; see START_COLUMNS."""
-    parameters, pose, twist = _parameters(_columns(plan, inputs, INPUT_COLUMNS, first))
+    parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     off = measure(plan, plan.space.body(parameters), chart, velocity)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))

@@ -1,4 +1,4 @@
-"""Lane packs: L bodies side by side in one SIMD register, as a number that formulas compute with.
+"""Lane packs: L bodies side by side in SIMD registers, as a number that formulas compute with.
 
 A `Lane` stands for an LLVM value, `<L x double>` or `double`, while a formula is being traced: each
 operator emits the instruction and returns the result. No instruction carries a fast-math flag: with

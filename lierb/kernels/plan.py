@@ -17,7 +17,8 @@ def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
     Every operation of a step waits for the one before it. Two or four packs side by side hide that,
     as long as what is alive fits the registers: on a subgroup, a rate for each stage and freedom.
     Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 86, 103, 117; spherical 55, 65,
-    57; spherical by DOP853 22, 19, 16. On AVX2 with 4, 8, 16: revolute 52, 66, 74.
+    57; spherical by DOP853 22, 19, 16. On AVX2 with 4, 8, 16: revolute 52, 66, 74. A batch that
+    fills no block pays for one all the same: one kernel serves every batch.
     """
     alive = stages * (6 - rows)
     packs = 1 if solver == "saddle" or alive > 12 else 2 if alive > 4 else 4
