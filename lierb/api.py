@@ -7,7 +7,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -257,20 +256,25 @@ def _report(error: ValueError | None, check: str) -> None:
 # ---- tables ------------------------------------------------------------------------------------
 
 
-@cache
-def _field(name: str, kind: pa.DataType, unit: str | None) -> pa.Field:
-    unit = unit or UNITS.get(name.removesuffix("_max").removesuffix("_final"))
-    return pa.field(name, kind, metadata={"unit": unit} if unit else None)
+_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
 
 
-def _table(
-    columns: dict[str, pa.Array], metadata: dict[str, Any], units: dict[str, str]
-) -> pa.Table:
-    schema = pa.schema(
-        [_field(name, array.type, units.get(name)) for name, array in columns.items()],
-        metadata={"lierb": json.dumps(metadata)},
-    )
+def _table(columns: dict[str, pa.Array], metadata: dict[str, Any], units: str = "") -> pa.Table:
+    """units : of the components of `lambda`, if it is there."""
+    key = (*columns, units)
+    if key not in _schemas:
+        _schemas[key] = _schema(columns, units)
+    schema = _schemas[key].with_metadata({"lierb": json.dumps(metadata)})
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
+
+
+def _schema(columns: dict[str, pa.Array], units: str) -> pa.Schema:
+    fields = []
+    for name, array in columns.items():
+        plain = name.removesuffix("_max").removesuffix("_final")
+        unit = units if name == "lambda" else UNITS.get(plain)
+        fields.append(pa.field(name, array.type, metadata={"unit": unit} if unit else None))
+    return pa.schema(fields)
 
 
 def _vectors(array: Array) -> pa.Array:
@@ -287,7 +291,7 @@ def _summary_table(output: run.Output, metadata: dict[str, Any]) -> pa.Table:
     }
     columns |= {name: pa.array(scalars[name]) for name in SUMMARY_ORDER}
     columns |= {name: _vectors(a) for name, a in zip(run.STATE_WIDTHS, output.state, strict=True)}
-    return _table(columns, metadata, {})
+    return _table(columns, metadata)
 
 
 def _errors_table(
@@ -312,8 +316,8 @@ def _errors_table(
             columns[name] = _vectors(array)
     if "energy" in recorded:
         columns["energy"] = pa.array(energy.reshape(-1))
-    units = {}
+    units = ""
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = _vectors(output.multipliers)
-        units["lambda"] = ", ".join(row.unit for row in plan.rows)
+        units = ", ".join(row.unit for row in plan.rows)
     return _table(columns, metadata, units)

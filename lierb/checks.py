@@ -17,7 +17,7 @@ from lierb.kernels.constraints import (
     rotation_error_squared,
     value,
 )
-from lierb.kernels.driver import parameters_of
+from lierb.kernels.driver import INPUT_COLUMNS, parameters_of
 from lierb.kernels.newton_euler import SE3, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
@@ -43,6 +43,8 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
     """
     rows = inputs.problem.joint.rows
     errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
+    if (errors <= TOLERANCE).all() and (cosines > 0.0).all():
+        return None
     suspects = ~(errors <= TOLERANCE).all(axis=0) | (cosines <= 0.0).any(axis=0)
     for body in np.flatnonzero(suspects).tolist():
         with np.errstate(all="ignore"):
@@ -61,7 +63,8 @@ def _held_axes(rows: tuple[Row, ...]) -> list[int]:
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
     joint = inputs.problem.joint
-    parameters, pose, twist = parameters_of(list(inputs.packed(number, number + 1, 1)[:, 0]))
+    columns = inputs.packed(number, number + 1, np.empty((INPUT_COLUMNS, 1)))
+    parameters, pose, twist = parameters_of(list(columns[:, 0]))
     body = SE3.body(parameters)
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)

@@ -76,8 +76,8 @@ class Inputs:
     twists: Array
     count: int
 
-    def packed(self, start: int, stop: int, width: int) -> Array:
-        """Bodies start … stop as [column][body], the last one repeated up to `width`."""
+    def packed(self, start: int, stop: int, packed: Array) -> Array:
+        """Bodies start … stop as [column][body], the last one repeated to fill `packed`."""
 
         def own(array: Array, item_axes: int = 0) -> Array:
             return array[start:stop] if array.ndim > item_axes and len(array) > 1 else array
@@ -101,12 +101,15 @@ class Inputs:
             "pose": poses.reshape(-1, 16)[:, POSE_ENTRIES],
             "twist": own(self.twists, 1),
         }
-        packed = np.empty((INPUT_COLUMNS, width))
         first = 0
         for name, columns in INPUT_WIDTHS.items():
             part = parts[name].reshape(-1, columns)
-            packed[first : first + columns, : stop - start] = part.T
-            packed[first : first + columns, stop - start :] = part[-1:].T
+            place = packed[first : first + columns]
+            if len(part) == 1:
+                place[:] = part.T
+            else:
+                place[:, : stop - start] = part.T
+                place[:, stop - start :] = part[-1:].T
             first += columns
         return packed
 
@@ -125,13 +128,17 @@ class Chunk:
     summary: Array
 
     @classmethod
-    def of(cls, inputs: Inputs, start: int, lanes: int) -> Chunk:
+    def of(cls, inputs: Inputs, start: int, lanes: int, spent: Chunk | None = None) -> Chunk:
+        """The bodies from `start` on, in the memory of a chunk that is not needed any more."""
         stop = min(start + CHUNK_BODIES, inputs.count)
         width = -(-(stop - start) // lanes) * lanes
-        return cls(
-            start, stop, inputs.packed(start, stop, width),
-            np.empty((CARRIED_COLUMNS, width)), np.empty((SUMMARY_COLUMNS, width)),
-        )  # fmt: skip
+        arrays: list[Array]
+        if spent is not None and spent.inputs.shape[1] == width:
+            arrays = [spent.inputs, spent.carried, spent.summary]
+        else:
+            heights = (INPUT_COLUMNS, CARRIED_COLUMNS, SUMMARY_COLUMNS)
+            arrays = [np.empty((height, width)) for height in heights]
+        return cls(start, stop, inputs.packed(start, stop, arrays[0]), *arrays[1:])
 
     @property
     def found(self) -> Array:
@@ -216,16 +223,17 @@ def integrate(
 
 
 class _Chunks:
-    """All bodies, chunk by chunk, as often as asked; the first chunk is packed once."""
+    """All bodies, chunk by chunk, as often as asked; one chunk's memory at a time."""
 
     def __init__(self, inputs: Inputs, lanes: int) -> None:
         self.inputs, self.lanes = inputs, lanes
-        self.first = Chunk.of(inputs, 0, lanes)
+        self.held: Chunk | None = None
 
     def __iter__(self) -> Iterator[Chunk]:
-        yield self.first
-        for start in range(CHUNK_BODIES, self.inputs.count, CHUNK_BODIES):
-            yield Chunk.of(self.inputs, start, self.lanes)
+        for start in range(0, self.inputs.count, CHUNK_BODIES):
+            if self.held is None or self.held.start != start:
+                self.held = Chunk.of(self.inputs, start, self.lanes, self.held)
+            yield self.held
 
 
 def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output, threads: int) -> Iterator[int]:

@@ -45,7 +45,7 @@ def main() -> None:
         path = given.report
         run = json.loads(path.read_text())
     print(report.markdown(run))
-    figure = path.with_suffix(".svg")
+    figure = path.with_suffix(".png")
     report.draw(run, figure)
     print(f"\nstored in {path} and {figure}")
 

@@ -29,6 +29,11 @@ PAIRS = {
 }  # fmt: skip
 
 
+# Okabe and Ito's colours, and a marker for each curve
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLES = [(COLORS[i % len(COLORS)], marker) for i, marker in enumerate("osD^v<>Pp*Xhd8s^Dov<>P")]
+
+
 def rate(found: dict[str, Any], seconds: str) -> float:
     """M body-steps/s."""
     return found["bodies"] * STEPS / found[seconds] / 1e6
@@ -169,30 +174,31 @@ def _three(x: float) -> str:
 
 
 def draw(run: dict[str, Any], path: Path) -> None:
-    """Error over CPU time a body, both families, SVG and PNG."""
+    """Error over CPU time a body, both families, as PNG."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 2, figsize=(12, 5.5), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(12, 7.5), sharey=True, layout="constrained")
     for ax, (family, title) in zip(axes, FAMILIES.items(), strict=True):
-        markers = iter("osD^v<>Pp*Xhds1234+x" * 2)
-        for name, entry in run["entries"].items():
-            points = _curve(entry)
-            if entry["family"] != family or len(points) < 2:
+        curves = [(n, e, _curve(e)) for n, e in run["entries"].items() if e["family"] == family]
+        styles = iter(STYLES)
+        for name, entry, points in curves:
+            if len(points) < 2:
                 continue
             ours = name.startswith("lierb/")
+            color, marker = next(styles)
             ax.loglog(
-                [c * 1e6 for _, c in points], [e for e, _ in points],
-                marker=next(markers), markersize=5, linewidth=2.2 if ours else 1.0,
-                linestyle="-" if ours else "--", label=entry["label"],
+                [c * 1e6 for _, c in points], [e for e, _ in points], color=color, marker=marker,
+                markersize=5, linewidth=2.6 if ours else 1.0, linestyle="-" if ours else "--",
+                label=entry["label"],
             )  # fmt: skip
         ax.set_title(title, fontsize=10)
         ax.set_xlabel("CPU time per body and simulated second / µs")
         ax.grid(True, which="major", alpha=0.3)
-        ax.legend(fontsize=7)
+        ax.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.12))
     axes[0].set_ylabel("largest error of the centre of mass at t = 1 s / m")
     figure.suptitle("Heavy top Monte Carlo: work and precision on one core")
-    for suffix in (".svg", ".png"):
-        figure.savefig(path.with_suffix(suffix), dpi=120)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
