@@ -26,7 +26,7 @@ from peers import report
 
 RESULTS = Path(__file__).parent.parent / "results"
 TIMEOUT = 600  # s, for one measurement
-NOT_PEERS = {"__main__", "equations", "heavy_top", "reference", "report", "worker"}
+NOT_PEERS = {"__init__", "__main__", "equations", "heavy_top", "reference", "report", "worker"}
 
 
 def main() -> None:

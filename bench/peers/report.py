@@ -55,6 +55,8 @@ def markdown(run: dict[str, Any]) -> str:
     missing = [f"{name} ({why})" for name, why in run["unavailable"].items()]
     if missing:
         lines += ["", f"Not available in this run: {'; '.join(missing)}."]
+    if "note" in run:
+        lines += ["", run["note"]]
     return "\n".join(lines)
 
 
