@@ -43,10 +43,8 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
     """
     rows = inputs.problem.joint.rows
     errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
-    if (errors <= TOLERANCE).all() and (cosines > 0.0).all():
-        return None
-    suspects = ~(errors <= TOLERANCE).all(axis=0) | (cosines <= 0.0).any(axis=0)
-    for body in np.flatnonzero(suspects).tolist():
+    fine = (errors <= TOLERANCE).all(axis=0) & (cosines > 0.0).all(axis=0)  # false for NaN
+    for body in np.flatnonzero(~fine).tolist():
         with np.errstate(all="ignore"):
             found = _violation_of(inputs, first + body)
         if found is not None:  # else it is at the tolerance, to rounding

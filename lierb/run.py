@@ -211,10 +211,11 @@ def integrate(
     used = _threads(threads, -(-inputs.count // plan.lanes))
     output = Output.empty(plan, inputs.count, grid, with_state)
     chunks = _Chunks(inputs, plan.lanes)
-    for chunk in chunks if check is not None else ():
-        _call_driver(plan, chunk, output, grid, 0, 0, used)
-        if not check(chunk.found[: len(START_COLUMNS)], chunk.start):  # type: ignore[misc]
-            break
+    if check is not None:
+        for chunk in chunks:
+            _call_driver(plan, chunk, output, grid, 0, 0, used)
+            if not check(chunk.found[: len(START_COLUMNS)], chunk.start):
+                break
     with _reporter(progress, inputs.count * grid.steps) as report:
         for chunk in chunks:
             for done in _run_chunk(plan, chunk, grid, output, used):
