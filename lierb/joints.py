@@ -56,7 +56,8 @@ class Joint:
     @cached_property
     def closed_pose(self) -> Array:
         """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide."""
-        pose = closing(self.ground_frame, self.body_frame)
+        ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
+        pose = pose_matrix(se3.compose(ground, se3.inverse(body)))
         pose.setflags(write=False)  # shared by all who ask
         return pose
 
@@ -90,12 +91,6 @@ class Joint:
         rotation, _ = pose_components(placed)
         _, point = pose_components(self.body_frame)
         return assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
-
-
-def closing(ground_frame: Array, body_frame: Array) -> Array:
-    """C = G B⁻¹, frame by frame."""
-    ground, body = pose_components(ground_frame), pose_components(body_frame)
-    return pose_matrix(se3.compose(ground, se3.inverse(body)))
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
-from lierb.joints import closing
-from lierb.kernels import _jit
+from lierb.kernels import _jit, se3
+from lierb.kernels.arithmetic import flatten
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
     ERROR_COLUMNS,
     INPUT_COLUMNS,
-    INPUT_WIDTHS,
+    INPUT_SLICES,
     OK,
     START_COLUMNS,
     SUMMARY_COLUMNS,
@@ -78,43 +78,39 @@ class Inputs:
 
     def packed(self, start: int, stop: int, packed: Array) -> Array:
         """Bodies start … stop as [column][body], the last one repeated to fill `packed`."""
+        places = {name: packed[columns] for name, columns in INPUT_SLICES.items()}
 
-        def own(array: Array, item_axes: int = 0) -> Array:
-            return array[start:stop] if array.ndim > item_axes and len(array) > 1 else array
+        def put(place: Array, array: Array, *shape: int) -> None:
+            """An item of that shape for every body, or one for all of them."""
+            place = place.reshape(*shape, -1)
+            if array.ndim > len(shape) and len(array) > 1:
+                array = array[start:stop]
+            items = np.moveaxis(array, 0, -1) if array.ndim > len(shape) else array[..., None]
+            place[..., : stop - start] = items
+            place[..., stop - start :] = items[..., -1:]
+
+        def put_pose(place: Array, poses: Array) -> None:
+            put(place[:9], poses[..., :3, :3], 3, 3)
+            put(place[9:], poses[..., :3, 3], 3)
 
         body, joint = self.problem.body, self.problem.joint
-        ground, held = own(joint.ground_frame, 2), own(joint.body_frame, 2)
+        put(places["mass"], body.mass)
+        put(places["inertia"], body.inertia, 3, 3)
+        put(places["com"], body.com, 3)
+        put(places["gravity"], self.problem.gravity, 3)
+        put_pose(places["ground_frame"], joint.ground_frame)
+        put_pose(places["body_frame"], joint.body_frame)
+        put(places["pitch"], joint.pitch)
+        put(places["twist"], self.twists, 6)
         if self.poses is not None:
-            poses = own(self.poses, 2)
-        elif ground.ndim == held.ndim == 2:
-            poses = joint.closed_pose
+            put_pose(places["pose"], self.poses)
+        elif joint.ground_frame.ndim == joint.body_frame.ndim == 2:
+            put_pose(places["pose"], joint.closed_pose)
         else:
-            poses = closing(ground, held)
-        parts = {
-            "mass": own(body.mass),
-            "inertia": own(body.inertia, 2),
-            "com": own(body.com, 1),
-            "gravity": own(self.problem.gravity, 1),
-            "ground_frame": ground.reshape(-1, 16)[:, POSE_ENTRIES],
-            "body_frame": held.reshape(-1, 16)[:, POSE_ENTRIES],
-            "pitch": own(joint.pitch),
-            "pose": poses.reshape(-1, 16)[:, POSE_ENTRIES],
-            "twist": own(self.twists, 1),
-        }
-        first = 0
-        for name, columns in INPUT_WIDTHS.items():
-            part = parts[name].reshape(-1, columns)
-            place = packed[first : first + columns]
-            if len(part) == 1:
-                place[:] = part.T
-            else:
-                place[:, : stop - start] = part.T
-                place[:, stop - start :] = part[-1:].T
-            first += columns
+            frames = (places["ground_frame"], places["body_frame"])
+            ground, held = ((tuple(p[:9]), tuple(p[9:])) for p in frames)
+            places["pose"][:] = flatten(se3.compose(ground, se3.inverse(held)))
         return packed
-
-
-POSE_ENTRIES = [0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11]  # of a 4×4 matrix: R row by row, then r
 
 
 @dataclass(frozen=True)
@@ -253,7 +249,7 @@ def _call_driver(
 ) -> float:
     """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
     arguments = (
-        chunk.inputs, chunk.carried, chunk.summary, *output.histories, plan.lanes,
+        chunk.inputs, chunk.carried, chunk.summary, *output.histories, plan.lanes, threads,
         chunk.start, begin, end, grid.steps, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
     _jit.ensure_compiled(integrate_blocks, plan, *arguments)

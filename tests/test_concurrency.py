@@ -16,6 +16,7 @@ import pytest
 
 import lierb
 from lierb.errors import ForkError
+from lierb.kernels._jit import take_turn
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="there are no threads with the JIT off"
@@ -120,6 +121,24 @@ def test_threads_are_used_in_the_call(monkeypatch):
     )
     run(threads=1)
     assert set(seen) == {1}
+
+
+def test_no_number_is_taken_twice():
+    """Blocks are handed out by a counter that all threads share."""
+
+    @numba.njit(parallel=True)
+    def taken(threads, count):
+        times = np.zeros(count, np.int64)
+        counter = np.zeros(1, np.int64)
+        for _ in numba.prange(threads):
+            while True:
+                number = take_turn(counter)
+                if number >= count:
+                    break
+                times[number] += 1
+        return times
+
+    assert (taken(numba.get_num_threads(), 100_000) == 1).all()
 
 
 # ---------------------------------------------------------------- progress
@@ -229,6 +248,7 @@ import multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
+from lierb.kernels._jit import take_turn
 
 top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
 

@@ -24,8 +24,10 @@ from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import (
     NativeValue,
+    intrinsic,
     lower_builtin,
     models,
+    overload,
     register_model,
     typeof_impl,
     unbox,
@@ -188,6 +190,27 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
     infer_global(formula)(Template)
     lower_builtin(formula, types.VarArg(types.Any))(lower)
     return formula
+
+
+def take_turn(counter: Any) -> Any:
+    """The number in `counter`, an int64 array, then raised by one: no two threads get the same."""
+    number = counter[0]
+    counter[0] = number + 1
+    return number
+
+
+@intrinsic
+def _atomic_increment(context: Any, counter: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        array = context.make_array(counter)(context, builder, args[0])
+        return builder.atomic_rmw("add", array.data, ir.Constant(ir.IntType(64), 1), "monotonic")
+
+    return types.int64(counter), generate
+
+
+@overload(take_turn)
+def _take_turn(counter):  # no annotations: Numba compares signatures
+    return lambda counter: _atomic_increment(counter)
 
 
 def _floating(ty: types.Type) -> types.Type:

@@ -8,8 +8,10 @@ unpadded, and become Arrow columns as they are. Between two calls everything abo
 
 from __future__ import annotations
 
+from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba import njit, prange
 
 from lierb.kernels import _jit
@@ -37,7 +39,11 @@ INPUT_WIDTHS = {
     "mass": 1, "inertia": 9, "com": 3, "gravity": 3, "ground_frame": 12, "body_frame": 12,
     "pitch": 1, "pose": 12, "twist": 6,
 }  # fmt: skip
-INPUT_COLUMNS = sum(INPUT_WIDTHS.values())
+_ENDS = tuple(accumulate(INPUT_WIDTHS.values(), initial=0))
+INPUT_SLICES = {
+    name: slice(*ends) for name, ends in zip(INPUT_WIDTHS, pairwise(_ENDS), strict=True)
+}
+INPUT_COLUMNS = _ENDS[-1]
 
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
@@ -83,11 +89,7 @@ def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
 
 def parameters_of(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
     """Parameters, pose and twist from the numbers of the input columns."""
-    parts = {}
-    start = 0
-    for name, width in INPUT_WIDTHS.items():
-        parts[name] = tuple(numbers[start : start + width])
-        start += width
+    parts = {name: tuple(numbers[columns]) for name, columns in INPUT_SLICES.items()}
     parameters = Parameters(
         mass=parts["mass"][0],
         inertia=parts["inertia"],
@@ -345,14 +347,20 @@ def integrate_block(
 @njit(parallel=True, cache=True, **_jit.OPTIONS)
 def integrate_blocks(
     plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
-    lanes, offset, begin, stop, last, h, measure_every, save_every,
+    lanes, threads, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
     """Steps begin … stop of every body; `last` is the run's last step.
 
     With stop = 0 nothing is integrated: `summary` gets START_COLUMNS.
     """
-    for block in prange(inputs.shape[1] // lanes):
-        integrate_block(
-            plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
-            multipliers, block * lanes, offset, begin, stop, last, h, measure_every, save_every,
-        )  # fmt: skip
+    blocks = inputs.shape[1] // lanes
+    counter = np.zeros(1, np.int64)
+    for _ in prange(threads):  # each takes what comes next: cores need not be equally fast
+        while True:
+            block = _jit.take_turn(counter)
+            if block >= blocks:
+                break
+            integrate_block(
+                plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
+                multipliers, block * lanes, offset, begin, stop, last, h, measure_every, save_every,
+            )  # fmt: skip
