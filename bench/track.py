@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 BENCH = Path(__file__).parent
@@ -112,7 +113,7 @@ def change_table(run: dict[str, Any], last: dict[str, Any] | None) -> Table:
         before = last and last["benchmarks"].get(name)
         comparable = before and before.get("unit") == entry.get("unit")
         change = number / figure(before)[1] - 1.0 if comparable else None
-        table.add_row(name, text, "" if change is None else _marked(change, more_is_better))
+        table.add_row(escape(name), text, "" if change is None else _marked(change, more_is_better))
     return table
 
 
