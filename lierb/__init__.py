@@ -1,6 +1,6 @@
 """lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
 
-from lierb import errors, joints, lie
+from lierb import bodies, errors, joints, lie
 from lierb.api import Result, integrate
 from lierb.installation import info, warmup
 from lierb.model import Body, Problem
@@ -13,6 +13,7 @@ __all__ = [
     "ButcherTableau",
     "Problem",
     "Result",
+    "bodies",
     "errors",
     "info",
     "integrate",

@@ -1,0 +1,138 @@
+"""Homogeneous solids as bodies: mass and inertia from their dimensions, or from a mesh.
+
+The body frame is at the centre of mass, its axes along those of the solid; a mesh keeps its own
+frame. Each takes `mass` (kg) or `density` (kg/m³), and may be batched like any other argument.
+"""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import Array, as_numbers, assembled, batch_size
+from lierb.errors import ArgumentError, body_label
+from lierb.kernels.newton_euler import unit_inertia
+from lierb.model import Body
+
+
+def box(
+    size: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
+) -> Body:
+    """A cuboid.
+
+    size : (3,) or (n, 3), its edges along e₁, e₂, e₃, m.   mass or density : number or (n,).
+    Raises ArgumentError for what is no positive length, mass or density.
+
+    >>> import lierb
+    >>> lierb.bodies.box((0.1, 0.2, 0.3), density=1000.0).mass.round(9)
+    np.float64(6.0)
+    """
+    edges = _positive("size", size, "m", 3)
+    a, b, c = edges[..., 0], edges[..., 1], edges[..., 2]
+    masses = _mass(mass, density, a * b * c)
+    squares = (b * b + c * c, c * c + a * a, a * a + b * b)
+    return Body(masses, _diagonal(*(masses / 12.0 * s for s in squares)))
+
+
+def cylinder(
+    radius: ArrayLike,
+    length: ArrayLike,
+    *,
+    mass: ArrayLike | None = None,
+    density: ArrayLike | None = None,
+) -> Body:
+    """A circular cylinder about e₃.
+
+    radius, length : number or (n,), m.   mass or density : number or (n,).
+    """
+    r, h = _positive("radius", radius, "m"), _positive("length", length, "m")
+    batch_size(radius=r, length=h)
+    masses = _mass(mass, density, np.pi * r * r * h)
+    across = masses / 12.0 * (3.0 * r * r + h * h)
+    return Body(masses, _diagonal(across, across, 0.5 * masses * r * r))
+
+
+def rod(
+    length: ArrayLike,
+    radius: ArrayLike,
+    *,
+    mass: ArrayLike | None = None,
+    density: ArrayLike | None = None,
+) -> Body:
+    """A slender cylinder along e₃, of a radius: without one it had no inertia about its axis.
+
+    length, radius : number or (n,), m.   mass or density : number or (n,).
+    """
+    return cylinder(radius, length, mass=mass, density=density)
+
+
+def sphere(
+    radius: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
+) -> Body:
+    """A ball.
+
+    radius : number or (n,), m.   mass or density : number or (n,).
+    """
+    r = _positive("radius", radius, "m")
+    masses = _mass(mass, density, 4.0 / 3.0 * np.pi * r**3)
+    return Body(masses, _diagonal(*(0.4 * masses * r * r,) * 3))
+
+
+def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = None) -> Body:
+    """The solid that a closed surface encloses, in the mesh's own frame.
+
+    mesh : trimesh.Trimesh, or the path of a file that trimesh loads; lengths in m.
+    mass or density : one number.
+
+    The body's `com` is the mesh's. SO(3)×R³ wants it at the origin: move the mesh there first, by
+    `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (`pip install "lierb[mesh]"`). Raises
+    ArgumentError for a surface that encloses no volume.
+    """
+    try:
+        import trimesh
+    except ImportError:
+        raise ArgumentError('from_mesh needs trimesh; pip install "lierb[mesh]"') from None
+    if isinstance(mesh, (str, PathLike)):
+        mesh = trimesh.load_mesh(mesh)
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise ArgumentError(f"mesh must be a trimesh.Trimesh or a path, got {type(mesh).__name__}")
+    if not mesh.is_volume:
+        raise ArgumentError(
+            "mesh encloses no volume: it must be watertight, with faces that wind outward "
+            "(mesh.fill_holes() and mesh.fix_normals() may mend it)"
+        )
+    found = mesh.mass_properties
+    total = _mass(mass, density, np.asarray(found.volume))
+    if total.ndim:
+        raise ArgumentError(f"a mesh is one body; got masses of shape {total.shape}")
+    centre = np.asarray(found.center_mass, dtype=float)
+    about_com = np.asarray(found.inertia, dtype=float) * (total / float(found.mass))
+    shift = np.array(unit_inertia(tuple(centre))).reshape(3, 3)
+    return Body(total, about_com + total * shift, centre)
+
+
+def _diagonal(*moments: Array) -> Array:
+    """Matrices: the moments of three bodies would pass for one matrix."""
+    return assembled(moments)[..., None] * np.eye(3)
+
+
+def _positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
+    array = as_numbers(argument, value, shape)
+    items = array.reshape(-1, *shape)
+    bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
+    if bad.size:
+        label = body_label(argument, int(bad[0]), len(items))
+        raise ArgumentError(f"{label} is {items[bad[0]]} {unit}; expected positive numbers")
+    return array
+
+
+def _mass(mass: ArrayLike | None, density: ArrayLike | None, volume: Array) -> Array:
+    if (mass is None) == (density is None):
+        raise ArgumentError("give mass= or density=, one of the two")
+    name, unit = ("mass", "kg") if density is None else ("density", "kg/m³")
+    given = _positive(name, density if mass is None else mass, unit)  # type: ignore[arg-type]
+    batch_size(**{name: given}, dimensions=volume)
+    return given * volume if mass is None else np.broadcast_arrays(given, volume)[0]
