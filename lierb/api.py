@@ -33,7 +33,7 @@ from lierb.tableaus import ButcherTableau, tableau_of
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
 SOLVER_NAMES = ("auto", "saddle")
-RECORDS = ("state", "energy", "multipliers")
+RECORDS = ("state", "energy", "multipliers", "reaction")
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
@@ -47,6 +47,7 @@ UNITS = {
     "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
     "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
     "energy": "J", "R": "1", "r": "m", "omega": "rad/s", "v": "m/s",
+    "reaction": "N m, N m, N m, N, N, N",
 }  # fmt: skip
 
 
@@ -97,7 +98,9 @@ def integrate(
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `errors`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
-    record : extra columns of `errors`: "state", "energy", "multipliers" (a free body has none).
+    record : extra columns of `errors`: "state"; "energy"; "multipliers", λ (a free body has none);
+        "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
+        the body's joint frame and in its axes, whatever rows describe the joint.
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
     solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "auto" does
         so too, unless the joint's motions are a subgroup of SE(3): then the solution is a constant
@@ -143,6 +146,7 @@ def integrate(
         stages=tableau.A,  # type: ignore[arg-type]
         weights=tableau.b,  # type: ignore[arg-type]
         multipliers="multipliers" in recorded,
+        reaction="reaction" in recorded,
         solver=found_by,
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
@@ -320,4 +324,6 @@ def _errors_table(
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = _vectors(output.multipliers)
         units = ", ".join(row.unit for row in plan.rows)
+    if "reaction" in recorded:
+        columns["reaction"] = _vectors(output.reactions)
     return _table(columns, metadata, units)

@@ -18,7 +18,7 @@ from lierb.kernels.constraints import (
     value,
 )
 from lierb.kernels.driver import INPUT_COLUMNS, parameters_of
-from lierb.kernels.newton_euler import SE3, Kinematics
+from lierb.kernels.newton_euler import SE3, Body, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
@@ -67,13 +67,13 @@ def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
-    return _pose_violation(
-        joint, x, body.pitch, 1.0 + norm(pose[1]), labels[0]
-    ) or _twist_violation(joint, x, body.pitch, velocity, 1.0 + norm(twist), labels[1])
+    return _pose_violation(joint, x, body, 1.0 + norm(pose[1]), labels[0]) or _twist_violation(
+        joint, x, body, velocity, 1.0 + norm(twist), labels[1]
+    )
 
 
 def _pose_violation(
-    joint: Joint, x: Kinematics, pitch: float, size: float, label: str
+    joint: Joint, x: Kinematics, body: Body, size: float, label: str
 ) -> PoseError | None:
     if any(x.q[4 * axis] <= 0.0 for axis in _held_axes(joint.rows)):  # 180°: no error sees it
         return PoseError(
@@ -81,14 +81,14 @@ def _pose_violation(
             "points against that on the ground; turn pose0 or one of the joint's frames by 180°"
         )
     for what, unit, squared, allowed in (
-        ("position", " m", position_error_squared(joint.rows, x, pitch), TOLERANCE * size),
-        ("rotation", "", rotation_error_squared(joint.rows, x), TOLERANCE),
+        ("position", " m", position_error_squared(joint.rows, x, body), TOLERANCE * size),
+        ("rotation", "", rotation_error_squared(joint.rows, x, body), TOLERANCE),
     ):
         error = _root(squared)
         if error <= allowed < np.inf:
             continue
         rows = [
-            f"{r} = {value(r, x, pitch):.3g}"
+            f"{r} = {value(r, x, body):.3g}"
             for r in joint.rows
             if r.kind != "Omega" and r.is_translational == (what == "position")
         ]
@@ -102,10 +102,10 @@ def _pose_violation(
 
 
 def _twist_violation(
-    joint: Joint, x: Kinematics, pitch: float, velocity: Vec, size: float, label: str
+    joint: Joint, x: Kinematics, body: Body, velocity: Vec, size: float, label: str
 ) -> TwistError | None:
     allowed = TOLERANCE * size
-    squares = rate_errors_squared(joint.rows, x, pitch, velocity)
+    squares = rate_errors_squared(joint.rows, x, body, velocity)
     for what, unit, squared in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, strict=True
     ):
@@ -113,7 +113,7 @@ def _twist_violation(
         if error <= allowed < np.inf:
             continue
         rows = ", ".join(
-            f"{r}: {dot(jacobian(r, x, pitch), velocity):.3g}"
+            f"{r}: {dot(jacobian(r, x, body), velocity):.3g}"
             for r in joint.rows
             if r.is_translational == (what == "velocity")
         )

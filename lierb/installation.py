@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from lierb.api import check_names, integrate
 from lierb.errors import unknown_name
-from lierb.joints import JOINTS, Joint
+from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels._jit import cached_kernels
 from lierb.kernels.batch import apply
 from lierb.kernels.driver import integrate_blocks
@@ -141,4 +141,4 @@ def _named(name: str) -> Joint:
     if name not in JOINTS:
         raise unknown_name("joint", name, JOINTS)
     entry = JOINTS[name]
-    return entry(pitch=1.0 if "pitch" in entry.options else None)
+    return entry(**{option: 1.0 for option in REQUIRED if option in entry.options})

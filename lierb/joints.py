@@ -2,7 +2,8 @@
 
 Rows are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
-(Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0.
+(Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
+Q₂₁ = Q₁₂.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import (
     Array,
+    Pose,
     as_numbers,
     as_poses,
     assembled,
@@ -26,9 +28,12 @@ from lierb.arrays import (
     pose_matrix,
 )
 from lierb.errors import ArgumentError, body_label, unknown_name
-from lierb.kernels import se3
-from lierb.kernels.constraints import Row
-from lierb.kernels.vec import Vec, add, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels import se3, so3
+from lierb.kernels.coefficients import atan2
+from lierb.kernels.constraints import WHOLE_ROWS, Row
+from lierb.kernels.subgroup import PITCHED, Slots, slots_of
+from lierb.kernels.vec import IDENTITY, Vec, add, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels.zero import ZERO
 
 PERPENDICULAR_TOLERANCE = 1e-9
 
@@ -40,6 +45,7 @@ class Joint:
     ground_frame : (4, 4) or (n, 4, 4), the joint frame seen from the ground.
     body_frame : (4, 4) or (n, 4, 4), the joint frame seen from the body.
     pitch : () or (n,), m/rad; 0 where the joint has none.
+    length : () or (n,), m, of a rod; 0 where the joint has none.
     subgroup : the joint's motions as a subgroup of SE(3), if they are one.
     """
 
@@ -48,16 +54,25 @@ class Joint:
     ground_frame: Array
     body_frame: Array
     pitch: Array
+    length: Array
     subgroup: str | None = None
 
     def __repr__(self) -> str:
         return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
 
+    @property
+    def is_batched(self) -> bool:
+        """Whether the closed pose differs from body to body."""
+        return self.ground_frame.ndim > 2 or self.body_frame.ndim > 2 or self.length.ndim > 0
+
     @cached_property
     def closed_pose(self) -> Array:
-        """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide."""
+        """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide.
+
+        A rod's ends do not: there the body's joint frame is at length·e₃ of the ground's.
+        """
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        pose = pose_matrix(se3.compose(ground, se3.inverse(body)))
+        pose = pose_matrix(closing(ground, body, self.length))
         pose.setflags(write=False)  # shared by all who ask
         return pose
 
@@ -92,13 +107,98 @@ class Joint:
         _, point = pose_components(self.body_frame)
         return assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
 
+    @property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """Names of the joint's coordinates, for the lower pairs and all motion groups.
+
+        `phi`: the turn about e₃, rad; `xi1` … `xi3`: the rotation vector, rad, in the ground's
+        joint frame; `d1` … `d3`: the place of the body's joint frame in the ground's, m.
+        """
+        slots = self._slots()
+        turning = ("xi1", "xi2", "xi3") if slots[0] >= 0 else ("phi",) if slots[2] >= 0 else ()
+        return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
+
+    def coordinates(self, pose: Any) -> Array:
+        """Where on the joint a pose is, (k,) or (n, k), in the order of `coordinate_names`.
+
+        pose : (4, 4), (n, 4, 4) or SciPy; that it closes the joint is not checked.
+
+        Angles are in [−π, π], but for a screw with a pitch, whose slide tells how often it has
+        turned. Raises ArgumentError for a joint whose motions are no group.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
+        >>> hinge.coordinates(hinge.pose([0.5])).tolist()
+        [0.5]
+        """
+        slots = self._slots()
+        placed = as_poses("pose", pose)
+        batch_size(
+            pose=(placed, 2), ground_frame=(self.ground_frame, 2), body_frame=(self.body_frame, 2)
+        )
+        ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
+        seen = se3.compose(se3.inverse(ground), pose_components(placed))
+        q, d = se3.compose(seen, body)
+        turning: Vec = ()
+        if slots[0] >= 0:
+            turning = so3.log(q)
+        elif slots[2] >= 0:
+            turning = (self._turn(atan2(q[3], q[0]), d[2], slots),)
+        return assembled(turning + tuple(d[i] for i in range(3) if slots[3 + i] >= 0))
+
+    def pose(self, coordinates: ArrayLike) -> Array:
+        """The pose with these coordinates, (4, 4) or (n, 4, 4); see `coordinate_names`.
+
+        coordinates : (k,) or (n, k).
+        """
+        slots = self._slots()
+        numbers = as_numbers("coordinates", coordinates, (len(self.coordinate_names),))
+        batch_size(
+            coordinates=(numbers, 1), ground_frame=(self.ground_frame, 2),
+            body_frame=(self.body_frame, 2), pitch=self.pitch,
+        )  # fmt: skip
+        given = components(numbers)
+        turning = tuple(given[slot] if slot >= 0 else ZERO for slot in slots[:3])
+        places = tuple(
+            given[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
+            for slot in slots[3:]
+        )
+        ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
+        placed = se3.compose(ground, (so3.exp(turning), places))
+        return pose_matrix(se3.compose(placed, se3.inverse(body)))
+
+    def _slots(self) -> Slots:
+        if self.subgroup is None:
+            groups = ", ".join(name for name, entry in JOINTS.items() if entry.subgroup)
+            raise ArgumentError(
+                f"a {self.name} joint has no coordinates: its motions are no group, as those of "
+                f"{groups} are"
+            )
+        return slots_of(self.rows)
+
+    def _turn(self, angle: Any, slide: Any, slots: Slots) -> Any:
+        """The angle of a turn; of a screw with the whole turns that fit its slide."""
+        if slots[5] != PITCHED:
+            return angle
+        turned = slide / np.where(self.pitch == 0.0, 1.0, self.pitch)
+        whole = 2.0 * np.pi * np.rint((turned - angle) / (2.0 * np.pi))
+        return angle + np.where(self.pitch == 0.0, 0.0, whole)
+
+
+def closing(ground: Pose, body: Pose, length: Any) -> Pose:
+    """C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
+    return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
+
+
+REQUIRED = {"pitch": "m/rad", "length": "m"}  # options without which an entry cannot be made
+
 
 @dataclass(frozen=True)
 class JointType:
     """An entry of the catalogue; calling it makes the joint.
 
     subgroup: the motion group of the joint as a subgroup of SE(3), if it is one.
-    options: what else the entry takes ("pitch", "slot", "second_axis").
+    options: what else the entry takes ("pitch", "length", "slot", "second_axis").
     """
 
     name: str
@@ -116,6 +216,7 @@ class JointType:
         slot: ArrayLike | None = None,
         second_axis: ArrayLike | None = None,
         pitch: ArrayLike | None = None,
+        length: ArrayLike | None = None,
         body_frame: Any = None,
         ground_frame: Any = None,
     ) -> Joint:
@@ -126,25 +227,31 @@ class JointType:
         axis : (3,) or (n, 3), the body direction of the joint axis e₃. Default: (0, 0, 1).
         slot : (3,), body direction of the slot e₁ at R = I (pin_in_slot only).
         second_axis : (3,), body direction of e₂ (universal only).
-        pitch : number or (n,), m/rad (screw only).
+        pitch : number or (n,), m/rad (screw and helical_planar only).
+        length : number or (n,), m, positive (point_on_sphere only).
         body_frame, ground_frame : (4, 4) or (n, 4, 4), instead of points and axes.
 
         Without ground_frame the ground's joint frame is turned like the body's: the joint closes at
         R = I. Raises ArgumentError, or PoseError for a frame that is no rigid motion.
         """
-        given = {"pitch": pitch, "slot": slot, "second_axis": second_axis}
+        given = {"pitch": pitch, "length": length, "slot": slot, "second_axis": second_axis}
         for option, value in given.items():
             if value is not None and option not in self.options:
                 raise ArgumentError(f"a {self.name} joint takes no {option}")
-        if pitch is None and "pitch" in self.options:
-            raise ArgumentError(f"a {self.name} joint needs pitch=, in m/rad")
+        for option, unit in REQUIRED.items():
+            if given[option] is None and option in self.options:
+                raise ArgumentError(f"a {self.name} joint needs {option}=, in {unit}")
         body = _body_frame(body_frame, body_point, axis, slot, second_axis)
         ground = _ground_frame(ground_frame, ground_point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
-        batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead)
+        rod = as_numbers("length", 0.0 if length is None else length, ())
+        if length is not None and (rod <= 0.0).any():
+            label = body_label("length", int(np.flatnonzero(rod <= 0.0)[0]), rod.size)
+            raise ArgumentError(f"{label} is {rod.min()} m; expected a positive length")
+        batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead, length=rod)
         for frames in (body, ground):
             frames.setflags(write=False)  # what was checked stays so
-        return Joint(self.name, self.rows, ground, body, lead, self.subgroup)
+        return Joint(self.name, self.rows, ground, body, lead, rod, self.subgroup)
 
     def __repr__(self) -> str:
         return f"<lierb.joints.{self.name}: {self.summary}>"
@@ -266,11 +373,45 @@ universal = _entry(
     "Hooke's joint: e₃ on the ground stays perpendicular to e₂ on the body",
     options=("second_axis",),
 )
+fixed = _entry("fixed", "d1 d2 d3 Omega1 Omega2 Omega3", "does not move")
+planar_translation = _entry(
+    "planar_translation", "d3 Omega1 Omega2 Omega3", "moves in a plane, does not turn", "R²"
+)
+translation = _entry("translation", "Omega1 Omega2 Omega3", "moves, does not turn", "R³")
+helical_planar = _entry(
+    "helical_planar",
+    "screw Omega1 Omega2",
+    "moves in a plane, turns in it and rises in proportion",
+    "H_p⋉R²",
+    ("pitch",),
+)
+schoenflies = _entry(
+    "schoenflies", "Omega1 Omega2", "moves freely, turns about one direction", "SO(2)⋉R³"
+)
 pin_in_slot = _entry(
     "pin_in_slot",
     "d2 d3 Omega1 Omega2",
     "turns about e₃ while its point slides along e₁ of the ground",
     options=("slot",),
+)
+pin_in_slot_body = _entry(
+    "pin_in_slot_body",
+    "Qtd2 Qtd3 Omega1 Omega2",
+    "turns about e₃ while its slot, along e₁ of the body, slides on the ground's point",
+    options=("slot",),
+)
+point_on_line = _entry("point_on_line", "d1 d2", "keeps a point on a line along e₃ of the ground")
+point_on_plane = _entry("point_on_plane", "d3", "keeps a point in a plane normal to e₃")
+point_on_sphere = _entry(
+    "point_on_sphere",
+    "rod",
+    "a massless rod with a ball at each end holds a point at a distance",
+    options=("length",),
+)
+constant_velocity = _entry(
+    "constant_velocity",
+    "d1 d2 d3 cv",
+    "bends about any axis normal to e₃, shafts along e₃ turn equally fast",
 )
 free = _entry("free", "", "no constraint", "SE(3)")
 
@@ -284,14 +425,16 @@ def from_rows(
     slot: ArrayLike | None = None,
     second_axis: ArrayLike | None = None,
     pitch: ArrayLike | None = None,
+    length: ArrayLike | None = None,
     body_frame: Any = None,
     ground_frame: Any = None,
     name: str = "from_rows",
 ) -> Joint:
-    """A joint from primitive rows: `d1`, `Qtd1`, `Q32`, `Omega1` or `screw` (axes 1 to 3).
+    """A joint from rows: `d1`, `Qtd1`, `Q32`, `Omega1` (axes 1 to 3), `screw`, `rod` or `cv`.
 
     `Omega` rows come in twos or threes: one alone is a condition on velocity that fixes no
-    orientation. A `screw` row needs pitch=, and Omega1 and Omega2. Frames as for every joint.
+    orientation. A `screw` row needs pitch=, and Omega1 and Omega2; a `rod` row needs length=, and
+    goes with Omega, Q and cv rows only. Frames as for every joint.
     Raises UnknownNameError for another row, ArgumentError for a row given twice, more than six
     rows, or rows that make no joint.
 
@@ -303,8 +446,7 @@ def from_rows(
         raise ArgumentError(f"rows={rows!r}; expected a list of row names")
     rows = list(rows)
     parsed = tuple(_row(row) for row in rows)
-    kinds = {(row.kind, row.i) for row in parsed}
-    if ("screw", 2) in kinds and not {("Omega", 0), ("Omega", 1)} <= kinds:
+    if Row("screw", 2) in parsed and not {Row("Omega", 0), Row("Omega", 1)} <= set(parsed):
         raise ArgumentError(
             f"rows={rows} has a screw row whose axis may tilt; add Omega1 and Omega2"
         )
@@ -318,9 +460,11 @@ def from_rows(
         raise ArgumentError(
             f"rows={list(rows)} has one Omega row alone; expected two, three or none"
         )
-    options = {"slot", "second_axis"} | (
-        {"pitch"} if any(r.kind == "screw" for r in parsed) else set()
-    )
+    kinds = {row.kind for row in parsed}
+    if "rod" in kinds and kinds & {"d", "Qtd", "screw"}:
+        raise ArgumentError(f"rows={rows} has a rod beside rows that hold its end in another way")
+    needed = {"screw": "pitch", "rod": "length"}
+    options = {"slot", "second_axis"} | {needed[r.kind] for r in parsed if r.kind in needed}
     made = JointType(name, parsed, "built from rows", None, frozenset(options))
     return made(
         body_point,
@@ -329,13 +473,14 @@ def from_rows(
         slot=slot,
         second_axis=second_axis,
         pitch=pitch,
+        length=length,
         body_frame=body_frame,
         ground_frame=ground_frame,
     )
 
 
 _ROW_NAMES = [f"{kind}{i}" for kind in ("d", "Qtd", "Omega") for i in "123"]
-_ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["screw"]
+_ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + [*WHOLE_ROWS]
 
 
 def _row(name: str | Row) -> Row:

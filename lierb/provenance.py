@@ -60,6 +60,7 @@ def provenance(
             "ground_frame": _described(joint.ground_frame),
             "body_frame": _described(joint.body_frame),
             "pitch": _described(joint.pitch),
+            "length": _described(joint.length),
             "twist0": _described(twist0),
             "pose0": None if pose0 is None else _described(pose0),
         },

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
-from lierb.kernels import _jit, se3
+from lierb.joints import closing
+from lierb.kernels import _jit
 from lierb.kernels.arithmetic import flatten
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
@@ -101,15 +102,16 @@ class Inputs:
         put_pose(places["ground_frame"], joint.ground_frame)
         put_pose(places["body_frame"], joint.body_frame)
         put(places["pitch"], joint.pitch)
+        put(places["length"], joint.length)
         put(places["twist"], self.twists, 6)
         if self.poses is not None:
             put_pose(places["pose"], self.poses)
-        elif joint.ground_frame.ndim == joint.body_frame.ndim == 2:
-            put_pose(places["pose"], joint.closed_pose)
-        else:
+        elif joint.is_batched:
             frames = (places["ground_frame"], places["body_frame"])
             ground, held = ((tuple(p[:9]), tuple(p[9:])) for p in frames)
-            places["pose"][:] = flatten(se3.compose(ground, se3.inverse(held)))
+            places["pose"][:] = flatten(closing(ground, held, places["length"][0]))
+        else:
+            put_pose(places["pose"], joint.closed_pose)
         return packed
 
 
@@ -147,7 +149,7 @@ class Output:
     """Results of a run, as they become Arrow columns.
 
     status, t (s), scalars : [body].   state : [body][component].
-    errors : [column][time][body].   states, multipliers : [time][body][component].
+    errors : [column][time][body].   states, multipliers, reactions : [time][body][component].
     """
 
     status: NDArray[np.int8]
@@ -157,6 +159,7 @@ class Output:
     errors: Array
     states: tuple[Array, ...]
     multipliers: Array
+    reactions: Array
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
@@ -169,11 +172,12 @@ class Output:
             np.empty((len(ERROR_COLUMNS), rows, count)),
             tuple(np.empty((rows * with_state, count, width)) for width in STATE_WIDTHS.values()),
             np.empty((rows * plan.multipliers, count, len(plan.rows))),
+            np.empty((rows * plan.reaction, count, 6)),
         )
 
     @property
     def histories(self) -> tuple[Array, ...]:
-        return (self.errors, *self.states, self.multipliers)
+        return (self.errors, *self.states, self.multipliers, self.reactions)
 
     def take(self, chunk: Chunk, grid: Grid) -> None:
         """Keep a finished chunk's summary."""

@@ -11,6 +11,7 @@ import lierb
 # Joints whose motions are a subgroup of SE(3): kept exactly there.
 SUBGROUP_JOINTS = [name for name, entry in lierb.joints.JOINTS.items() if entry.subgroup]
 PITCH = 0.07  # m/rad
+LENGTH = 0.35  # m, of a rod
 GRAVITY = (0.0, 0.0, -9.81)
 
 
@@ -46,14 +47,22 @@ def box(turned: bool = False) -> lierb.Body:
 def joint(name: str, ground_frame=GROUND_FRAME, body_frame=BODY_FRAME) -> lierb.joints.Joint:
     """A catalogue joint in tilted frames."""
     entry = lierb.joints.JOINTS[name]
-    options = {"pitch": PITCH} if "pitch" in entry.options else {}
+    values = {"pitch": PITCH, "length": LENGTH}
+    options = {name: value for name, value in values.items() if name in entry.options}
     return entry(ground_frame=ground_frame, body_frame=body_frame, **options)
 
 
 def tilted(name: str, gravity=GRAVITY) -> tuple[lierb.Problem, np.ndarray]:
-    """A turned box on a tilted joint, and a lively twist that the joint allows."""
-    problem = lierb.Problem(box(turned=True), joint(name), gravity)
-    return problem, problem.project((2 * np.pi, np.pi, 0.2 * np.pi, 0.4, 0.3, -1.0))
+    """A turned box on a tilted joint, and a lively twist that the joint allows.
+
+    A constant-velocity joint is singular where its shafts fold together, so that one is moved
+    gently and without weight; a rod swings so fast that it takes a tenth of the others' speed.
+    """
+    speed = {"constant_velocity": 0.2, "point_on_sphere": 0.1}.get(name, 1.0)
+    weight = (0.0, 0.0, 0.0) if name == "constant_velocity" else gravity
+    problem = lierb.Problem(box(turned=True), joint(name), weight)
+    lively = np.array((2 * np.pi, np.pi, 0.2 * np.pi, 0.4, 0.3, -1.0))
+    return problem, problem.project(speed * lively)
 
 
 def top() -> tuple[lierb.Problem, np.ndarray]:

@@ -210,6 +210,7 @@ def coefficients(theta) -> dict[str, float]:
 # on the body, s the vector from G's origin to B's, g_i and b_i their axes, in ground coordinates:
 #   d_i: g_i·s = 0      slot_i: b_i·s = 0      turn_i: b_i·ω = 0      cross_ij: g_i·b_j = 0
 #   screw: g_3·s − pitch·φ = 0, at velocity level g_3·ṡ − pitch b_3·ω = 0
+#   rod: (s·s − length²)/(2 length) = 0      equal: (g_2·b_1 − g_1·b_2)/2 = 0
 JOINT_ROWS: dict[str, str] = {
     "free": "",
     "spherical": "d1 d2 d3",
@@ -226,6 +227,10 @@ JOINT_ROWS: dict[str, str] = {
     "helical_planar": "screw turn1 turn2",
     "schoenflies": "turn1 turn2",
     "fixed": "d1 d2 d3 turn1 turn2 turn3",
+    "point_on_line": "d1 d2",
+    "point_on_plane": "d3",
+    "point_on_sphere": "rod",
+    "constant_velocity": "d1 d2 d3 equal",
 }
 
 
@@ -239,6 +244,7 @@ class Trajectory:
     omega: np.ndarray  # (n, 3) rad/s
     v: np.ndarray  # (n, 3) m/s
     multipliers: np.ndarray  # (n, m) N or N m; the joint's wrench on the body is −Jᵀλ
+    reaction: np.ndarray  # (n, 6) N m, N: that wrench, about B's origin and in B's axes
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -259,7 +265,7 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
     )
 
 
-def _row(name: str, s, s_rate, arm, omega, g, b, pitch):
+def _row(name: str, s, s_rate, arm, omega, g, b, pitch, length):
     """One row: its parts on ω̇ and on r̈, and what their sum has to be.
 
     The origin of B is at r + arm, so its acceleration is r̈ + ω̇×arm + ω×(ω×arm).
@@ -272,6 +278,15 @@ def _row(name: str, s, s_rate, arm, omega, g, b, pitch):
     if kind == "cross":
         gi, bj = g[index[0]], b[index[1]]
         return _cross(bj, gi), zero, -gi @ _cross(omega, _cross(omega, bj))
+    if kind == "equal":
+        parts = [
+            _row(cross, s, s_rate, arm, omega, g, b, pitch, length)
+            for cross in ("cross21", "cross12")
+        ]
+        return (parts[0][0] - parts[1][0]) / 2, zero, (parts[0][2] - parts[1][2]) / 2
+    if kind == "rod":
+        along = s / length
+        return _cross(arm, along), along, -(s_rate @ s_rate / length + along @ centripetal)
     if kind == "slot":
         bi = b[index[0]]
         bi_rate = _cross(omega, bi)
@@ -296,6 +311,7 @@ def reference_trajectory(
     body_frame=None,
     gravity=(0.0, 0.0, 0.0),
     pitch: float = 0.0,
+    length: float = 0.0,
     rtol: float = 3e-14,
     atol: float = 1e-14,
 ) -> Trajectory:
@@ -304,7 +320,7 @@ def reference_trajectory(
     inertia: (3,) or (3, 3) about the centre of mass, which is the body's origin.   twist0: (ω, v)
     in the body frame.   pose0: 4x4; None closes the joint, C = G B⁻¹.   ground_frame, body_frame:
     4x4, the joint frame seen from the ground and from the body; None is the identity.   pitch: of
-    the screw and helical_planar joints, m/rad.
+    the screw and helical_planar joints, m/rad.   length: of the rod of a point_on_sphere joint, m.
 
     Newton and Euler about the centre of mass, m r̈ = m g + f and (I ω)˙ = τ, with the joint's rows
     at acceleration level, all in ground coordinates: one linear system for (ω̇, r̈, λ).
@@ -313,7 +329,9 @@ def reference_trajectory(
     inertia = np.diag(inertia) if inertia.ndim == 1 else inertia
     G = np.eye(4) if ground_frame is None else np.asarray(ground_frame, float)
     B = np.eye(4) if body_frame is None else np.asarray(body_frame, float)
-    C = G @ np.linalg.inv(B) if pose0 is None else np.asarray(pose0, float)
+    rod = np.eye(4)
+    rod[2, 3] = length
+    C = G @ rod @ np.linalg.inv(B) if pose0 is None else np.asarray(pose0, float)
     names = JOINT_ROWS[joint].split()
     weight = mass * np.asarray(gravity, float)
     m = len(names)
@@ -329,7 +347,9 @@ def reference_trajectory(
         system[:3, :3], system[3:6, 3:6] = inertia_now, mass * np.eye(3)
         right[:3], right[3:6] = -_cross(omega, inertia_now @ omega), weight
         for i, name in enumerate(names, start=6):
-            system[i, :3], system[i, 3:6], right[i] = _row(name, s, s_rate, arm, omega, g, b, pitch)
+            system[i, :3], system[i, 3:6], right[i] = _row(
+                name, s, s_rate, arm, omega, g, b, pitch, length
+            )
         system[:6, 6:] = system[6:, :6].T
         return np.linalg.solve(system, right)
 
@@ -337,6 +357,17 @@ def reference_trajectory(
         q, omega = y[:4], y[7:10]
         q_rate = 0.5 * np.array([-omega @ q[1:], *(q[0] * omega + _cross(omega, q[1:]))])
         return np.concatenate([q_rate, y[10:13], solution(y)[:6]])
+
+    def reaction(y):
+        """What the joint must exert for the body to be accelerated so, by Newton and Euler."""
+        turn = rotation_matrix(y[:4]) @ C[:3, :3]
+        found, omega = solution(y), y[7:10]
+        inertia_now = turn @ inertia @ turn.T
+        force = mass * found[3:6] - weight
+        torque = inertia_now @ found[:3] + _cross(omega, inertia_now @ omega)
+        torque = torque - _cross(turn @ B[:3, 3], force)
+        axes = turn @ B[:3, :3]
+        return np.concatenate([axes.T @ torque, axes.T @ force])
 
     R, twist = C[:3, :3], np.asarray(twist0, float)
     y = np.concatenate([[1, 0, 0, 0], C[:3, 3], R @ twist[:3], R @ twist[3:]])
@@ -347,7 +378,7 @@ def reference_trajectory(
             assert run.success, run.message
             t, y = end, run.y[:, -1]
         R = rotation_matrix(y[:4]) @ C[:3, :3]
-        rows.append((t, R, y[4:7], R.T @ y[7:10], R.T @ y[10:13], solution(y)[6:]))
+        rows.append((t, R, y[4:7], R.T @ y[7:10], R.T @ y[10:13], solution(y)[6:], reaction(y)))
     return Trajectory(*(np.array(column) for column in zip(*rows)))
 
 

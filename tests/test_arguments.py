@@ -367,6 +367,9 @@ def test_huge_direction_is_normalised():
 
 BAD_JOINTS = {
     "screw without pitch": (lambda: joints.screw(), "pitch"),
+    "rod without length": (lambda: joints.point_on_sphere(), "length=, in m"),
+    "rod of no length": (lambda: joints.point_on_sphere(length=(1, 0)), r"length\[1\] is 0.0 m"),
+    "revolute with length": (lambda: joints.revolute(length=0.1), "length"),
     "revolute with pitch": (lambda: joints.revolute(pitch=0.1), "pitch"),
     "revolute with slot": (lambda: joints.revolute(slot=(1, 0, 0)), "slot"),
     "spherical with second_axis": (lambda: joints.spherical(second_axis=(0, 1, 0)), "second_axis"),
@@ -411,6 +414,10 @@ BAD_JOINTS = {
     "screw row whose axis may tilt": (  # its rate is d₃′ − pitch Ω₃ only where Ω₁ = Ω₂ = 0
         lambda: joints.from_rows(["d1", "d2", "screw"], pitch=0.1), "screw.*Omega",
     ),
+    "rod beside a row of its end": (
+        lambda: joints.from_rows(["rod", "d3"], length=1.0), "rod.*another way",
+    ),
+    "rod row without length": (lambda: joints.from_rows(["rod"]), "length"),
     "pitch without screw row": (lambda: joints.from_rows(["d1"], pitch=0.1), "pitch"),
 }  # fmt: skip
 
@@ -827,13 +834,14 @@ CALLS = {
     ),
     "universal": (lambda a: joints.universal(**a), ["axis", "second_axis", "ground_frame"]),
     "screw": (lambda a: joints.screw(**a), ["pitch", "body_frame", "ground_frame"]),
+    "rod": (lambda a: joints.point_on_sphere(**a), ["length", "body_frame", "axis"]),
     "twist": (
         lambda a: joints.revolute(np.zeros((2, 3))).twist(**a), ["omega", "point_velocity", "pose"],
     ),
     "project": (lambda a: spherical_top().project(**a), ["twist", "pose"]),
     "integrate": (lambda a: integrate(**a), ["twist0", "pose0", "dt", "t_end"]),
 }  # fmt: skip
-DEFAULTS = {"mass": 1.0, "inertia": BOX, "pitch": 0.1, "twist": np.zeros(6)}
+DEFAULTS = {"mass": 1.0, "inertia": BOX, "pitch": 0.1, "length": 0.1, "twist": np.zeros(6)}
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -861,6 +869,7 @@ def test_random_batches_raise_nothing_but_our_errors(name):
     rng = np.random.default_rng(2017)
     good = {
         "mass": 1.0, "inertia": BOX, "com": np.zeros(3), "gravity": np.zeros(3), "pitch": 0.1,
+        "length": 0.1,
         "body_point": np.zeros(3), "ground_point": np.zeros(3), "axis": (0.0, 0.0, 1.0),
         "slot": (1.0, 0.0, 0.0), "second_axis": (0.0, 1.0, 0.0), "body_frame": np.eye(4),
         "ground_frame": np.eye(4), "omega": np.zeros(3), "point_velocity": np.zeros(3),

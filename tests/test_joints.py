@@ -26,7 +26,7 @@ mp.dps = 50
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
 
 # Options without which an entry cannot be made.
-OPTIONS = {"pitch": {"pitch": 0.13}}
+OPTIONS = {"pitch": {"pitch": 0.13}, "length": {"length": 0.8}}
 
 EVERY_JOINT = pytest.mark.parametrize("entry", JOINTS.values(), ids=JOINTS)
 SUBGROUPS = pytest.mark.parametrize(
@@ -38,6 +38,7 @@ FREEDOMS = {
     "R": 1, "SO(2)": 1, "H_p": 1, "R²": 2, "SO(2)×R": 2, "R³": 3, "SO(3)": 3, "SE(2)": 3,
     "H_p⋉R²": 3, "SO(2)⋉R³": 4, "SE(3)": 6,
     "universal": 2, "pin_in_slot": 2, "pin_in_slot_body": 2, "fixed": 0,
+    "point_on_line": 4, "point_on_plane": 5, "point_on_sphere": 5, "constant_velocity": 2,
 }  # fmt: skip
 
 
@@ -104,6 +105,7 @@ def parameters(joint):
         ground=pose_tuple(joint.ground_frame),
         body=pose_tuple(joint.body_frame),
         pitch=float(joint.pitch),
+        length=float(joint.length),
     )
 
 
@@ -121,7 +123,7 @@ def numbers(row):
 
 
 def jacobian_of(joint, x):
-    rows = [numbers(jacobian(r, x, float(joint.pitch))) for r in joint.rows]
+    rows = [numbers(jacobian(r, x, parameters(joint))) for r in joint.rows]
     return np.array(rows).reshape(-1, 6)
 
 
@@ -130,9 +132,13 @@ def relative_pose(joint, C):
     return np.linalg.inv(joint.ground_frame) @ C @ joint.body_frame
 
 
-def row_by_definition(r, D, pitch=0.0):
-    """h of a row as the design has it."""
+def row_by_definition(r, D, pitch=0.0, length=0.0):
+    """h of a row, as the catalogue describes it."""
     Q, d = D[:3, :3], D[:3, 3]
+    if r.kind == "rod":
+        return (d @ d - length**2) / (2 * length)
+    if r.kind == "cv":
+        return (Q[1, 0] - Q[0, 1]) / 2
     if r.kind == "d":
         return d[r.i]
     if r.kind == "Qtd":
@@ -144,7 +150,7 @@ def row_by_definition(r, D, pitch=0.0):
 
 
 PRIMITIVES = [f"{kind}{i}" for kind in ("d", "Qtd") for i in "123"]
-PRIMITIVES += [f"Q{i}{j}" for i in "123" for j in "123"]
+PRIMITIVES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["rod", "cv"]
 EVERY_CSPACE = pytest.mark.parametrize("cspace", CSPACES)
 
 # Rounding of a handful of products of numbers of size 1 to 20; a wrong sign or a missing term is
@@ -226,7 +232,8 @@ def test_short_form_closes_with_the_body_unturned(entry):
     C = joint.closed_pose
     # a product of a rotation and its transpose, and one subtraction of points
     np.testing.assert_allclose(C[:3, :3], np.eye(3), rtol=0, atol=4e-16)
-    np.testing.assert_allclose(C[:3, 3], np.subtract((1, 2, 3), (0.3, -0.2, 0.5)), atol=1e-15)
+    along = joint.length * np.array((1.0, -2.0, 0.5)) / np.sqrt(5.25)  # of a rod
+    np.testing.assert_allclose(C[:3, 3], np.add((1, 2, 3), along) - (0.3, -0.2, 0.5), atol=2e-15)
 
 
 def test_short_form_equals_its_own_frames():
@@ -248,7 +255,8 @@ def test_ground_frame_alone_is_kept_and_closes():
 def test_closed_pose_makes_the_joint_frames_coincide(entry):
     joint = tilted(entry, np.random.default_rng(2))
     D = relative_pose(joint, joint.closed_pose)
-    np.testing.assert_allclose(D, np.eye(4), rtol=0, atol=2e-15)  # 4×4 products and an inverse
+    # 4×4 products and an inverse; the other end of a rod is up its e₃
+    np.testing.assert_allclose(D, pose_of(np.eye(3), (0, 0, joint.length)), rtol=0, atol=2e-15)
 
 
 def test_frames_from_scipy_equal_those_from_matrices():
@@ -338,14 +346,15 @@ def test_twist_of_one_body_has_one_axis():
 @pytest.mark.parametrize("name", [*PRIMITIVES, "screw"])
 def test_value_is_that_of_the_definition(cspace, name):
     rng = np.random.default_rng(7)
-    pitch = {"pitch": 0.4} if name == "screw" else {}
+    options = {"screw": {"pitch": 0.4}, "rod": {"length": 1.3}}.get(name, {})
     frames = {"body_frame": random_pose(rng), "ground_frame": random_pose(rng)}
-    joint = from_rows([name, *(["Omega1", "Omega2"] if name == "screw" else [])], **frames, **pitch)
+    names = [name, *(["Omega1", "Omega2"] if name == "screw" else [])]
+    joint = from_rows(names, **frames, **options)
     for _ in range(20):
         C = random_pose(rng)
         x, _ = kinematics(cspace, joint, C, np.zeros(6))
-        got = value(joint.rows[0], x, float(joint.pitch))
-        expected = row_by_definition(joint.rows[0], relative_pose(joint, C), float(joint.pitch))
+        got = value(joint.rows[0], x, parameters(joint))
+        expected = row_by_definition(joint.rows[0], relative_pose(joint, C), **options)
         assert got == pytest.approx(expected, rel=0, abs=ROUNDING)
 
 
@@ -354,7 +363,7 @@ def test_screw_value_forgets_whole_turns():
     for angle in np.linspace(-20.0, 20.0, 81):
         x, _ = kinematics("SE3", joint, pose_of(turn_z(angle), (0, 0, 0.25 * angle)), np.zeros(6))
         # |d₃| ≤ 5 m and its reduction modulo 2π·pitch: a few roundings of 5
-        assert abs(value(joint.rows[2], x, 0.25)) <= 1e-14
+        assert abs(value(joint.rows[2], x, parameters(joint))) <= 1e-14
 
 
 @pytest.mark.parametrize("pitch", [0.25, -0.25])
@@ -364,7 +373,7 @@ def test_screw_value_is_the_nearest_slip(pitch):
     for slip in (-0.9 * half_turn, -1e-3, 1e-3, 0.9 * half_turn):
         C = pose_of(turn_z(7.0), (0, 0, pitch * 7.0 + slip))
         x, _ = kinematics("SE3", joint, C, np.zeros(6))
-        assert value(joint.rows[2], x, pitch) == pytest.approx(slip, rel=0, abs=1e-14)
+        assert value(joint.rows[2], x, parameters(joint)) == pytest.approx(slip, rel=0, abs=1e-14)
 
 
 # ---------------------------------------------------------------- rows: J and η
@@ -393,7 +402,12 @@ def _moved(cspace, C, twist, t):
     return R * _exp_hat(omega, t), r + R * swept
 
 
-def _exact_value(row, Q, d, pitch):
+def _exact_value(row, Q, d, pitch, length):
+    if row.kind == "rod":
+        length = mp.mpf(length)
+        return ((d.T * d)[0] - length**2) / (2 * length)
+    if row.kind == "cv":
+        return (Q[1, 0] - Q[0, 1]) / 2
     if row.kind == "d":
         return d[row.i]
     if row.kind == "Qtd":
@@ -410,7 +424,7 @@ def _values_at(joint, cspace, C, twist, t):
     Q = G[0:3, 0:3].T * R * B[0:3, 0:3]
     d = G[0:3, 0:3].T * (R * B[0:3, 3] + r - G[0:3, 3])
     rows = [row for row in joint.rows if row.kind != "Omega"]
-    return [_exact_value(row, Q, d, float(joint.pitch)) for row in rows]
+    return [_exact_value(row, Q, d, float(joint.pitch), float(joint.length)) for row in rows]
 
 
 def rates_and_accelerations(joint, cspace, C, twist):
@@ -421,10 +435,11 @@ def rates_and_accelerations(joint, cspace, C, twist):
     return np.array(rates, dtype=float), np.array(bends, dtype=float)
 
 
-def random_case(names, seed, **options):
+def random_case(names, seed):
     """A joint between tilted frames, a pose far from closed and a twist."""
     rng = np.random.default_rng(seed)
     frames = {"body_frame": random_pose(rng), "ground_frame": random_pose(rng)}
+    options = {"length": 1.3} if "rod" in names else {}
     return from_rows(names, **frames, **options), random_pose(rng), rng.normal(size=6)
 
 
@@ -445,7 +460,7 @@ def test_acceleration_is_minus_the_second_derivative_at_rest_acceleration(cspace
     joint, C, twist = random_case([name], seed)
     x, _ = kinematics(cspace, joint, C, twist)
     _, bends = rates_and_accelerations(joint, cspace, C, twist)
-    eta = numbers([acceleration(r, x) for r in joint.rows])
+    eta = numbers([acceleration(r, x, parameters(joint)) for r in joint.rows])
     np.testing.assert_allclose(eta, -bends, rtol=0, atol=ROUNDING)
 
 
@@ -462,7 +477,7 @@ def test_screw_row_has_the_rate_and_acceleration_of_the_slip(cspace, angle):
     rates, bends = rates_and_accelerations(joint, cspace, C, twist)
     J = jacobian_of(joint, x)[:3]
     np.testing.assert_allclose(J @ velocity, rates, rtol=0, atol=ROUNDING)
-    eta = numbers([acceleration(r, x) for r in joint.rows[:3]])
+    eta = numbers([acceleration(r, x, parameters(joint)) for r in joint.rows[:3]])
     np.testing.assert_allclose(eta, -bends, rtol=0, atol=ROUNDING)
 
 
@@ -472,7 +487,11 @@ def test_omega_rows_are_the_relative_angular_velocity_in_the_bodys_joint_frame(c
     x, velocity = kinematics(cspace, joint, C, twist)
     expected = joint.body_frame[:3, :3].T @ twist[:3]
     np.testing.assert_allclose(jacobian_of(joint, x) @ velocity, expected, rtol=0, atol=ROUNDING)
-    assert numbers([acceleration(r, x) for r in joint.rows]).tolist() == [0.0, 0.0, 0.0]
+    assert numbers([acceleration(r, x, parameters(joint)) for r in joint.rows]).tolist() == [
+        0.0,
+        0.0,
+        0.0,
+    ]
 
 
 @EVERY_JOINT
@@ -501,11 +520,15 @@ def constrained_rank(joint, C, cspace="SE3"):
     return int((sizes > 1e-6).sum()), sizes[-1]
 
 
-def test_catalogue_holds_the_joints_of_the_paper():
-    assert set(JOINTS) >= {
-        "spherical", "revolute", "cylindrical", "planar", "universal", "pin_in_slot",
-        "prismatic", "screw", "free",
-    }  # fmt: skip
+def test_catalogue_is_known_to_these_tests():
+    assert set(JOINTS) == set(ROWS)
+
+
+def test_catalogue_holds_every_motion_group():
+    """Müller, table 1: the subgroups of SE(3), but for the trivial one."""
+    assert {entry.subgroup for entry in JOINTS.values()} - {None} == {
+        group for group in FREEDOMS if group[0].isupper()
+    }
 
 
 # The rows in the order that λ has them.
@@ -517,7 +540,17 @@ ROWS = {
     "screw": "d1 d2 screw Omega1 Omega2",
     "planar": "d3 Omega1 Omega2",
     "universal": "d1 d2 d3 Q32",
+    "fixed": "d1 d2 d3 Omega1 Omega2 Omega3",
+    "planar_translation": "d3 Omega1 Omega2 Omega3",
+    "translation": "Omega1 Omega2 Omega3",
+    "helical_planar": "screw Omega1 Omega2",
+    "schoenflies": "Omega1 Omega2",
     "pin_in_slot": "d2 d3 Omega1 Omega2",
+    "pin_in_slot_body": "Qtd2 Qtd3 Omega1 Omega2",
+    "point_on_line": "d1 d2",
+    "point_on_plane": "d3",
+    "point_on_sphere": "rod",
+    "constant_velocity": "d1 d2 d3 cv",
     "free": "",
 }
 
@@ -569,7 +602,6 @@ def test_revolute_as_printed_loses_rank_at_a_quarter_turn():
 def test_subgroup_motion_keeps_every_row_at_zero(entry, cspace):
     rng = np.random.default_rng(16)
     joint = tilted(entry, rng)
-    pitch = float(joint.pitch)
     x, _ = kinematics("SE3", joint, joint.closed_pose, np.zeros(6))
     free = np.linalg.svd(np.vstack([jacobian_of(joint, x), np.zeros((1, 6))]))[2][len(joint.rows) :]
     for _ in range(10):
@@ -577,8 +609,8 @@ def test_subgroup_motion_keeps_every_row_at_zero(entry, cspace):
         C = joint.ground_frame @ expm(twist_matrix(X)) @ np.linalg.inv(joint.body_frame)
         x, _ = kinematics(cspace, joint, C, np.zeros(6))
         # products of 4×4 matrices with lengths up to 20 m; the angle of the screw
-        assert position_error_squared(joint.rows, x, pitch) <= (1e-13) ** 2
-        assert rotation_error_squared(joint.rows, x) <= (1e-14) ** 2
+        assert position_error_squared(joint.rows, x, parameters(joint)) <= (1e-13) ** 2
+        assert rotation_error_squared(joint.rows, x, parameters(joint)) <= (1e-14) ** 2
 
 
 def _hook(rng):
@@ -590,8 +622,48 @@ def _pin(rng):
     return pose_of(turn_z(rng.uniform(-3, 3)), (rng.uniform(-5, 5), 0, 0))
 
 
+def _pin_body(rng):
+    D = turn_z(rng.uniform(-3, 3))
+    return pose_of(D, D @ (rng.uniform(-5, 5), 0, 0))
+
+
+def _on_line(rng):
+    return pose_of(rotation(rng), (0, 0, rng.uniform(-5, 5)))
+
+
+def _on_plane(rng):
+    return pose_of(rotation(rng), (*rng.uniform(-5, 5, size=2), 0))
+
+
+def _on_sphere(rng):
+    return pose_of(rotation(rng), rotation(rng) @ (0, 0, OPTIONS["length"]["length"]))
+
+
+def _constant_velocity(rng):
+    """Bent about an axis normal to e₃; any turn of one shaft is undone on the other one."""
+    bend = expm(twist_matrix((*rng.uniform(-1, 1, size=2), 0, 0, 0, 0)))[:3, :3]
+    turn = turn_z(rng.uniform(-3, 3))
+    return pose_of(turn @ bend @ turn.T, (0, 0, 0))
+
+
+MOTIONS = {
+    "universal": _hook,
+    "pin_in_slot": _pin,
+    "pin_in_slot_body": _pin_body,
+    "point_on_line": _on_line,
+    "point_on_plane": _on_plane,
+    "point_on_sphere": _on_sphere,
+    "constant_velocity": _constant_velocity,
+    "fixed": lambda rng: np.eye(4),
+}
+
+
+def test_every_joint_has_a_motion_to_be_tested_with():
+    assert set(MOTIONS) == {name for name, entry in JOINTS.items() if entry.subgroup is None}
+
+
 @EVERY_CSPACE
-@pytest.mark.parametrize(("name", "motion"), [("universal", _hook), ("pin_in_slot", _pin)])
+@pytest.mark.parametrize(("name", "motion"), MOTIONS.items(), ids=MOTIONS)
 def test_joint_allows_its_own_motion(cspace, name, motion):
     rng = np.random.default_rng(17)
     joint = tilted(JOINTS[name], rng)
@@ -599,8 +671,8 @@ def test_joint_allows_its_own_motion(cspace, name, motion):
         C = joint.ground_frame @ motion(rng) @ np.linalg.inv(joint.body_frame)
         x, _ = kinematics(cspace, joint, C, np.zeros(6))
         # products of 4×4 matrices with lengths up to 5 m
-        assert position_error_squared(joint.rows, x, 0.0) <= (2e-14) ** 2
-        assert rotation_error_squared(joint.rows, x) <= (2e-15) ** 2
+        assert position_error_squared(joint.rows, x, parameters(joint)) <= (2e-14) ** 2
+        assert rotation_error_squared(joint.rows, x, parameters(joint)) <= (2e-15) ** 2
 
 
 @EVERY_CSPACE
@@ -613,9 +685,10 @@ def test_screw_without_pitch_is_a_revolute(cspace):
         assert joint.pitch == 0.0
     (x, _), (y, _) = (kinematics(cspace, joint, C, twist) for joint in pair)
     np.testing.assert_array_equal(jacobian_of(pair[0], x), jacobian_of(pair[1], y))
-    assert value(pair[0].rows[2], x, 0.0) == value(pair[1].rows[2], y, 0.0)
-    assert [numbers([acceleration(r, x)]) for r in pair[0].rows] == [
-        numbers([acceleration(r, y)]) for r in pair[1].rows
+    p = parameters(pair[0])
+    assert value(pair[0].rows[2], x, p) == value(pair[1].rows[2], y, p)
+    assert [numbers([acceleration(r, x, p)]) for r in pair[0].rows] == [
+        numbers([acceleration(r, y, p)]) for r in pair[1].rows
     ]
 
 

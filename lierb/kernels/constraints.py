@@ -1,10 +1,15 @@
 """The primitive rows of a joint, of which every joint is a list.
 
-Rows act on D = (Q, d), the body's joint frame seen from the ground's: `d1` d_i = 0, `Qtd1`
-(Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0 (a fixed axis, as a condition on velocity), `screw`
-d₃ − pitch·φ = 0. Each has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the
-acceleration constraint J V̇ = η, so that η = −(ḧ at V̇ = 0). `solving_rows` has a kind of its own,
-`point`: the rows d1 d2 d3, turned to body axes.
+Rows act on D = (Q, d), the body's joint frame seen from the ground's:
+
+    d1      d_i = 0                         screw   d₃ − pitch·φ = 0
+    Qtd1    (Qᵀd)_i = 0                     rod     (d·d − length²)/(2 length) = 0
+    Q32     Q_ij = 0                        cv      (Q₂₁ − Q₁₂)/2 = 0: Q turns about an axis ⊥ e₃
+    Omega1  Ω_k = 0, a fixed axis, as a condition on velocity
+
+Each has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the acceleration
+constraint J V̇ = η, so that η = −(ḧ at V̇ = 0). `solving_rows` has a kind of its own, `point`: the
+rows d1 d2 d3, turned to body axes.
 """
 
 from __future__ import annotations
@@ -12,9 +17,10 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
+from lierb.kernels import so3
 from lierb.kernels.arithmetic import PI, fma, rint, where
 from lierb.kernels.coefficients import atan2
-from lierb.kernels.newton_euler import Kinematics
+from lierb.kernels.newton_euler import Body, Kinematics
 from lierb.kernels.vec import (
     UNIT,
     ZERO3,
@@ -25,10 +31,14 @@ from lierb.kernels.vec import (
     dot,
     mat_t_vec,
     mat_vec,
+    norm,
     row,
+    scale,
     sub,
 )
 from lierb.kernels.zero import ZERO
+
+WHOLE_ROWS = ("screw", "rod", "cv")  # rows that act on no single component
 
 
 class Row(NamedTuple):
@@ -40,9 +50,9 @@ class Row(NamedTuple):
 
     @classmethod
     def parse(cls, name: str) -> Row:
-        """`d1`, `Qtd2`, `Q32`, `Omega3` or `screw`, axes counted from 1."""
-        if name == "screw":
-            return cls("screw", 2)
+        """`d1`, `Qtd2`, `Q32`, `Omega3`, `screw`, `rod` or `cv`, axes counted from 1."""
+        if name in WHOLE_ROWS:
+            return cls(name, 2)
         match = re.fullmatch(r"(d|Qtd|Omega)([123])|(Q)([123])([123])", name)
         if match is None:
             raise ValueError(name)
@@ -51,7 +61,7 @@ class Row(NamedTuple):
 
     @property
     def is_translational(self) -> bool:
-        return self.kind in {"d", "Qtd", "screw"}
+        return self.kind in {"d", "Qtd", "screw", "rod"}
 
     @property
     def unit(self) -> str:
@@ -59,17 +69,23 @@ class Row(NamedTuple):
         return "N" if self.is_translational else "N m"
 
     def __str__(self) -> str:
-        if self.kind == "screw":
-            return "screw"
+        if self.kind in WHOLE_ROWS:
+            return self.kind
         return self.kind + str(self.i + 1) + (str(self.j + 1) if self.j >= 0 else "")
 
 
-def jacobian(r: Row, x: Kinematics, pitch: Any) -> Vec:
+def jacobian(r: Row, x: Kinematics, body: Body) -> Vec:
     """The row of J, 6 numbers: angular, translational."""
     if r.kind == "Omega":
         return UNIT[r.i] + ZERO3
     if r.kind == "Q":
         return cross(UNIT[r.j], row(x.q, r.i)) + ZERO3
+    if r.kind == "cv":
+        return scale(0.5, sub(cross(UNIT[0], row(x.q, 1)), cross(UNIT[1], row(x.q, 0)))) + ZERO3
+    if r.kind == "rod":
+        direction = scale(1.0 / body.length, x.d)
+        in_body = mat_t_vec(x.q, direction)
+        return cross(x.arm, in_body) + x.translation(direction, in_body)
     if r.kind == "point":
         return cross(x.arm, UNIT[r.i]) + x.translation(column(x.q, r.i), UNIT[r.i])
     if r.kind == "Qtd":
@@ -79,16 +95,21 @@ def jacobian(r: Row, x: Kinematics, pitch: Any) -> Vec:
     direction = row(x.q, r.i)
     turning = cross(x.arm, direction)
     if r.kind == "screw":  # φ̇ = Ω₃, because Ω₁ = Ω₂ = 0
-        turning = (turning[0], turning[1], turning[2] - pitch)
+        turning = (turning[0], turning[1], turning[2] - body.pitch)
     return turning + x.translation(UNIT[r.i], direction)
 
 
-def acceleration(r: Row, x: Kinematics) -> Any:
+def acceleration(r: Row, x: Kinematics, body: Body) -> Any:
     """η of the row."""
     if r.kind == "Omega":
         return ZERO
     if r.kind == "Q":
-        return -dot(row(x.q, r.i), cross(x.omega, cross(x.omega, UNIT[r.j])))
+        return -_bend(x, r.i, r.j)
+    if r.kind == "cv":
+        return 0.5 * (_bend(x, 0, 1) - _bend(x, 1, 0))
+    if r.kind == "rod":
+        bend = dot(x.point_rate, x.point_rate) + dot(mat_t_vec(x.q, x.d), x.point_bias)
+        return -bend / body.length
     if r.kind == "Qtd":
         b = mat_t_vec(x.q, x.d)
         swing = cross(x.omega, b)
@@ -99,7 +120,12 @@ def acceleration(r: Row, x: Kinematics) -> Any:
     return -dot(row(x.q, r.i), x.point_bias)
 
 
-def value(r: Row, x: Kinematics, pitch: Any) -> Any:
+def _bend(x: Kinematics, i: int, j: int) -> Any:
+    """d²Q_ij/dt² at zero angular acceleration."""
+    return dot(row(x.q, i), cross(x.omega, cross(x.omega, UNIT[j])))
+
+
+def value(r: Row, x: Kinematics, body: Body) -> Any:
     """h of the row; an `Omega` row has none of its own (`rotation_error_squared` measures it)."""
     if r.kind == "d":
         return x.d[r.i]
@@ -107,10 +133,33 @@ def value(r: Row, x: Kinematics, pitch: Any) -> Any:
         return mat_t_vec(x.q, x.d)[r.i]
     if r.kind == "Q":
         return x.q[3 * r.i + r.j]
-    turn = 2.0 * PI * pitch
-    slip = fma(-pitch, atan2(x.q[3], x.q[0]), x.d[2])
+    if r.kind == "cv":
+        return 0.5 * (x.q[3] - x.q[1])
+    if r.kind == "rod":  # ‖d‖ − length, to first order
+        return 0.5 * (dot(x.d, x.d) / body.length - body.length)
+    turn = 2.0 * PI * body.pitch
+    slip = fma(-body.pitch, atan2(x.q[3], x.q[0]), x.d[2])
     turns = rint(slip / where(turn == 0.0, 1.0, turn))
     return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
+
+
+def residuals(rows: tuple[Row, ...], x: Kinematics, body: Body) -> list[Any]:
+    """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
+    fixed = sorted({r.i for r in rows if r.kind == "Omega"})
+    if len(fixed) == 3:
+        turns = dict(enumerate(so3.log(x.q)))
+    elif len(fixed) == 2:
+        turns = _tilt(x.q, 3 - sum(fixed))
+    return [turns[r.i] if r.kind == "Omega" else value(r, x, body) for r in rows]
+
+
+def _tilt(q: Vec, axis: int) -> dict[int, Any]:
+    """The turn that has taken an axis of the body from the ground's, about the two other ones."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    seen = row(q, axis)  # the ground's axis, in body axes
+    sine = norm((seen[i], seen[j]))
+    stretch = atan2(sine, seen[axis]) / where(sine == 0.0, 1.0, sine)
+    return {i: stretch * seen[j], j: -stretch * seen[i]}
 
 
 # ---- the rows as they are solved ---------------------------------------------------------------
@@ -147,13 +196,13 @@ def _squares(numbers: list[Any]) -> Any:
     return total
 
 
-def position_error_squared(rows: tuple[Row, ...], x: Kinematics, pitch: Any) -> Any:
-    return _squares([value(r, x, pitch) for r in rows if r.is_translational])
+def position_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> Any:
+    return _squares([value(r, x, body) for r in rows if r.is_translational])
 
 
-def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics) -> Any:
-    """Of the `Q` rows; and for `Omega` rows, how far Q is from a turn about the axis left free."""
-    entries = [x.q[3 * r.i + r.j] for r in rows if r.kind == "Q"]
+def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> Any:
+    """Of `Q` and `cv` rows; and for `Omega` rows, how far Q is from a turn about the free axis."""
+    entries = [value(r, x, body) for r in rows if r.kind in ("Q", "cv")]
     fixed = sorted({r.i for r in rows if r.kind == "Omega"})
     if len(fixed) == 2:
         axis = 3 - sum(fixed)
@@ -167,10 +216,10 @@ def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics) -> Any:
 
 
 def rate_errors_squared(
-    rows: tuple[Row, ...], x: Kinematics, pitch: Any, velocity: Vec
+    rows: tuple[Row, ...], x: Kinematics, body: Body, velocity: Vec
 ) -> tuple[Any, Any]:
     """Squares of the translational and of the rotational rows of J V."""
-    rates = [(r.is_translational, dot(jacobian(r, x, pitch), velocity)) for r in rows]
+    rates = [(r.is_translational, dot(jacobian(r, x, body), velocity)) for r in rows]
     return (
         _squares([rate for translational, rate in rates if translational]),
         _squares([rate for translational, rate in rates if not translational]),

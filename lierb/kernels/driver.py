@@ -37,7 +37,7 @@ from lierb.kernels.zero import is_zero
 
 INPUT_WIDTHS = {
     "mass": 1, "inertia": 9, "com": 3, "gravity": 3, "ground_frame": 12, "body_frame": 12,
-    "pitch": 1, "pose": 12, "twist": 6,
+    "pitch": 1, "length": 1, "pose": 12, "twist": 6,
 }  # fmt: skip
 _ENDS = tuple(accumulate(INPUT_WIDTHS.values(), initial=0))
 INPUT_SLICES = {
@@ -98,6 +98,7 @@ def parameters_of(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
         ground=_pose(parts["ground_frame"]),
         body=_pose(parts["body_frame"]),
         pitch=parts["pitch"][0],
+        length=parts["length"][0],
     )
     return parameters, _pose(parts["pose"]), parts["twist"]
 
@@ -244,18 +245,29 @@ def store_state(
         scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
 
 
-def store_multipliers(
-    plan: Plan, body: Body, state: State, record: Record, multipliers: Any, row: Any, first: Any
+def store_forces(
+    plan: Plan,
+    body: Body,
+    state: State,
+    record: Record,
+    multipliers: Any,
+    reactions: Any,
+    row: Any,
+    first: Any,
 ) -> None:
-    """One row of the history's λ, [time][body][row of the joint]."""
-    if not plan.multipliers:
+    """One row of the history's λ and reactions, [time][body][component]."""
+    if not (plan.multipliers or plan.reaction):
         return
     state = State(*state)
-    _, found, _ = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity)
+    found = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity)
     alive = Record(*record).status == OK
-    places = [(row, first, c) for c in range(len(found))]
-    if places:
-        scatter(multipliers, 1, places, where(alive, found, (NAN,) * len(found)), plan.lanes)
+    for recorded, array, numbers in (
+        (plan.multipliers, multipliers, found.multipliers),
+        (plan.reaction, reactions, found.reaction),
+    ):
+        if recorded and numbers:
+            places = [(row, first, c) for c in range(len(numbers))]
+            scatter(array, 1, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
 
 
 def store_summary(
@@ -284,7 +296,7 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
 
 for _formula in (
     load_body, initial_state, initial_record, load_carried, store_carried, advance, tidy, observe,
-    store_errors, store_state, store_multipliers, store_summary, store_start,
+    store_errors, store_state, store_forces, store_summary, store_start,
 ):  # fmt: skip
     _jit.kernel(_formula)
 
@@ -301,7 +313,7 @@ def _until(k: int, every: int, end: int) -> int:
 @njit(**_jit.OPTIONS)
 def integrate_block(
     plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
-    first, offset, begin, stop, last, h, measure_every, save_every,
+    reactions, first, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories)."""
     if stop == 0:
@@ -328,7 +340,7 @@ def integrate_block(
                 if rotations.shape[0] > 0:
                     states = (rotations, places, omegas, velocities)
                     store_state(plan, inputs, state, record, states, row, first, column)
-                store_multipliers(plan, body, state, record, multipliers, row, column)
+                store_forces(plan, body, state, record, multipliers, reactions, row, column)
         if k >= stop:
             break
         if k % TIDY_EVERY == 0 and k > 0:  # after the measures: they see what rounding did
@@ -347,7 +359,7 @@ def integrate_block(
 @njit(parallel=True, cache=True, **_jit.OPTIONS)
 def integrate_blocks(
     plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
-    lanes, threads, offset, begin, stop, last, h, measure_every, save_every,
+    reactions, lanes, threads, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
     """Steps begin … stop of every body; `last` is the run's last step.
 
@@ -362,5 +374,6 @@ def integrate_blocks(
                 break
             integrate_block(
                 plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
-                multipliers, block * lanes, offset, begin, stop, last, h, measure_every, save_every,
+                multipliers, reactions, block * lanes, offset, begin, stop, last, h, measure_every,
+                save_every,
             )  # fmt: skip

@@ -30,10 +30,10 @@ class Measures(NamedTuple):
 
 def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Measures:
     x = plan.space.kinematics(body, pose, velocity)
-    rate, turning_rate = rate_errors_squared(plan.rows, x, body.pitch, velocity)
+    rate, turning_rate = rate_errors_squared(plan.rows, x, body, velocity)
     return Measures(
-        position_error_squared(plan.rows, x, body.pitch),
-        rotation_error_squared(plan.rows, x),
+        position_error_squared(plan.rows, x, body),
+        rotation_error_squared(plan.rows, x, body),
         rate,
         turning_rate,
         _orthogonality_squared(pose[0]),

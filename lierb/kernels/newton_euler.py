@@ -52,6 +52,7 @@ class Parameters(NamedTuple):
     ground: Pose  # joint frame seen from the ground
     body: Pose  # joint frame seen from the body
     pitch: Any  # m/rad
+    length: Any  # m, of a rod
 
 
 class Body(NamedTuple):
@@ -65,6 +66,7 @@ class Body(NamedTuple):
     gravity: Vec  # in the ground's joint frame
     energy_origin: Any  # potential energy at the ground's joint frame, J
     pitch: Any
+    length: Any
     origin_inertia: Mat  # about the body frame's origin
     first_moment: Vec  # m c
     gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
@@ -116,6 +118,7 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
         gravity=mat_t_vec(p.ground[0], p.gravity),
         energy_origin=-p.mass * dot(p.gravity, p.ground[1]),
         pitch=p.pitch,
+        length=p.length,
         origin_inertia=axpy(p.mass, unit_inertia(com), inertia),
         first_moment=scale(p.mass, com),
     )

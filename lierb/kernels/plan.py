@@ -36,6 +36,7 @@ class Plan(Tag):
     stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
+    reaction: bool = False  # whether the joint's wrench is
     # Where accelerations come from: "saddle", the saddle point in every stage, or a subgroup
     # joint's constant gain, on poses in SE(3) ("gain") or in the subgroup itself ("reduced").
     solver: str = "saddle"

@@ -22,7 +22,7 @@ from lierb.kernels.newton_euler import Body
 from lierb.kernels.plan import Plan
 from lierb.kernels.saddle import solve
 from lierb.kernels.subgroup import gain_acceleration, in_subalgebra, on_subgroup
-from lierb.kernels.vec import Mat, Vec, dot, mat_t_vec, neg
+from lierb.kernels.vec import Mat, Vec, axpy, cross_add, dot, mat_t_vec, neg
 from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
@@ -46,22 +46,38 @@ def pose_of(plan: Plan, state: State) -> Pose:
     return group.compose(state.chart, group.exp(state.x))
 
 
-def accelerate(
-    plan: Plan, body: Body, pose: Pose, velocity: Vec
-) -> tuple[Vec, tuple[Any, ...], Any]:
-    """V̇, λ and the mark of a singular configuration."""
+class Acceleration(NamedTuple):
+    """The solution of the saddle point."""
+
+    rate: Vec  # V̇
+    multipliers: tuple[Any, ...]  # λ, in the order of the joint's rows
+    reaction: Vec  # the joint's wrench on the body, about the joint's point and in the body's axes
+    singular: Any  # the mark of a singular configuration
+
+
+def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Acceleration:
+    """The saddle point at one state."""
     x = plan.space.kinematics(body, pose, velocity)
     in_body_axes = x._replace(is_body_fixed=True)
     rows = solving_rows(plan.rows)
+    jacobians = [jacobian(r, in_body_axes, body) for r in rows]
     found, multipliers, singular = solve(
         body,
-        [jacobian(r, in_body_axes, body.pitch) for r in rows],
-        [acceleration(r, x) for r in rows],
+        jacobians,
+        [acceleration(r, x, body) for r in rows],
         plan.space.free_acceleration(body, pose, velocity),
         velocity,
     )
-    multipliers = given_multipliers(plan.rows, rows, multipliers, pose[0])
-    return plan.space.velocity_rate(pose, found), multipliers, singular
+    wrench: Vec = ZERO6
+    for multiplier, direction in zip(multipliers, jacobians, strict=True):
+        wrench = axpy(-multiplier, direction, wrench)
+    torque, force = wrench[:3], wrench[3:]
+    return Acceleration(
+        plan.space.velocity_rate(pose, found),
+        given_multipliers(plan.rows, rows, multipliers, pose[0]),
+        cross_add(force, x.arm, torque) + force,
+        singular,
+    )
 
 
 def step(plan: Plan, body: Body, state: State, h: Any) -> tuple[State, Any]:
@@ -77,8 +93,9 @@ def step(plan: Plan, body: Body, state: State, h: Any) -> tuple[State, Any]:
         k = group.angle_coefficients(x)
         if plan.slots is None:
             pose = group.compose(state.chart, group.exp(x, k))
-            v_rate, _, contradictory = accelerate(plan, body, pose, velocity)
-            singular = maximum(singular, contradictory)
+            found = accelerate(plan, body, pose, velocity)
+            v_rate = found.rate
+            singular = maximum(singular, found.singular)
         else:
             fall = so3.rotate(neg(x[:3]), falling, k)
             v_rate = gain_acceleration(plan.slots, body, fall, velocity)
@@ -117,7 +134,7 @@ def tidied(plan: Plan, body: Body, state: State) -> State:
         for row in plan.rows:
             if row.kind == "screw":
                 x = plan.space.kinematics(body, (q, d), state.velocity)
-                d = (d[0], d[1], d[2] - value(row, x, body.pitch))
+                d = (d[0], d[1], d[2] - value(row, x, body))
     return state._replace(chart=(so3.orthonormalised(q), d))
 
 
