@@ -301,20 +301,26 @@ FREE_DIRECTIONS = {
     "helical_planar": "u1 u2 screw",
     "schoenflies": "w3 u1 u2 u3",
     "fixed": "",
+    "point_on_line": "w1 w2 w3 u3",
+    "point_on_plane": "w1 w2 w3 u1 u2",
+    "point_on_sphere": "w1 w2 w3 u1 u2",
+    "constant_velocity": "w1 w2",
 }
 DIRECTIONS = dict(zip(("w1", "w2", "w3", "u1", "u2", "u3"), np.eye(6)))
-PITCH = 0.2
+PITCH, LENGTH = 0.2, 0.6
 DIRECTIONS["screw"] = np.array([0, 0, 1, 0, 0, PITCH])
 GROUND_FRAME = frame((0.3, -0.2, 0.5), (0.4, -0.9, 0.7))
 BODY_FRAME = frame((-0.15, 0.0375, 0.1), (-0.5, 0.3, 1.1))
 INERTIA = np.array([[0.05, 0.004, -0.003], [0.004, 0.07, 0.006], [-0.003, 0.006, 0.09]])
 MASS = 2.0
 GRAVITY = np.array([1.0, -4.0, -8.0])
+CALM = {"constant_velocity": 0.2}  # else it comes to where its shafts fold together
 
 
 def moving(joint, times):
     """A body of full inertia on a joint of tilted frames, moving in every free direction."""
-    speeds = np.random.default_rng(3).uniform(1.0, 3.0, 6)
+    calm = CALM.get(joint, 1.0)
+    speeds = calm * np.random.default_rng(3).uniform(1.0, 3.0, 6)
     directions = [DIRECTIONS[name] for name in FREE_DIRECTIONS[joint].split()]
     relative = sum((s * d for s, d in zip(speeds, directions)), np.zeros(6))
     omega = BODY_FRAME[:3, :3] @ relative[:3]
@@ -327,8 +333,9 @@ def moving(joint, times):
         twist0=[*omega, *v],
         ground_frame=GROUND_FRAME,
         body_frame=BODY_FRAME,
-        gravity=GRAVITY,
+        gravity=calm**2 * GRAVITY,
         pitch=PITCH,
+        length=LENGTH if "rod" in JOINT_ROWS[joint] else 0.0,
     )
 
 
@@ -343,6 +350,7 @@ def joint_values(joint, R, r):
     remainder -= 2 * np.pi * PITCH * round(remainder / (2 * np.pi * PITCH))
     values = {f"d{i + 1}": d[i] for i in range(3)} | {"screw": remainder, "cross32": Q[2, 1]}
     values |= {f"slot{i + 1}": (Q.T @ d)[i] for i in range(3)}
+    values |= {"rod": (d @ d - LENGTH**2) / (2 * LENGTH), "equal": (Q[1, 0] - Q[0, 1]) / 2}
     values |= {"turn1": Q[1, 2], "turn2": Q[0, 2], "turn3": Q[1, 0]}
     return np.array([values[name] for name in JOINT_ROWS[joint].split()])
 
@@ -352,7 +360,8 @@ def test_trajectory_keeps_joint_and_energy(joint):
     result = moving(joint, [0.0, 0.5, 1.0])
 
     def energy(R, r, omega, v):
-        return 0.5 * (MASS * v @ v + omega @ INERTIA @ omega) - MASS * GRAVITY @ r
+        weight = MASS * CALM.get(joint, 1.0) ** 2 * GRAVITY
+        return 0.5 * (MASS * v @ v + omega @ INERTIA @ omega) - weight @ r
 
     states = list(zip(result.R, result.r, result.omega, result.v))
     for state in states:
@@ -371,7 +380,8 @@ def test_multipliers_balance_body_in_its_own_frame(joint):
     V = np.hstack([result.omega, result.v])
     R, r = result.R[1], result.r[1]
     M = np.block([[INERTIA, np.zeros((3, 3))], [np.zeros((3, 3)), MASS * np.eye(3)]])
-    W = np.concatenate([np.zeros(3), MASS * R.T @ GRAVITY])
+    weight = MASS * CALM.get(joint, 1.0) ** 2 * GRAVITY
+    W = np.concatenate([np.zeros(3), R.T @ weight])
     J = np.zeros((len(JOINT_ROWS[joint].split()), 6))
     for i in range(6):
         moved = []
