@@ -4,6 +4,7 @@ from lierb import bodies, errors, joints, lie
 from lierb.api import Result, integrate
 from lierb.installation import info, warmup
 from lierb.model import Body, Problem
+from lierb.prediction import predict
 from lierb.provenance import package_version
 from lierb.tableaus import ButcherTableau
 
@@ -19,5 +20,6 @@ __all__ = [
     "integrate",
     "joints",
     "lie",
+    "predict",
     "warmup",
 ]
