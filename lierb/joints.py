@@ -36,6 +36,7 @@ from lierb.kernels.vec import IDENTITY, Vec, add, cross, dot, mat_t_vec, norm, s
 from lierb.kernels.zero import ZERO
 
 PERPENDICULAR_TOLERANCE = 1e-9
+MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,8 +436,14 @@ def from_rows(
     `Omega` rows come in twos or threes: one alone is a condition on velocity that fixes no
     orientation. A `screw` row needs pitch=, and Omega1 and Omega2; a `rod` row needs length=, and
     goes with Omega, Q and cv rows only. Frames as for every joint.
-    Raises UnknownNameError for another row, ArgumentError for a row given twice, more than six
-    rows, or rows that make no joint.
+
+    Rows may say a thing twice. One given again is left out; of rows that depend on others where the
+    body is, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is what
+    they exert together). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
+    other, and the body is marked `singular`.
+
+    Raises UnknownNameError for another row, ArgumentError for more than twelve rows, or rows that
+    make no joint.
 
     >>> import lierb
     >>> lierb.joints.from_rows(["d3", "Omega1", "Omega3"], body_point=(0.1, 0.0, 0.0))
@@ -445,17 +452,13 @@ def from_rows(
     if isinstance(rows, str) or not isinstance(rows, Iterable):
         raise ArgumentError(f"rows={rows!r}; expected a list of row names")
     rows = list(rows)
-    parsed = tuple(_row(row) for row in rows)
+    parsed = tuple(dict.fromkeys(_row(row) for row in rows))
     if Row("screw", 2) in parsed and not {Row("Omega", 0), Row("Omega", 1)} <= set(parsed):
         raise ArgumentError(
             f"rows={rows} has a screw row whose axis may tilt; add Omega1 and Omega2"
         )
-    if len(set(parsed)) < len(parsed):
-        raise ArgumentError(f"rows={list(rows)} names a row twice")
-    if len(parsed) > 6:
-        raise ArgumentError(
-            f"rows={list(rows)} are {len(parsed)} rows; a rigid body has 6 freedoms"
-        )
+    if len(parsed) > MOST_ROWS:
+        raise ArgumentError(f"rows={rows} are {len(parsed)} rows; expected {MOST_ROWS} at most")
     if sum(row.kind == "Omega" for row in parsed) == 1:
         raise ArgumentError(
             f"rows={list(rows)} has one Omega row alone; expected two, three or none"

@@ -403,9 +403,11 @@ BAD_JOINTS = {
     ),
     "rows is a number": (lambda: joints.from_rows(5), "rows"),
     "rows is text": (lambda: joints.from_rows("d1 d2"), "row"),
-    "a row twice": (lambda: joints.from_rows(["d1", "d2", "d1"]), "twice"),
-    "seven rows": (
-        lambda: joints.from_rows(["d1", "d2", "d3", "Omega1", "Omega2", "Omega3", "Q12"]), "7 rows",
+    "fifteen rows": (
+        lambda: joints.from_rows(
+            [f"{kind}{i}" for kind in ("d", "Qtd", "Omega", "Q1", "Q2") for i in "123"],
+        ),
+        "15 rows",
     ),
     "one Omega row": (lambda: joints.from_rows(["d1", "Omega2"]), "one Omega"),
     "screw row without pitch": (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
-from cases import GRAVITY, LENGTH, PITCH, box, column, joint, tilted
+from cases import GRAVITY, LENGTH, PITCH, box, column, joint, slow_but, tilted
 
 import lierb
 from lierb.kernels.constraints import acceleration, jacobian
@@ -154,6 +154,52 @@ def test_reaction_does_not_depend_on_the_rows():
         wrenches.append(column(run.errors, "reaction"))
     # rounding of 100 steps
     np.testing.assert_allclose(*wrenches, rtol=1e-10, atol=1e-10)
+
+
+TWICE = {
+    "spherical": ["d1", "d2", "d3", "Qtd1", "Qtd2", "Qtd3"],
+    "universal": ["d1", "d2", "d3", "Q32", "Qtd3", "Qtd1", "Qtd2"],
+    "revolute": [
+        "d1", "d2", "d3", "Omega1", "Omega2", "Qtd1", "Qtd2", "Qtd3", "Q13", "Q23", "Q31", "Q32",
+    ],
+    "planar": ["d3", "Omega1", "Omega2", "Qtd3", "Q13", "Q23", "Q31", "Q32"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", slow_but(TWICE, "spherical"))
+def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
+    """Again in other rows, which depend on the first ones: the pivot rule drops them."""
+    problem, twist0 = tilted(name)
+    frames = {n: getattr(problem.joint, n) for n in ("ground_frame", "body_frame")}
+    ends, wrenches = [], []
+    for held in (problem.joint, lierb.joints.from_rows(TWICE[name], **frames)):
+        run = lierb.integrate(
+            lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3, t_end=0.5,
+            save_every=100, record=["state", "reaction"], solver="saddle",
+        )  # fmt: skip
+        assert run.summary["status"].to_pylist() == ["ok"]
+        ends.append(column(run.errors, "R"))
+        wrenches.append(column(run.errors, "reaction"))
+    # 500 steps of rounding; reactions are up to 100 N and N m
+    np.testing.assert_allclose(*ends, atol=1e-10)
+    np.testing.assert_allclose(*wrenches, atol=1e-8)
+
+
+def test_rows_that_drift_apart_are_marked():
+    """On SO(3)×R³ rows that say the same come to contradict each other as the joint drifts."""
+    problem, twist0 = tilted("spherical")
+    frames = {n: getattr(problem.joint, n) for n in ("ground_frame", "body_frame")}
+    held = lierb.joints.from_rows(TWICE["spherical"], **frames)
+    run = lierb.integrate(
+        lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3, t_end=0.5,
+        cspace="SO3xR3",
+    )  # fmt: skip
+    assert run.summary["status"].to_pylist() == ["singular"]
+
+
+def test_rows_given_again_are_left_out():
+    held = lierb.joints.from_rows(["d1", "d2", "d3"] * 2)
+    assert held.rows == lierb.joints.spherical.rows
 
 
 def test_free_body_feels_no_reaction():
