@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lierb.arrays import Array, as_poses, pose_components
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, PoseError
 from lierb.kernels.constraints import jacobian, residuals
 from lierb.kernels.newton_euler import CSPACES, SE3, Body, Pose, SO3xR3
 from lierb.kernels.vec import norm
@@ -92,7 +92,8 @@ def predict(problem: Problem, pose0: Any = None) -> Predictions:
 
     The algebra is generated numerically (ranks to RANK_TOLERANCE) from the kernels of J at
     configurations sampled until its dimension is stable. SO(3)×R³ is left out for a body whose
-    centre of mass is not at its frame's origin. Raises ArgumentError for a batch.
+    centre of mass is not at its frame's origin. Raises ArgumentError for a batch, PoseError for a
+    pose off the joint.
 
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -102,16 +103,16 @@ def predict(problem: Problem, pose0: Any = None) -> Predictions:
     SE3      SO(3)             3    exact     exact     d1 d2 d3 / –
     SO3xR3   SO(3)×R³          6    drifts    exact     – / d1 d2 d3
     """
-    if (problem.batch_size() or 1) > 1:
+    if problem.batch_size() is not None:
         raise ArgumentError(
-            f"predict takes one body at a time; this problem has {problem.batch_size()}"
+            f"predict takes one body at a time; this problem is a batch of {problem.batch_size()}"
         )
     pose = problem.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
-    if pose.shape not in ((4, 4), (1, 4, 4)):
-        raise ArgumentError(f"pose0 has shape {pose.shape}; predict takes one pose")
+    if pose.shape != (4, 4):
+        raise ArgumentError(f"pose0 has shape {pose.shape}; predict takes one pose, (4, 4)")
     central = not np.any(problem.body.com != 0.0)
     return Predictions(
-        (name, _Explorer(name, problem, pose.reshape(4, 4)).prediction())
+        (name, _Explorer(name, problem, pose).prediction())
         for name in CSPACES
         if central or name != "SO3xR3"
     )
@@ -125,14 +126,17 @@ class _Explorer:
         self.space: type[SE3] | type[SO3xR3] = CSPACES[cspace]
         parameters = problem.parameters()
         self.body: Body = self.space.body(parameters)
-        self.start: Pose = self.space.to_joint_axes(parameters, pose_components(pose), (0.0,) * 6)[
-            0
-        ]
+        self.start, _ = self.space.to_joint_axes(parameters, pose_components(pose), (0.0,) * 6)
         self.random = np.random.default_rng(SEED)
         gyration = np.sqrt(sum(self.body.inertia[::4]) / (2.0 * self.body.mass))
         lengths = (gyration, norm((0.0, *self.body.arm)), abs(self.body.pitch), self.body.length)
         self.length = max(map(_float, lengths))  # m; what displacements are compared with
         self.units = np.repeat((1.0, self.length), 3)
+        values, _ = self._at(self.start)
+        if np.abs(values).max(initial=0.0) > CONSTANT * (1.0 + norm(self.start[1])):
+            raise PoseError(
+                f"pose0 does not close the {problem.joint.name} joint; problem.close(pose0) does"
+            )
 
     def prediction(self) -> Prediction:
         algebra = self._completion()

@@ -8,7 +8,7 @@ from cases import LENGTH, PITCH, column, slow_but, tilted
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, PoseError
 
 CSPACES = ("SE3", "SO3xR3")
 
@@ -103,6 +103,28 @@ def test_batch_is_refused():
         lierb.predict(lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), held))
 
 
+@pytest.mark.parametrize("pose0", [np.eye(4)[None], np.tile(np.eye(4), (2, 1, 1))])
+def test_several_poses_are_refused(pose0):
+    with pytest.raises(ArgumentError, match="one pose"):
+        lierb.predict(lierb.Problem(lierb.Body(1.0, (1, 1, 1)), lierb.joints.spherical()), pose0)
+
+
+def test_pose_off_the_joint_is_refused():
+    problem, _ = tilted("revolute")
+    with pytest.raises(PoseError, match=r"problem\.close"):
+        lierb.predict(problem, np.eye(4))
+
+
+def test_pose_says_which_branch_is_meant():
+    """A pin whose point starts away from the body's origin, by its slot, or at it."""
+    held = lierb.joints.pin_in_slot_body(axis=(0, 0, 1))
+    problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), held)
+    moved = np.eye(4)
+    moved[0, 3] = 0.5
+    for pose0 in (None, moved):
+        assert lierb.predict(problem, pose0)["SE3"].group == "SE(2)"
+
+
 def test_body_off_its_centre_of_mass_is_for_se3_only():
     body = lierb.Body(1.0, (1.0, 1.0, 1.0), com=(0.1, 0.0, 0.0))
     assert list(lierb.predict(lierb.Problem(body, lierb.joints.spherical()))) == ["SE3"]
@@ -143,9 +165,7 @@ def random_problems(name, count):
 
 
 def drift(problem, twists, cspace, dt):
-    run = lierb.integrate(
-        problem, twist0=twists, dt=dt, t_end=0.5, cspace=cspace, solver="saddle", measure_every=1
-    )
+    run = lierb.integrate(problem, twist0=twists, dt=dt, t_end=0.5, cspace=cspace)
     assert set(run.summary["status"].to_pylist()) == {"ok"}
     return {
         kind: column(run.summary, f"{kind}_error_max") for kind in ("position", "rotation")
