@@ -54,6 +54,17 @@ def as_numbers(
     return array
 
 
+def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
+    """Numbers of that shape for each body, all above zero."""
+    array = as_numbers(argument, value, shape)
+    items = array.reshape(-1, *shape)
+    bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
+    if bad.size:
+        label = body_label(argument, int(bad[0]), len(items))
+        raise ArgumentError(f"{label} is {items[bad[0]]} {unit}; expected positive numbers")
+    return array
+
+
 def _slices(array: Array) -> Iterator[Array]:
     """The array along its first axis, in parts whose temporaries are small."""
     if array.ndim == 0:

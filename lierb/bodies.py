@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_numbers, assembled, batch_size
-from lierb.errors import ArgumentError, body_label
+from lierb.arrays import Array, as_positive, assembled, batch_size
+from lierb.errors import ArgumentError
 from lierb.kernels.newton_euler import unit_inertia
 from lierb.model import Body
 
@@ -30,7 +30,7 @@ def box(
     >>> lierb.bodies.box((0.1, 0.2, 0.3), density=1000.0).mass.round(9)
     np.float64(6.0)
     """
-    edges = _positive("size", size, "m", 3)
+    edges = as_positive("size", size, "m", 3)
     a, b, c = edges[..., 0], edges[..., 1], edges[..., 2]
     masses = _mass(mass, density, a * b * c)
     squares = (b * b + c * c, c * c + a * a, a * a + b * b)
@@ -48,7 +48,7 @@ def cylinder(
 
     radius, length : number or (n,), m.   mass or density : number or (n,).
     """
-    r, h = _positive("radius", radius, "m"), _positive("length", length, "m")
+    r, h = as_positive("radius", radius, "m"), as_positive("length", length, "m")
     batch_size(radius=r, length=h)
     masses = _mass(mass, density, np.pi * r * r * h)
     across = masses / 12.0 * (3.0 * r * r + h * h)
@@ -76,7 +76,7 @@ def sphere(
 
     radius : number or (n,), m.   mass or density : number or (n,).
     """
-    r = _positive("radius", radius, "m")
+    r = as_positive("radius", radius, "m")
     masses = _mass(mass, density, 4.0 / 3.0 * np.pi * r**3)
     return Body(masses, _diagonal(*(0.4 * masses * r * r,) * 3))
 
@@ -119,20 +119,10 @@ def _diagonal(*moments: Array) -> Array:
     return assembled(moments)[..., None] * np.eye(3)
 
 
-def _positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
-    array = as_numbers(argument, value, shape)
-    items = array.reshape(-1, *shape)
-    bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
-    if bad.size:
-        label = body_label(argument, int(bad[0]), len(items))
-        raise ArgumentError(f"{label} is {items[bad[0]]} {unit}; expected positive numbers")
-    return array
-
-
 def _mass(mass: ArrayLike | None, density: ArrayLike | None, volume: Array) -> Array:
     if (mass is None) == (density is None):
         raise ArgumentError("give mass= or density=, one of the two")
     name, unit = ("mass", "kg") if density is None else ("density", "kg/m³")
-    given = _positive(name, density if mass is None else mass, unit)  # type: ignore[arg-type]
+    given = as_positive(name, density if mass is None else mass, unit)  # type: ignore[arg-type]
     batch_size(**{name: given}, dimensions=volume)
     return given * volume if mass is None else np.broadcast_arrays(given, volume)[0]

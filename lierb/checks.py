@@ -11,6 +11,7 @@ from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_
 from lierb.joints import Joint
 from lierb.kernels.constraints import (
     Row,
+    fixed_axes,
     jacobian,
     position_error_squared,
     rate_errors_squared,
@@ -54,7 +55,7 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
 
 def _held_axes(rows: tuple[Row, ...]) -> list[int]:
     """The joint axes that `Omega` rows keep parallel."""
-    fixed = sorted({r.i for r in rows if r.kind == "Omega"})
+    fixed = fixed_axes(rows)
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 

@@ -21,6 +21,7 @@ from lierb.arrays import (
     Pose,
     as_numbers,
     as_poses,
+    as_positive,
     assembled,
     batch_size,
     components,
@@ -245,10 +246,8 @@ class JointType:
         body = _body_frame(body_frame, body_point, axis, slot, second_axis)
         ground = _ground_frame(ground_frame, ground_point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
-        rod = as_numbers("length", 0.0 if length is None else length, ())
-        if length is not None and (rod <= 0.0).any():
-            label = body_label("length", int(np.flatnonzero(rod <= 0.0)[0]), rod.size)
-            raise ArgumentError(f"{label} is {rod.min()} m; expected a positive length")
+        none = as_numbers("length", 0.0, ())
+        rod = none if length is None else as_positive("length", length, "m")
         batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead, length=rod)
         for frames in (body, ground):
             frames.setflags(write=False)  # what was checked stays so

@@ -143,9 +143,14 @@ def value(r: Row, x: Kinematics, body: Body) -> Any:
     return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
 
 
+def fixed_axes(rows: tuple[Row, ...]) -> list[int]:
+    """The axes about which `Omega` rows forbid to turn."""
+    return sorted({r.i for r in rows if r.kind == "Omega"})
+
+
 def residuals(rows: tuple[Row, ...], x: Kinematics, body: Body) -> list[Any]:
     """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
-    fixed = sorted({r.i for r in rows if r.kind == "Omega"})
+    fixed = fixed_axes(rows)
     if len(fixed) == 3:
         turns = dict(enumerate(so3.log(x.q)))
     elif len(fixed) == 2:
@@ -203,7 +208,7 @@ def position_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> 
 def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> Any:
     """Of `Q` and `cv` rows; and for `Omega` rows, how far Q is from a turn about the free axis."""
     entries = [value(r, x, body) for r in rows if r.kind in ("Q", "cv")]
-    fixed = sorted({r.i for r in rows if r.kind == "Omega"})
+    fixed = fixed_axes(rows)
     if len(fixed) == 2:
         axis = 3 - sum(fixed)
         entries += [x.q[3 * i + axis] for i in fixed]
