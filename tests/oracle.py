@@ -5,7 +5,9 @@ Three parts, each a different route to numbers that the library computes:
 * `lie[group]`: exp, log, Ad, ad, dexp and dexpinv of a matrix group from their *definitions*
   (power series of its generators) at more than 50 digits; `coefficients`, the functions of θ;
 * `reference_trajectory`: the constrained body as Newton and Euler wrote it, about the centre of
-  mass, all in ground coordinates, joints made of points and axes in space, integrated by DOP853;
+  mass, all in ground coordinates, joints made of points and axes in space, integrated by DOP853,
+  with the forces of `constant_wrench`, `spring_damper`, `torsional_spring`, `drag`,
+  `motor_torque` and `wrench` on it;
 * motions that are known in closed form: `pendulum`, `torque_free_axisymmetric`,
   `torque_free_triaxial`.
 
@@ -14,7 +16,8 @@ with R and r (for so3xr3 only a container: the product is (R₁R₂, r₁ + r₂
 right-trivialised, dexp_X(Ẋ) = Ċ C⁻¹; quaternions are (w, x, y, z).
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -236,15 +239,19 @@ JOINT_ROWS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States at the requested times; ω and v in the body frame, λ in the order of JOINT_ROWS."""
+    """States at the requested times; ω and v in the body frame.
+
+    λ in the order of JOINT_ROWS, then those of the extra rows, then that of the prescribed speed.
+    """
 
     t: np.ndarray  # (n,) s
     R: np.ndarray  # (n, 3, 3) body to ground
     r: np.ndarray  # (n, 3) m, the centre of mass in the ground frame
     omega: np.ndarray  # (n, 3) rad/s
     v: np.ndarray  # (n, 3) m/s
-    multipliers: np.ndarray  # (n, m) N or N m; the joint's wrench on the body is −Jᵀλ
-    reaction: np.ndarray  # (n, 6) N m, N: that wrench, about B's origin and in B's axes
+    multipliers: np.ndarray  # (n, m) N or N m; the wrench of the rows J on the body is −Jᵀλ
+    reaction: np.ndarray  # (n, 6) N m, N: the joint's, with its speed's, about B's origin, B's axes
+    energy: np.ndarray  # (n,) J, kinetic, of gravity, and of the forces that have a potential
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -263,6 +270,168 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
+
+
+# ---------------------------------------------------------------- forces on the body
+
+
+class State(NamedTuple):
+    """What forces and rows of the caller see. The body's origin is its centre of mass."""
+
+    t: float  # s
+    R: np.ndarray  # (3, 3) body to ground
+    r: np.ndarray  # (3,) m, the centre of mass in the ground frame
+    omega: np.ndarray  # (3,) rad/s, in ground axes
+    v: np.ndarray  # (3,) m/s, ṙ
+    G: np.ndarray  # (4, 4) the joint frame on the ground, seen from the ground
+    B: np.ndarray  # (4, 4) the joint frame on the body, seen from the body
+
+    @property
+    def axis(self) -> np.ndarray:
+        """(3,) e3 of the body's joint frame, in ground axes."""
+        return self.R @ self.B[:3, 2]
+
+    def seen(self, body_point, ground_point=(0.0, 0.0, 0.0)):
+        """A point of the body, given in the body frame, seen from one of the ground.
+
+        (3,) m from the centre of mass to it, (3,) m from the ground's point to it, and its
+        velocity (3,) m/s, all in ground axes.
+        """
+        arm = self.R @ body_point
+        return arm, self.r + arm - ground_point, self.v + _cross(self.omega, arm)
+
+
+@dataclass(frozen=True)
+class Force:
+    """Called with a state: ((3,) N m about the centre of mass, (3,) N), both in ground axes."""
+
+    load: Callable[[State], tuple[np.ndarray, np.ndarray]]
+    potential: Callable[[State], float] | None = None  # J, of what of it is conservative
+
+    def __call__(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        return self.load(state)
+
+
+def _vectors(*values):
+    return [np.array(value, float) for value in values]
+
+
+def constant_wrench(
+    torque=(0.0, 0.0, 0.0), force=(0.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), frame="ground"
+) -> Force:
+    """(3,) N m, and (3,) N at a point (3,) m of the body, constant in "ground" or in "body" axes.
+
+    Potential −f·x of a force that is constant in the ground; a torque has none.
+    """
+    torque, force, point = _vectors(torque, force, point)
+    assert frame in ("ground", "body"), frame
+    if frame == "body":
+        whole = torque + _cross(point, force)
+        return Force(lambda state: (state.R @ whole, state.R @ force))
+    return Force(
+        lambda state: (torque + _cross(state.R @ point, force), force),
+        lambda state: -force @ state.seen(point)[1],
+    )
+
+
+def spring_damper(body_point, ground_point, stiffness, damping=0.0, length=0.0) -> Force:
+    """Force −(k (ℓ − length) + c ℓ˙) along the line from a ground point to a body point.
+
+    body_point: (3,) m in the body frame.   ground_point: (3,) m in the ground frame.
+    stiffness: N/m.   damping: N s/m.   length: m, at rest.   Potential ½ k (ℓ − length)².
+    Where the points meet, the line is the one along which they are about to part.
+    """
+    body_point, ground_point = _vectors(body_point, ground_point)
+
+    def load(state):
+        arm, s, s_rate = state.seen(body_point, ground_point)
+        stretched = math.hypot(*s)
+        along = s if stretched else s_rate
+        along = along / (math.hypot(*along) or 1.0)
+        force = -(stiffness * (stretched - length) + damping * (along @ s_rate)) * along
+        return _cross(arm, force), force
+
+    def potential(state):
+        return stiffness / 2 * (math.hypot(*state.seen(body_point, ground_point)[1]) - length) ** 2
+
+    return Force(load, potential)
+
+
+def wrapped(angle: float) -> float:
+    """The angle less a number of turns, in (−π, π]."""
+    rest = math.remainder(angle, 2 * math.pi)
+    return math.pi if rest == -math.pi else rest
+
+
+def torsional_spring(stiffness, damping=0.0, angle=0.0) -> Force:
+    """Torque −(k wrapped(φ − angle) + c φ˙) about e3, for joints that keep e3 parallel to itself.
+
+    φ: turn of the body's joint frame against the ground's, about e3.   stiffness: N m/rad.
+    damping: N m s/rad.   angle: rad, at rest.   Potential ½ k wrapped(φ − angle)².
+    """
+
+    def turn(state):
+        g, b1 = state.G[:3, :3].T, state.R @ state.B[:3, 0]
+        return wrapped(math.atan2(g[1] @ b1, g[0] @ b1) - angle)
+
+    def load(state):
+        torque = -(stiffness * turn(state) + damping * (state.axis @ state.omega))
+        return torque * state.axis, np.zeros(3)
+
+    return Force(load, lambda state: stiffness / 2 * turn(state) ** 2)
+
+
+def drag(linear=0.0, quadratic=0.0, angular=0.0, point=(0.0, 0.0, 0.0)) -> Force:
+    """Force −(linear + quadratic |u|) u on a body point that moves with u, torque −angular ω.
+
+    linear: N s/m.   quadratic: N s²/m².   angular: N m s.   point: (3,) m in the body frame.
+    """
+    (point,) = _vectors(point)
+
+    def load(state):
+        arm, _, u = state.seen(point)
+        force = -(linear + quadratic * math.hypot(*u)) * u
+        return _cross(arm, force) - angular * state.omega, force
+
+    return Force(load)
+
+
+def motor_torque(torque: Callable[[float], float]) -> Force:
+    """Torque, a function of t in N m, about e3 of the body's joint frame; not of the reaction."""
+    return Force(lambda state: (torque(state.t) * state.axis, np.zeros(3)))
+
+
+def wrench(function) -> Force:
+    """function(t, R, r, ω, v) with ω and v in the body frame: (3,) N m about its origin, (3,) N.
+
+    Torque and force in body axes.
+    """
+
+    def load(state):
+        R = state.R
+        torque, force = function(state.t, R, state.r, R.T @ state.omega, R.T @ state.v)
+        return R @ torque, R @ force
+
+    return Force(load)
+
+
+def rod_rows(body_point, ground_point, length):
+    """Extra row (s·s − length²)/(2 length) = 0 of a massless rod: a function for `extra_rows`.
+
+    s from a point of the ground, (3,) m, to one of the body, (3,) m in its frame.   length: m.
+    """
+    body_point, ground_point = _vectors(body_point, ground_point)
+
+    def rows(state):
+        arm, s, s_rate = state.seen(body_point, ground_point)
+        omega, along = state.omega, s / length
+        rest = s_rate @ s_rate / length + along @ _cross(omega, _cross(omega, arm))
+        return np.array([[*_cross(arm, along), *along]]), np.array([-rest])
+
+    return rows
+
+
+# ---------------------------------------------------------------- motion
 
 
 def _row(name: str, s, s_rate, arm, omega, g, b, pitch, length):
@@ -312,6 +481,9 @@ def reference_trajectory(
     gravity=(0.0, 0.0, 0.0),
     pitch: float = 0.0,
     length: float = 0.0,
+    forces: Sequence[Force] = (),
+    extra_rows: Callable[[State], tuple[np.ndarray, np.ndarray]] | None = None,
+    speed: tuple[Callable[[float], float], Callable[[float], float]] | None = None,
     rtol: float = 3e-14,
     atol: float = 1e-14,
 ) -> Trajectory:
@@ -321,6 +493,9 @@ def reference_trajectory(
     in the body frame.   pose0: 4x4; None closes the joint, C = G B⁻¹.   ground_frame, body_frame:
     4x4, the joint frame seen from the ground and from the body; None is the identity.   pitch: of
     the screw and helical_planar joints, m/rad.   length: of the rod of a point_on_sphere joint, m.
+    forces: on the body, besides gravity.   extra_rows: further constraints, of a state
+    A (k, 6) and b (k,) with A (ω̇, r̈) = b; they are no part of the reaction.   speed: w and dw/dt,
+    functions of t, rad/s and rad/s²: a motor in the joint keeps b_3·ω = w.
 
     Newton and Euler about the centre of mass, m r̈ = m g + f and (I ω)˙ = τ, with the joint's rows
     at acceleration level, all in ground coordinates: one linear system for (ω̇, r̈, λ).
@@ -334,51 +509,80 @@ def reference_trajectory(
     C = G @ rod @ np.linalg.inv(B) if pose0 is None else np.asarray(pose0, float)
     names = JOINT_ROWS[joint].split()
     weight = mass * np.asarray(gravity, float)
-    m = len(names)
+    n = len(names)
 
-    def solution(y):
-        """(ω̇, r̈, λ) of the state: quaternion of the turn since t = 0, r, ω, ṙ."""
-        R, r, omega, v = rotation_matrix(y[:4]) @ C[:3, :3], y[4:7], y[7:10], y[10:13]
-        arm = R @ B[:3, 3]
-        s, s_rate = r + arm - G[:3, 3], v + _cross(omega, arm)
+    def state(t, y):
+        """Of the variables: quaternion of the turn since t = 0, r, ω, ṙ."""
+        return State(t, rotation_matrix(y[:4]) @ C[:3, :3], y[4:7], y[7:10], y[10:13], G, B)
+
+    def applied(now):
+        """Torque about the centre of mass and force of gravity and of `forces`."""
+        torque, total = np.zeros(3), weight
+        for force in forces:
+            tau, f = force(now)
+            torque, total = torque + tau, total + f
+        return torque, total
+
+    def solution(now):
+        """(ω̇, r̈, λ)."""
+        R, omega, m = now.R, now.omega, n + k + (speed is not None)
+        arm, s, s_rate = now.seen(B[:3, 3], G[:3, 3])
         g, b = G[:3, :3].T, (R @ B[:3, :3]).T
         inertia_now = R @ inertia @ R.T
+        torque, force = applied(now)
         system, right = np.zeros((6 + m, 6 + m)), np.zeros(6 + m)
         system[:3, :3], system[3:6, 3:6] = inertia_now, mass * np.eye(3)
-        right[:3], right[3:6] = -_cross(omega, inertia_now @ omega), weight
+        right[:3], right[3:6] = torque - _cross(omega, inertia_now @ omega), force
         for i, name in enumerate(names, start=6):
             system[i, :3], system[i, 3:6], right[i] = _row(
                 name, s, s_rate, arm, omega, g, b, pitch, length
             )
+        if extra_rows:
+            system[6 + n : 6 + n + k, :6], right[6 + n : 6 + n + k] = extra_rows(now)
+        if speed:  # (b·ω)˙ = b·ω̇, as in the rows that forbid to turn
+            system[-1, :3], right[-1] = b[2], speed[1](now.t)
         system[:6, 6:] = system[6:, :6].T
         return np.linalg.solve(system, right)
 
     def rate(t, y):
         q, omega = y[:4], y[7:10]
         q_rate = 0.5 * np.array([-omega @ q[1:], *(q[0] * omega + _cross(omega, q[1:]))])
-        return np.concatenate([q_rate, y[10:13], solution(y)[:6]])
+        return np.concatenate([q_rate, y[10:13], solution(state(t, y))[:6]])
 
-    def reaction(y):
+    def reaction(now, found):
         """What the joint must exert for the body to be accelerated so, by Newton and Euler."""
-        turn = rotation_matrix(y[:4]) @ C[:3, :3]
-        found, omega = solution(y), y[7:10]
-        inertia_now = turn @ inertia @ turn.T
-        force = mass * found[3:6] - weight
-        torque = inertia_now @ found[:3] + _cross(omega, inertia_now @ omega)
-        torque = torque - _cross(turn @ B[:3, 3], force)
-        axes = turn @ B[:3, :3]
+        inertia_now = now.R @ inertia @ now.R.T
+        torque, force = applied(now)
+        force = mass * found[3:6] - force
+        torque = inertia_now @ found[:3] + _cross(now.omega, inertia_now @ now.omega) - torque
+        if extra_rows:
+            rest = extra_rows(now)[0].T @ found[6 + n : 6 + n + k]
+            torque, force = torque + rest[:3], force + rest[3:]
+        torque = torque - _cross(now.R @ B[:3, 3], force)
+        axes = now.R @ B[:3, :3]
         return np.concatenate([axes.T @ torque, axes.T @ force])
+
+    def energy(now):
+        omega = now.R.T @ now.omega
+        kinetic = (mass * now.v @ now.v + omega @ inertia @ omega) / 2
+        return kinetic - weight @ now.r + sum(f.potential(now) for f in forces if f.potential)
 
     R, twist = C[:3, :3], np.asarray(twist0, float)
     y = np.concatenate([[1, 0, 0, 0], C[:3, 3], R @ twist[:3], R @ twist[3:]])
+    k = len(extra_rows(state(0.0, y))[1]) if extra_rows else 0
+    if speed:
+        turning = B[:3, 2] @ twist[:3]
+        assert math.isclose(turning, speed[0](0.0), abs_tol=1e-12), "twist0 has not that speed"
     t, rows = 0.0, []
     for end in times:
         if end > t:  # a run of its own, because interpolated output is of lower order
             run = solve_ivp(rate, (t, end), y, "DOP853", rtol=rtol, atol=atol)
             assert run.success, run.message
             t, y = end, run.y[:, -1]
-        R = rotation_matrix(y[:4]) @ C[:3, :3]
-        rows.append((t, R, y[4:7], R.T @ y[7:10], R.T @ y[10:13], solution(y)[6:], reaction(y)))
+        now = state(t, y)
+        found, R = solution(now), now.R
+        twist_now = R.T @ now.omega, R.T @ now.v
+        rows.append((t, R, now.r, *twist_now, found[6:], reaction(now, found), energy(now)))
     return Trajectory(*(np.array(column) for column in zip(*rows)))
 
 

@@ -8,6 +8,7 @@ import oracle
 import pytest
 import reference_numbers as ref
 from oracle import JOINT_ROWS, lie, mp
+from scipy.special import fresnel
 
 ANGLES = (1e-12, 1e-6, 1e-3, 0.1, 1.0, 3.0, 3.1415926, 6.28)
 # mp errors are about 1e-80 times the size of the numbers and, near 2π, the condition of dexp (1e3)
@@ -317,12 +318,26 @@ GRAVITY = np.array([1.0, -4.0, -8.0])
 CALM = {"constant_velocity": 0.2}  # else it comes to where its shafts fold together
 
 
-def moving(joint, times):
+def moving(joint, times, **options):
     """A body of full inertia on a joint of tilted frames, moving in every free direction."""
     calm = CALM.get(joint, 1.0)
     speeds = calm * np.random.default_rng(3).uniform(1.0, 3.0, 6)
     directions = [DIRECTIONS[name] for name in FREE_DIRECTIONS[joint].split()]
     relative = sum((s * d for s, d in zip(speeds, directions)), np.zeros(6))
+    return on_tilted_joint(
+        joint,
+        times,
+        relative,
+        gravity=calm**2 * GRAVITY,
+        pitch=PITCH,
+        length=LENGTH if "rod" in JOINT_ROWS[joint] else 0.0,
+        **options,
+    )
+
+
+def on_tilted_joint(joint, times, relative, **options):
+    """The same body; relative: its twist (Ω, u) in the joint frame at t = 0."""
+    relative = np.asarray(relative, float)
     omega = BODY_FRAME[:3, :3] @ relative[:3]
     v = BODY_FRAME[:3, :3] @ relative[3:] + np.cross(BODY_FRAME[:3, 3], omega)
     return oracle.reference_trajectory(
@@ -333,9 +348,7 @@ def moving(joint, times):
         twist0=[*omega, *v],
         ground_frame=GROUND_FRAME,
         body_frame=BODY_FRAME,
-        gravity=calm**2 * GRAVITY,
-        pitch=PITCH,
-        length=LENGTH if "rod" in JOINT_ROWS[joint] else 0.0,
+        **options,
     )
 
 
@@ -364,10 +377,11 @@ def test_trajectory_keeps_joint_and_energy(joint):
         return 0.5 * (MASS * v @ v + omega @ INERTIA @ omega) - weight @ r
 
     states = list(zip(result.R, result.r, result.omega, result.v))
-    for state in states:
+    for state, reported in zip(states, result.energy):
         # nothing holds them but the accelerations: some 100 steps with rtol 3e-14, energy of 20 J
         np.testing.assert_allclose(joint_values(joint, *state[:2]), 0, atol=1e-13)
         assert energy(*state) == pytest.approx(energy(*states[0]), rel=0, abs=1e-12)
+        assert reported == pytest.approx(energy(*state), rel=0, abs=1e-13)  # an ulp of 20: 4e-15
 
 
 @pytest.mark.parametrize("joint", JOINT_ROWS)
@@ -424,6 +438,508 @@ def test_multipliers_of_the_pendulum():
         force = mass * (acceleration + np.array([0, 0, gravity]))
         # the joint's force is −Jᵀλ, its rows the axes of the ground's joint frame; up to 30 N
         np.testing.assert_allclose(multipliers[:3], -ground[:3, :3].T @ force, rtol=0, atol=1e-11)
+
+
+# ---------------------------------------------------------------- forces
+
+TIMES = [0.0, 0.3, 1.0]
+POINT = np.array([0.2, -0.1, 0.3])  # of the body
+ANCHOR = np.array([-0.4, 0.5, 0.2])  # of the ground
+AXIS = BODY_FRAME[:3, 2]  # e3 of the joint, in the body
+OFF_AXIS = np.cross(BODY_FRAME[:3, 3], AXIS)  # (its length) from the axis to the centre of mass
+INERTIA_ABOUT_AXIS = AXIS @ INERTIA @ AXIS + MASS * OFF_AXIS @ OFF_AXIS
+SPHERE = (0.3, 0.3, 0.3)
+SPIN = np.array([1.2, -0.7, 0.9])
+
+
+def in_space(force, **options):
+    """A free body with three equal moments of inertia, at r = (1, 2, 3) and R not the identity."""
+    options = {"inertia": SPHERE, "twist0": [*SPIN, 0.5, -1.0, 2.0]} | options
+    pose = frame((1.0, 2.0, 3.0), (0.3, -0.8, 0.5))
+    return oracle.reference_trajectory(
+        "free", TIMES, mass=MASS, pose0=pose, forces=[force], **options
+    )
+
+
+def oscillation(t, inertia, damping, stiffness, x, rate):
+    """x(t) and its rate of inertia x¨ + damping x˙ + stiffness x = 0, by its complex roots."""
+    decay = damping / (2 * inertia)
+    w = np.emath.sqrt(stiffness / inertia - decay**2)
+    a, b = x, (rate + decay * x) / w
+    fading, c, s = np.exp(-decay * t), np.cos(w * t), np.sin(w * t)
+    return fading * (a * c + b * s), fading * ((b * w - decay * a) * c - (a * w + decay * b) * s)
+
+
+def turn_about_axis(R):
+    """Turn of the body's joint frame against the ground's, about e3."""
+    D = GROUND_FRAME[:3, :3].T @ R @ BODY_FRAME[:3, :3]
+    return np.arctan2(D[1, 0] - D[0, 1], D[0, 0] + D[1, 1])
+
+
+# length at rest, damping; where the spring's end is on the line on which the body's point moves
+@pytest.mark.parametrize(
+    ("rest", "damping", "start"),
+    [(0.5, 0, 0.8), (0.5, 3, 0.8), (0, 3, 0), (0, 0, 0.1), (0.5, 60, 2)],
+)
+def test_spring_on_a_prismatic_joint_is_an_oscillator(rest, damping, start):
+    stiffness, rate = 50.0, 0.7
+    along = GROUND_FRAME[:3, 2]
+    R0 = GROUND_FRAME[:3, :3] @ BODY_FRAME[:3, :3].T
+    r0 = GROUND_FRAME[:3, 3] - R0 @ BODY_FRAME[:3, 3]
+    anchor = r0 + R0 @ POINT - start * along
+    force = oracle.spring_damper(POINT, anchor, stiffness, damping, rest)
+    result = on_tilted_joint("prismatic", TIMES, [0, 0, 0, 0, 0, rate], forces=[force])
+    for t, r, v, reaction in zip(result.t, result.r, result.v, result.reaction):
+        x, x_rate = oscillation(t, MASS, damping, stiffness, start - rest, rate)
+        # rtol 3e-14, at most some 100 steps; v up to 5 m/s
+        np.testing.assert_allclose(r, r0 + (x + rest - start) * along, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(R0 @ v, x_rate * along, rtol=0, atol=1e-11)
+        # along the free direction the joint has no force: m r̈ is the spring's; it holds the torque
+        pull = -(stiffness * x + damping * x_rate) * AXIS
+        held = -BODY_FRAME[:3, :3].T @ np.cross(POINT, pull)
+        np.testing.assert_allclose(reaction, [*held, 0, 0, 0], rtol=0, atol=1e-9)  # of 100 N
+
+
+def test_spring_without_length_moves_its_end_on_an_ellipse():
+    stiffness = 30.0
+    result = in_space(oracle.spring_damper((0, 0, 0), ANCHOR, stiffness))
+    v0 = result.R[0] @ result.v[0]
+    for t, r, omega in zip(result.t, result.r, result.omega):
+        exact = oscillation(t, MASS, 0.0, stiffness, result.r[0] - ANCHOR, v0)[0]
+        np.testing.assert_allclose(r - ANCHOR, exact, rtol=0, atol=1e-12)  # rtol 3e-14, 4 m
+        np.testing.assert_allclose(omega, SPIN, rtol=0, atol=1e-13)  # a sphere's, untouched
+
+
+def test_spring_at_rest_where_its_ends_meet_is_without_force():
+    body = {"mass": MASS, "inertia": SPHERE, "twist0": np.zeros(6)}
+    force = oracle.spring_damper((0, 0, 0), (0, 0, 0), 10.0, 1.0)
+    result = oracle.reference_trajectory("free", TIMES, forces=[force], **body)
+    assert not result.r.any()
+    assert not result.energy.any()
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3, 8.0])
+@pytest.mark.parametrize("angle", [0.4, 3.0])  # from 3.0 it swings beyond π
+def test_torsional_spring_on_a_revolute_joint_is_an_oscillator(angle, damping):
+    stiffness, rate = 5.0, 1.5
+    ground = GROUND_FRAME @ frame(rotation=(0, 0, -angle))  # φ = angle at t = 0
+    R0 = GROUND_FRAME[:3, :3] @ BODY_FRAME[:3, :3].T
+    pose = frame(GROUND_FRAME[:3, 3] - R0 @ BODY_FRAME[:3, 3])
+    pose[:3, :3] = R0
+    result = oracle.reference_trajectory(
+        "revolute",
+        TIMES,
+        mass=MASS,
+        inertia=INERTIA,
+        twist0=[*(rate * AXIS), *(rate * OFF_AXIS)],
+        ground_frame=ground,
+        body_frame=BODY_FRAME,
+        pose0=pose,
+        forces=[oracle.torsional_spring(stiffness, damping, angle)],
+    )
+    for t, R, omega in zip(result.t, result.R, result.omega):
+        x, x_rate = oscillation(t, INERTIA_ABOUT_AXIS, damping, stiffness, 0.0, rate)
+        assert turn_about_axis(R) == pytest.approx(x, rel=0, abs=1e-12)  # rtol 3e-14, 100 steps
+        np.testing.assert_allclose(omega, x_rate * AXIS, rtol=0, atol=1e-11)
+
+
+def test_wrapped_is_in_its_interval():
+    for angle in (-3.0, 0.0, 0.5, np.pi):
+        assert oracle.wrapped(angle) == angle
+        for turns in (-2, 1, 3):  # 2π times an integer has an error of an ulp of up to 20
+            assert oracle.wrapped(angle + 2 * np.pi * turns) in (
+                pytest.approx(angle, rel=0, abs=4e-15),
+                pytest.approx(angle - 2 * np.pi, rel=0, abs=4e-15),
+            )
+    assert oracle.wrapped(-np.pi) == np.pi
+    assert oracle.wrapped(np.nextafter(np.pi, 4)) < -3
+
+
+@pytest.mark.parametrize(("linear", "quadratic"), [(3.0, 0.0), (0.0, 2.0), (3.0, 2.0)])
+def test_drag_of_a_body_that_does_not_turn(linear, quadratic):
+    # the "translation" joint holds the torque of a point away from the centre of mass
+    velocity = np.array([1.0, -2.0, 2.0])
+    force = oracle.drag(linear, quadratic, 5.0, POINT)
+    result = on_tilted_joint("translation", TIMES, [0, 0, 0, *velocity], forces=[force])
+    direction = GROUND_FRAME[:3, :3] @ velocity / 3
+    a, b = linear / MASS, 3 * quadratic / MASS
+    for t, R, r, v in zip(result.t, result.R, result.r, result.v):
+        passed = -np.expm1(-a * t) / a if a else t
+        speed = 3 * np.exp(-a * t) / (1 + b * passed)  # of v˙ = −a v − (b/3) v²
+        way = 3 * (np.log1p(b * passed) / b if b else passed)
+        # rtol 3e-14, some 100 steps
+        np.testing.assert_allclose(R @ v, speed * direction, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(r - result.r[0], way * direction, rtol=0, atol=1e-12)
+
+
+def test_drag_of_a_turning_body():
+    angular = 0.4
+    result = in_space(oracle.drag(angular=angular))
+    expected = np.exp(-angular / SPHERE[0] * result.t)[:, None] * SPIN
+    np.testing.assert_allclose(result.omega, expected, rtol=0, atol=1e-12)  # rtol 3e-14
+
+
+@pytest.mark.parametrize(("linear", "quadratic"), [(3.0, 0.0), (0.0, 2.0)])
+def test_drag_of_a_point_on_a_lever(linear, quadratic):
+    rate = 2.0
+    force = oracle.drag(linear, quadratic, 0.0, POINT)
+    result = on_tilted_joint("revolute", TIMES, [0, 0, rate, 0, 0, 0], forces=[force])
+    lever = np.linalg.norm(np.cross(AXIS, POINT - BODY_FRAME[:3, 3]))
+    a = linear * lever**2 / INERTIA_ABOUT_AXIS
+    b = quadratic * lever**3 / INERTIA_ABOUT_AXIS * rate
+    for t, omega in zip(result.t, result.omega):
+        expected = rate * np.exp(-a * t) / (1 + b * t)  # one of a and b is 0
+        np.testing.assert_allclose(omega, expected * AXIS, rtol=0, atol=1e-12)  # rtol 3e-14
+
+
+@pytest.mark.parametrize("joint", ["free", "universal", "cylindrical"])
+def test_constant_force_at_the_centre_of_mass_is_a_weight(joint):
+    extra = np.array([2.0, 3.0, -1.0])
+    body = {"mass": MASS, "inertia": INERTIA, "twist0": np.zeros(6), "ground_frame": GROUND_FRAME}
+    body |= {"body_frame": BODY_FRAME}
+    force = oracle.constant_wrench(force=MASS * extra)
+    pushed = oracle.reference_trajectory(joint, TIMES, gravity=GRAVITY, forces=[force], **body)
+    heavier = oracle.reference_trajectory(joint, TIMES, gravity=GRAVITY + extra, **body)
+    for name in ("R", "r", "omega", "v", "multipliers", "reaction", "energy"):
+        # the same equations but for the order of a sum: rounding only, in some 100 steps
+        expected = getattr(heavier, name)
+        np.testing.assert_allclose(getattr(pushed, name), expected, rtol=0, atol=1e-11)
+
+
+def test_constant_ground_wrench_changes_the_momenta():
+    torque, push = np.array([0.3, -0.2, 0.4]), np.array([1.0, 2.0, -0.5])
+    force = oracle.constant_wrench(torque, push)
+    result = in_space(force, inertia=INERTIA)  # it tumbles
+    angular = np.einsum("nij,jk,nk->ni", result.R, INERTIA, result.omega)
+    linear = MASS * np.einsum("nij,nj->ni", result.R, result.v)
+    for t, L, p, r in zip(result.t, angular, linear, result.r):
+        # rtol 3e-14, some 100 steps, in numbers of about 1
+        np.testing.assert_allclose(L, angular[0] + torque * t, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(p, linear[0] + push * t, rtol=0, atol=1e-12)
+        exact = result.r[0] + (linear[0] * t + push * t**2 / 2) / MASS
+        np.testing.assert_allclose(r, exact, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_constant_body_torque_spins_up_a_principal_axis(axis):
+    inertia, torque = np.array([0.5, 0.8, 1.2]), 3.0 * np.eye(3)[axis]
+    force = oracle.constant_wrench(torque, frame="body")
+    result = in_space(force, inertia=inertia, twist0=np.zeros(6))
+    for t, R, omega in zip(result.t, result.R, result.omega):
+        rate = torque / inertia * t
+        np.testing.assert_allclose(omega, rate, rtol=0, atol=1e-13)  # rtol 3e-14
+        turn = frame(rotation=rate * t / 2)[:3, :3]
+        np.testing.assert_allclose(R, result.R[0] @ turn, rtol=0, atol=1e-13)
+
+
+def test_constant_body_force_off_the_centre_of_mass_draws_a_clothoid():
+    # torque about e3 only: φ = ½ a t², and the force's direction turns with it
+    push, lever, inertia3 = 4.0, 0.5, 0.6
+    force = oracle.constant_wrench(force=(push, 0, 0), point=(0, -lever, 0), frame="body")
+    result = in_space(force, inertia=(0.3, 0.4, inertia3), twist0=np.zeros(6))
+    a = push * lever / inertia3
+    for t, R, v in zip(result.t, result.R, result.v):
+        sine, cosine = np.sqrt(np.pi / a) * np.array(fresnel(np.sqrt(a / np.pi) * t))
+        turn = frame(rotation=(0, 0, a * t**2 / 2))[:3, :3]
+        np.testing.assert_allclose(R, result.R[0] @ turn, rtol=0, atol=1e-12)  # rtol 3e-14
+        exact = result.R[0] @ [push / MASS * cosine, push / MASS * sine, 0]
+        np.testing.assert_allclose(R @ v, exact, rtol=0, atol=1e-12)
+
+
+def test_ground_force_off_the_centre_of_mass_turns_a_pendulum():
+    # a body held at its centre of mass and pulled down at a point: the physical pendulum of
+    # that weight and no mass; axis e2 is the joint's e3
+    pull, length, inertia = 7.0, 0.6, 0.3
+    turn = frame(rotation=(-np.pi / 2, 0, 0))
+    result = oracle.reference_trajectory(
+        "revolute",
+        TIMES,
+        mass=MASS,
+        inertia=(0.2, inertia, 0.25),
+        twist0=np.zeros(6),
+        ground_frame=turn,
+        body_frame=turn,
+        forces=[oracle.constant_wrench(force=(0, 0, -pull), point=(length, 0, 0))],
+    )
+    for t, R in zip(result.t, result.R):
+        # m → 0 with m g = pull; 1e-30 kg are not felt
+        exact = oracle.pendulum(
+            t, mass=1e-30, length=length, inertia=inertia, gravity=mp.mpf(pull) * mp.mpf(10) ** 30
+        )
+        end = R @ [length, 0, 0]
+        np.testing.assert_allclose(end, (exact.x, 0, exact.z), rtol=0, atol=1e-12)  # rtol 3e-14
+
+
+def test_motor_torque_is_the_rate_of_the_angular_momentum():
+    strength, w, rate = 1.7, 5.0, 0.6
+    motor = oracle.motor_torque(lambda t: strength * np.cos(w * t))
+    result = on_tilted_joint("revolute", TIMES, [0, 0, rate, 0, 0, 0], forces=[motor])
+    for t, R, omega, reaction in zip(result.t, result.R, result.omega, result.reaction):
+        impulse = strength / w * np.sin(w * t)
+        expected = rate + impulse / INERTIA_ABOUT_AXIS
+        # rtol 3e-14, some 100 steps, rates of up to 7 rad/s
+        np.testing.assert_allclose(omega, expected * AXIS, rtol=0, atol=1e-12)
+        angle = rate * t + strength / (w**2 * INERTIA_ABOUT_AXIS) * (1 - np.cos(w * t))
+        assert turn_about_axis(R) == pytest.approx(oracle.wrapped(angle), rel=0, abs=1e-12)
+        assert reaction[2] == pytest.approx(0, abs=1e-12)  # the joint itself turns freely
+
+
+def test_wrench_is_given_what_it_is_said_to_be_given():
+    # a damped isotropic oscillator about the anchor and a torque of the time, both in body axes
+    stiffness, damping, strength = 30.0, 1.5, 0.8
+    direction = np.array([0.6, 0.0, -0.8])
+
+    def function(t, R, r, omega, v):
+        torque = strength * np.cos(t) * direction - damping * omega
+        return torque, -stiffness * R.T @ (r - ANCHOR) - damping * v
+
+    result = in_space(oracle.wrench(function))
+    decay = damping / SPHERE[0]
+    v0 = result.R[0] @ result.v[0]
+    for t, r, omega in zip(result.t, result.r, result.omega):
+        exact = oscillation(t, MASS, damping, stiffness, result.r[0] - ANCHOR, v0)[0]
+        np.testing.assert_allclose(r - ANCHOR, exact, rtol=0, atol=1e-12)  # rtol 3e-14, 4 m
+        fading = np.exp(-decay * t)
+        driven = (decay * np.cos(t) + np.sin(t) - decay * fading) / (1 + decay**2)
+        exact = fading * SPIN + strength / SPHERE[0] * driven * direction
+        np.testing.assert_allclose(omega, exact, rtol=0, atol=1e-12)
+
+
+CONSERVATIVE = {
+    "constant_wrench": oracle.constant_wrench(force=(3.0, -5.0, 2.0), point=POINT),
+    "spring_damper": oracle.spring_damper(POINT, ANCHOR, 40.0, 0.0, 0.3),
+    "torsional_spring": oracle.torsional_spring(2.0, 0.0, 0.5),
+}
+
+
+@pytest.mark.parametrize("name", CONSERVATIVE)
+def test_forces_are_the_slopes_of_their_potentials(name):
+    force, h = CONSERVATIVE[name], 1e-5
+    turned = GROUND_FRAME @ frame((0.3, 0.5, -0.2), (0, 0, 1.9)) @ np.linalg.inv(BODY_FRAME)
+    here = oracle.State(
+        0.0, turned[:3, :3], turned[:3, 3], SPIN, np.ones(3), GROUND_FRAME, BODY_FRAME
+    )
+    slopes = np.zeros(6)
+    for i, direction in enumerate(np.eye(6)):
+        for sign in (1, -1):
+            step = sign * h * direction
+            R = frame(rotation=step[:3])[:3, :3] @ here.R
+            moved = here._replace(R=R, r=here.r + step[3:])
+            slopes[i] += sign * force.potential(moved) / (2 * h)
+    # central differences: h² = 1e-10 times third derivatives of up to 100, ulps of 10 J over h
+    np.testing.assert_allclose(np.hstack(force(here)), -slopes, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("joint", "names"),
+    [
+        ("free", "constant_wrench spring_damper"),
+        ("universal", "constant_wrench spring_damper"),
+        ("point_on_line", "spring_damper"),
+        ("cylindrical", "constant_wrench spring_damper torsional_spring"),
+        ("schoenflies", "torsional_spring spring_damper"),
+    ],
+)
+def test_energy_is_kept_by_conservative_forces(joint, names):
+    forces = [CONSERVATIVE[name] for name in names.split()]
+    result = moving(joint, [0.0, 0.2, 0.5], forces=forces)
+    bare = moving(joint, [0.0])
+    assert abs(bare.energy[0] - result.energy[0]) > 0.1  # potentials count
+    # some 100 steps with rtol 3e-14, energies of up to 100 J
+    np.testing.assert_allclose(result.energy, result.energy[0], rtol=0, atol=1e-11)
+
+
+def _velocity(R, omega, v, point):
+    return R @ (v + np.cross(omega, point))
+
+
+TORQUE, PUSH = np.array([0.7, -0.4, 0.9]), np.array([2.0, 3.0, -1.0])
+
+
+def _stretching(R, r, omega, v):
+    s = r + R @ POINT - ANCHOR
+    return s @ _velocity(R, omega, v, POINT) / np.linalg.norm(s)
+
+
+def _power_of_drag(t, R, r, omega, v):
+    speed = np.linalg.norm(_velocity(R, omega, v, POINT))
+    return -0.9 * speed**2 - 0.7 * speed**3 - 0.2 * omega @ omega
+
+
+# each force and its power, but for what its potential has, as a function of (t, R, r, ω, v)
+WORKING = {
+    "ground_torque": (
+        oracle.constant_wrench(TORQUE, PUSH, POINT),
+        lambda t, R, r, omega, v: TORQUE @ R @ omega,
+    ),
+    "body_wrench": (
+        oracle.constant_wrench(TORQUE, PUSH, POINT, frame="body"),
+        lambda t, R, r, omega, v: TORQUE @ omega + PUSH @ (v + np.cross(omega, POINT)),
+    ),
+    "spring_damper": (
+        oracle.spring_damper(POINT, ANCHOR, 15.0, 1.5, 0.3),
+        lambda t, R, r, omega, v: -1.5 * _stretching(R, r, omega, v) ** 2,
+    ),
+    "torsional_spring": (
+        oracle.torsional_spring(2.0, 0.3, 0.5),
+        lambda t, R, r, omega, v: -0.3 * (AXIS @ omega) ** 2,
+    ),
+    "drag": (oracle.drag(0.9, 0.7, 0.2, POINT), _power_of_drag),
+    "motor_torque": (
+        oracle.motor_torque(lambda t: 2 * np.sin(3 * t)),
+        lambda t, R, r, omega, v: 2 * np.sin(3 * t) * AXIS @ omega,
+    ),
+    "wrench": (
+        oracle.wrench(lambda t, R, r, omega, v: (np.cos(t) * TORQUE, t * PUSH + R.T @ r)),
+        lambda t, R, r, omega, v: np.cos(t) * TORQUE @ omega + (t * PUSH + R.T @ r) @ v,
+    ),
+}
+END = 0.25
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
+NODES, WEIGHTS = END / 2 * (1 + NODES), END / 2 * WEIGHTS
+
+
+@pytest.mark.parametrize("name", WORKING)
+def test_work_is_the_change_of_the_energy(name):
+    force, power = WORKING[name]
+    result = moving("cylindrical", [0.0, *NODES, END], forces=[force])
+    states = zip(result.t, result.R, result.r, result.omega, result.v)
+    powers = [power(*state) for state in states]
+    work = WEIGHTS @ powers[1:-1]
+    assert abs(work) > 1e-3
+    # 20 Gauss points integrate polynomials of degree 39 exactly; rtol 3e-14, energies of 20 J
+    assert result.energy[-1] - result.energy[0] == pytest.approx(work, rel=0, abs=1e-12)
+
+
+# ---------------------------------------------------------------- prescribed speed, extra rows
+
+
+def ramp(t):
+    """Speed of a motor that swings, rad/s."""
+    return 1.5 + 2 * np.sin(3 * t)
+
+
+def ramp_rate(t):
+    return 6 * np.cos(3 * t)
+
+
+def test_speed_turns_a_revolute_joint_and_its_multiplier_is_the_torque():
+    result = on_tilted_joint("revolute", TIMES, [0, 0, 1.5, 0, 0, 0], speed=(ramp, ramp_rate))
+    assert result.multipliers.shape == (3, 6)
+    for i, t in enumerate(result.t):
+        # rtol 3e-14, some 100 steps
+        np.testing.assert_allclose(result.omega[i], ramp(t) * AXIS, rtol=0, atol=1e-12)
+        angle = 1.5 * t + 2 / 3 * (1 - np.cos(3 * t))
+        turn = turn_about_axis(result.R[i])
+        assert turn == pytest.approx(oracle.wrapped(angle), rel=0, abs=1e-12)
+        torque = INERTIA_ABOUT_AXIS * ramp_rate(t)  # of the wrench −Jᵀλ on the body
+        assert result.multipliers[i, 5] == pytest.approx(-torque, rel=0, abs=1e-12)
+        assert result.reaction[i, 2] == pytest.approx(torque, rel=0, abs=1e-12)
+
+
+def test_speed_by_a_motor_torque_of_the_same_size():
+    start = [0, 0, 1.5, 0, 0, 0.3]
+    options = {"gravity": GROUND_FRAME[:3, 2] * 3}  # along the axis: it does not turn the body
+    motor = oracle.motor_torque(lambda t: INERTIA_ABOUT_AXIS * ramp_rate(t))
+    driven = on_tilted_joint("cylindrical", TIMES, start, speed=(ramp, ramp_rate), **options)
+    pushed = on_tilted_joint("cylindrical", TIMES, start, forces=[motor], **options)
+    for name in ("R", "r", "omega", "v", "energy"):  # rtol 3e-14, some 100 steps
+        expected = getattr(pushed, name)
+        np.testing.assert_allclose(getattr(driven, name), expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(driven.multipliers[:, :4], pushed.multipliers, rtol=0, atol=1e-11)
+    difference = driven.reaction - pushed.reaction
+    difference[:, 2] -= INERTIA_ABOUT_AXIS * ramp_rate(driven.t)
+    np.testing.assert_allclose(difference, 0, atol=1e-11)
+
+
+@pytest.mark.parametrize("joint", ["free", "spherical", "cylindrical", "point_on_plane"])
+def test_speed_is_kept_and_its_work_changes_the_energy(joint):
+    start = moving(joint, [0.0]).omega[0] @ AXIS
+    speed = (lambda t: start + np.sin(4 * t), lambda t: 4 * np.cos(4 * t))
+    result = moving(joint, [0.0, *NODES, END], speed=speed)
+    about_axis = result.omega @ AXIS
+    # held by the acceleration only: rtol 3e-14, some 100 steps
+    np.testing.assert_allclose(about_axis, speed[0](result.t), rtol=0, atol=1e-12)
+    work = WEIGHTS @ (-result.multipliers[:, -1] * about_axis)[1:-1]
+    assert abs(work) > 0.01
+    # 20 Gauss points integrate polynomials of degree 39 exactly; rtol 3e-14, energies of 20 J
+    assert result.energy[-1] - result.energy[0] == pytest.approx(work, rel=0, abs=1e-12)
+
+
+def test_speed_that_the_body_does_not_start_with():
+    with pytest.raises(AssertionError, match="speed"):
+        on_tilted_joint("revolute", TIMES, np.zeros(6), speed=(ramp, ramp_rate))
+
+
+def test_rod_rows_are_the_joint_point_on_a_sphere():
+    rod = oracle.rod_rows(BODY_FRAME[:3, 3], GROUND_FRAME[:3, 3], LENGTH)
+    joint = moving("point_on_sphere", TIMES)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = joint.R[0], joint.r[0]
+    rows = oracle.reference_trajectory(
+        "free",
+        TIMES,
+        mass=MASS,
+        inertia=INERTIA,
+        twist0=[*joint.omega[0], *joint.v[0]],
+        pose0=pose,
+        gravity=GRAVITY,
+        extra_rows=rod,
+    )
+    for name in ("R", "r", "omega", "v", "multipliers", "energy"):
+        expected = getattr(joint, name)  # the same equations: rounding only, in some 100 steps
+        np.testing.assert_allclose(getattr(rows, name), expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rows.reaction, 0, atol=1e-12)  # the joint "free" exerts nothing
+    assert abs(joint.reaction).max() > 1
+
+
+def test_newton_and_euler_hold_with_everything_at_once():
+    # M V̇ = ad_Vᵀ M V + W of gravity, forces, rod and joint, V̇ from differences of V in time; the
+    # wrenches of the forces by hand, of the rod by its multiplier, of the joint as reported
+    h, now = 1e-4, 0.3
+    start = moving("spherical", [0.0])
+    C = np.eye(4)
+    C[:3, :3], C[:3, 3] = start.R[0], start.r[0]
+    point = (C @ [*POINT, 1])[:3]
+    # a rod whose ground end is where the body's point does not move towards it
+    way = np.cross(start.R[0] @ (start.v[0] + np.cross(start.omega[0], POINT)), (0.3, 0.5, -0.4))
+    rod_length = 0.7
+    end = point - rod_length * way / np.linalg.norm(way)
+    turning = start.omega[0] @ AXIS
+    result = moving(
+        "spherical",
+        [now - h, now, now + h],
+        forces=[
+            oracle.constant_wrench(TORQUE, PUSH, POINT, frame="body"),
+            oracle.drag(0.9, 0.0, 0.2, POINT),
+            oracle.motor_torque(np.cos),
+        ],
+        extra_rows=oracle.rod_rows(POINT, end, rod_length),
+        speed=(lambda t: turning + t, lambda t: 1.0),
+    )
+    assert result.multipliers.shape == (3, 5)
+    V = np.hstack([result.omega, result.v])
+    R, r, (omega, v) = result.R[1], result.r[1], np.split(V[1], 2)
+    rod = r + R @ POINT - end
+    assert rod @ rod == pytest.approx(rod_length**2, rel=0, abs=1e-12)  # rtol 3e-14
+    assert omega @ AXIS == pytest.approx(turning + now, rel=0, abs=1e-12)
+    M = np.block([[INERTIA, np.zeros((3, 3))], [np.zeros((3, 3)), MASS * np.eye(3)]])
+    at_point = PUSH - 0.9 * (v + np.cross(omega, POINT))
+    at_point = at_point - result.multipliers[1, 3] * R.T @ rod / rod_length
+    torque = TORQUE - 0.2 * omega + np.cos(now) * AXIS + np.cross(POINT, at_point)
+    force = MASS * R.T @ GRAVITY + at_point
+    joint_torque, joint_force = np.split(result.reaction[1], 2)
+    joint_torque, joint_force = BODY_FRAME[:3, :3] @ joint_torque, BODY_FRAME[:3, :3] @ joint_force
+    torque = torque + joint_torque + np.cross(BODY_FRAME[:3, 3], joint_force)
+    ad = oracle.to_float(lie["se3"].ad(V[1]))
+    balance = (
+        M @ (V[2] - V[0]) / (2 * h) - ad.T @ M @ V[1] - np.array([*torque, *force + joint_force])
+    )
+    # central differences: h² = 1e-8 times third derivatives of V up to some hundred
+    np.testing.assert_allclose(balance, 0, atol=2e-5)
+    # at the point of a spherical joint only the motor of the speed has a torque
+    held = [0, 0, -result.multipliers[1, 4]]
+    np.testing.assert_allclose(result.reaction[1, :3], held, rtol=0, atol=1e-11)  # of 10 N m
 
 
 # ---------------------------------------------------------------- closed forms
