@@ -182,9 +182,17 @@ class Mask:
         self.builder = builder
         self.value = value
 
+    def _count(self) -> int:
+        return self.value.type.count if isinstance(self.value.type, ir.VectorType) else 1
+
+    def _widened(self, lanes: int) -> ir.Value:
+        return self.value if self._count() == lanes else _splat(self.builder, self.value, lanes)
+
     def _combine(self, other: Any, method: str) -> Mask:
         if isinstance(other, Mask):
-            return Mask(self.builder, getattr(self.builder, method)(self.value, other.value))
+            widest = max((self, other), key=Mask._count)._count()
+            both = self._widened(widest), other._widened(widest)
+            return Mask(self.builder, getattr(self.builder, method)(*both))
         neutral = method == "and_"  # True & m = m, False | m = m
         if bool(other) == neutral:
             return self
@@ -201,7 +209,10 @@ class Mask:
     __rand__, __ror__ = __and__, __or__
 
     def __bool__(self) -> bool:
-        raise TypeError("a lane mask has no single truth value: use where(mask, a, b), not if")
+        raise TypeError(
+            "a condition on many bodies has no single truth value: use lierb.where(condition, a, "
+            "b) in place of if, and &, | in place of and, or"
+        )
 
     def reduced(self, kind: str) -> Predicate:
         """One truth value for the whole pack: kind "and" (all lanes) or "or" (any lane)."""
@@ -235,6 +246,23 @@ def call_intrinsic(name: str, *operands: Any) -> Lane:
     signature = ir.FunctionType(ty, [ty] * len(values))
     function = cgutils.get_or_insert_function(builder.module, signature, f"llvm.{name}.{suffix}")
     return Lane(builder, builder.call(function, values))
+
+
+def call_library(name: str, *operands: Any) -> Lane:
+    """A function of the C library, called for one lane after the other."""
+    builder = next(x.builder for x in operands if isinstance(x, Lane))
+    values = _same_type(builder, operands)
+    signature = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
+    function = cgutils.get_or_insert_function(builder.module, signature, name)
+    ty = values[0].type
+    if not isinstance(ty, ir.VectorType):
+        return Lane(builder, builder.call(function, values))
+    pack: ir.Value = ir.Constant(ty, ir.Undefined)
+    for lane in range(ty.count):
+        place = ir.Constant(INT32, lane)
+        result = builder.call(function, [builder.extract_element(v, place) for v in values])
+        pack = builder.insert_element(pack, result, place)
+    return Lane(builder, pack)
 
 
 def select(mask: Mask, a: Any, b: Any) -> Lane:

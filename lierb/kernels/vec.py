@@ -14,6 +14,7 @@ Vec = tuple[Any, ...]
 Mat = tuple[Any, ...]
 
 ZERO3: Vec = (ZERO, ZERO, ZERO)
+ZERO6: Vec = ZERO3 + ZERO3
 UNIT: tuple[Vec, ...] = ((1.0, ZERO, ZERO), (ZERO, 1.0, ZERO), (ZERO, ZERO, 1.0))
 IDENTITY: Mat = UNIT[0] + UNIT[1] + UNIT[2]
 
