@@ -12,6 +12,7 @@ import hashlib
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import numba
 from filelock import FileLock
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import (
     NativeValue,
@@ -32,9 +34,10 @@ from numba.extending import (
     typeof_impl,
     unbox,
 )
+from numba.np.arrayobj import populate_array
 
 from lierb.kernels.arithmetic import flatten
-from lierb.kernels.lanes import ArrayRef, Index, Lane, LaneType
+from lierb.kernels.lanes import DOUBLE, INT32, ArrayRef, Index, Lane, LaneType
 from lierb.kernels.zero import is_zero
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
@@ -73,6 +76,7 @@ class TagType(types.Type):
 
 
 register_model(TagType)(models.OpaqueModel)
+INT64 = ir.IntType(64)
 
 
 @cache
@@ -185,11 +189,90 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
         builder.function.attributes.alignstack = 64
         builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
         traced = [_to_trace(context, builder, t, v) for t, v in zip(sig.args, values, strict=True)]
-        return _from_trace(context, builder, sig.return_type, evaluated(*traced))
+        token = _lowering.set(context)
+        try:
+            return _from_trace(context, builder, sig.return_type, evaluated(*traced))
+        finally:
+            _lowering.reset(token)
 
     infer_global(formula)(Template)
     lower_builtin(formula, types.VarArg(types.Any))(lower)
     return formula
+
+
+# The context that code is being emitted for; None during a trace that is thrown away.
+_lowering: ContextVar[Any] = ContextVar("lowering", default=None)
+
+
+def call_compiled(
+    dispatcher: Any, samples: list[Any], numbers: list[Any], count: int
+) -> list[Lane]:
+    """`count` numbers from an @njit function that returns so many, called lane by lane.
+
+    samples : arguments like those that it takes: numbers, arrays, tuples of such.
+    numbers : all their members, one after the other.
+    """
+    lanes = [x for x in numbers if isinstance(x, Lane)]
+    builder, width = lanes[0].builder, max(x.lanes for x in lanes)
+    pack = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
+    context = _lowering.get()
+    if context is None:
+        return [Lane(builder, ir.Constant(pack, ir.Undefined))] * count
+    types_of = tuple(numba.typeof(sample) for sample in samples)
+    dispatcher.compile(types_of)
+    compiled = dispatcher.overloads[types_of]
+    context.add_linking_libs((compiled.library,))
+
+    def memory(*extents: int) -> ir.Value:
+        ty: ir.Type = DOUBLE
+        for extent in reversed(extents):
+            ty = ir.ArrayType(ty, extent)
+        return cgutils.alloca_once(builder, ty)
+
+    def place(buffer: ir.Value, *index: Any) -> ir.Value:
+        steps = (i if isinstance(i, ir.Value) else ir.Constant(INT32, i) for i in (0, *index))
+        return builder.gep(buffer, list(steps))
+
+    def whole(buffer: ir.Value, n: int) -> ir.Value:
+        return builder.bitcast(place(buffer, n, 0), pack.as_pointer())
+
+    inward, one, outward = memory(len(numbers), width), memory(len(numbers)), memory(count, width)
+    for n, number in enumerate(numbers):
+        traced = number if isinstance(number, Lane) else lanes[0].constant(float(number))
+        builder.store(traced.widened(width).value, whole(inward, n), align=8)
+    with cgutils.for_range(builder, ir.Constant(INT64, width)) as loop:
+        for n in range(len(numbers)):
+            builder.store(builder.load(place(inward, n, loop.index)), place(one, n))
+        cells = (place(one, n) for n in range(len(numbers)))
+        arguments = [
+            _argument(context, builder, ty, sample, cells)
+            for ty, sample in zip(types_of, samples, strict=True)
+        ]
+        found = context.call_internal(builder, compiled.fndesc, compiled.signature, arguments)
+        for n in range(count):
+            builder.store(builder.extract_value(found, n), place(outward, n, loop.index))
+    return [Lane(builder, builder.load(whole(outward, n), align=8)) for n in range(count)]
+
+
+def _argument(
+    context: Any, builder: ir.IRBuilder, ty: types.Type, sample: Any, cells: Iterator[ir.Value]
+) -> ir.Value:
+    """A value of that type, its members taken from `cells`: pointers, one after the other."""
+    if isinstance(ty, types.Array):
+        pointers = [next(cells) for _ in range(sample.size)]
+        array = context.make_array(ty)(context, builder)
+        sizes = [context.get_constant(types.intp, n) for n in (*sample.shape, *sample.strides)]
+        populate_array(
+            array, data=pointers[0], shape=sizes[: ty.ndim], strides=sizes[ty.ndim :],
+            itemsize=context.get_constant(types.intp, sample.itemsize), meminfo=None,
+        )  # fmt: skip
+        return array._getvalue()
+    if isinstance(ty, types.BaseTuple):
+        members = [
+            _argument(context, builder, t, x, cells) for t, x in zip(ty, sample, strict=True)
+        ]
+        return context.make_tuple(builder, ty, members)
+    return builder.load(next(cells))
 
 
 def take_turn(counter: Any) -> Any:
@@ -203,7 +286,7 @@ def take_turn(counter: Any) -> Any:
 def _atomic_increment(context: Any, counter: Any) -> Any:
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
         array = context.make_array(counter)(context, builder, args[0])
-        return builder.atomic_rmw("add", array.data, ir.Constant(ir.IntType(64), 1), "monotonic")
+        return builder.atomic_rmw("add", array.data, ir.Constant(INT64, 1), "monotonic")
 
     return types.int64(counter), generate
 
@@ -240,6 +323,11 @@ def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> t
     values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]
     traced = [_to_trace(context, builder, t, v) for t, v in zip(args, values, strict=True)]
     return _type_of_trace(formula(*traced))
+
+
+def trial(formula: Callable[..., Any], count: int) -> types.Type:
+    """The type of what a formula of `count` packs returns."""
+    return _result_type(formula, (LaneType(2),) * count)
 
 
 def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:

@@ -74,8 +74,35 @@ class Row(NamedTuple):
         return self.kind + str(self.i + 1) + (str(self.j + 1) if self.j >= 0 else "")
 
 
-def jacobian(r: Row, x: Kinematics, body: Body) -> Vec:
+class AddedRow(NamedTuple):
+    """A row of another source than a joint: component `i` of element number `place`."""
+
+    source: Any  # with jacobian, acceleration, value and rate, and a name for each component
+    place: int
+    i: int
+    is_translational: bool
+    kind: str = "added"
+
+    @property
+    def is_of_velocity(self) -> bool:
+        """Whether it says nothing of the pose."""
+        return not self.source.is_holonomic
+
+    @property
+    def unit(self) -> str:
+        return "N" if self.is_translational else "N m"
+
+    def __str__(self) -> str:
+        return str(self.source.row_name(self.i))
+
+
+Rows = tuple[Row | AddedRow, ...]
+
+
+def jacobian(r: Row | AddedRow, x: Kinematics, body: Body) -> Vec:
     """The row of J, 6 numbers: angular, translational."""
+    if isinstance(r, AddedRow):
+        return r.source.jacobian(body.elements[r.place], x, r.i)
     if r.kind == "Omega":
         return UNIT[r.i] + ZERO3
     if r.kind == "Q":
@@ -99,8 +126,10 @@ def jacobian(r: Row, x: Kinematics, body: Body) -> Vec:
     return turning + x.translation(UNIT[r.i], direction)
 
 
-def acceleration(r: Row, x: Kinematics, body: Body) -> Any:
+def acceleration(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
     """η of the row."""
+    if isinstance(r, AddedRow):
+        return r.source.acceleration(body.elements[r.place], x, r.i)
     if r.kind == "Omega":
         return ZERO
     if r.kind == "Q":
@@ -125,8 +154,15 @@ def _bend(x: Kinematics, i: int, j: int) -> Any:
     return dot(row(x.q, i), cross(x.omega, cross(x.omega, UNIT[j])))
 
 
-def value(r: Row, x: Kinematics, body: Body) -> Any:
+def prescribed_rate(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
+    """What J V has to be: zero, but for a motor's speed."""
+    return r.source.rate(body.elements[r.place], x) if isinstance(r, AddedRow) else ZERO
+
+
+def value(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
     """h of the row; an `Omega` row has none of its own (`rotation_error_squared` measures it)."""
+    if isinstance(r, AddedRow):
+        return r.source.value(body.elements[r.place], x, r.i)
     if r.kind == "d":
         return x.d[r.i]
     if r.kind == "Qtd":
@@ -143,12 +179,12 @@ def value(r: Row, x: Kinematics, body: Body) -> Any:
     return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
 
 
-def fixed_axes(rows: tuple[Row, ...]) -> list[int]:
+def fixed_axes(rows: Rows) -> list[int]:
     """The axes about which `Omega` rows forbid to turn."""
     return sorted({r.i for r in rows if r.kind == "Omega"})
 
 
-def residuals(rows: tuple[Row, ...], x: Kinematics, body: Body) -> list[Any]:
+def residuals(rows: Rows, x: Kinematics, body: Body) -> list[Any]:
     """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
     fixed = fixed_axes(rows)
     if len(fixed) == 3:
@@ -173,7 +209,7 @@ POINT = tuple(Row("point", i) for i in range(3))  # Qᵀ times the rows d1 d2 d3
 HELD = tuple(Row("d", i) for i in range(3))
 
 
-def solving_rows(rows: tuple[Row, ...]) -> tuple[Row, ...]:
+def solving_rows(rows: Rows) -> Rows:
     """The same constraints as rows of which as many as can be are constant, and those first.
 
     In body axes M is constant, and so are `Omega` rows and rows that hold a point. What is made of
@@ -185,7 +221,7 @@ def solving_rows(rows: tuple[Row, ...]) -> tuple[Row, ...]:
 
 
 def given_multipliers(
-    rows: tuple[Row, ...], solved: tuple[Row, ...], multipliers: tuple[Any, ...], q: Any
+    rows: Rows, solved: Rows, multipliers: tuple[Any, ...], q: Any
 ) -> tuple[Any, ...]:
     """λ of the joint's own rows, in their order, from that of its `solving_rows`."""
     found = dict(zip(solved, multipliers, strict=True))
@@ -201,13 +237,17 @@ def _squares(numbers: list[Any]) -> Any:
     return total
 
 
-def position_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> Any:
+def position_error_squared(rows: Rows, x: Kinematics, body: Body) -> Any:
     return _squares([value(r, x, body) for r in rows if r.is_translational])
 
 
-def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> Any:
+def rotation_error_squared(rows: Rows, x: Kinematics, body: Body) -> Any:
     """Of `Q` and `cv` rows; and for `Omega` rows, how far Q is from a turn about the free axis."""
-    entries = [value(r, x, body) for r in rows if r.kind in ("Q", "cv")]
+    entries = [
+        value(r, x, body)
+        for r in rows
+        if r.kind in ("Q", "cv") or (r.kind == "added" and not r.is_translational)
+    ]
     fixed = fixed_axes(rows)
     if len(fixed) == 2:
         axis = 3 - sum(fixed)
@@ -220,11 +260,12 @@ def rotation_error_squared(rows: tuple[Row, ...], x: Kinematics, body: Body) -> 
     return total
 
 
-def rate_errors_squared(
-    rows: tuple[Row, ...], x: Kinematics, body: Body, velocity: Vec
-) -> tuple[Any, Any]:
-    """Squares of the translational and of the rotational rows of J V."""
-    rates = [(r.is_translational, dot(jacobian(r, x, body), velocity)) for r in rows]
+def rate_errors_squared(rows: Rows, x: Kinematics, body: Body, velocity: Vec) -> tuple[Any, Any]:
+    """Squares of the translational and of the rotational rows of J V, less what is prescribed."""
+    rates = [
+        (r.is_translational, dot(jacobian(r, x, body), velocity) - prescribed_rate(r, x, body))
+        for r in rows
+    ]
     return (
         _squares([rate for translational, rate in rates if translational]),
         _squares([rate for translational, rate in rates if not translational]),

@@ -25,13 +25,14 @@ from lierb.kernels.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.elements import Element, all_placed, parameter_count
 from lierb.kernels.measures import Measures, measure
-from lierb.kernels.newton_euler import Body, Parameters
+from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3
 from lierb.kernels.plan import Plan
-from lierb.kernels.stepper import TIDY_EVERY, ZERO6, State, accelerate, pose_of, step, tidied
+from lierb.kernels.stepper import TIDY_EVERY, State, accelerate, pose_of, step, tidied
 from lierb.kernels.subgroup import in_subalgebra, inverse, on_subgroup, reduced_inertia
-from lierb.kernels.vec import dot
-from lierb.kernels.zero import is_zero
+from lierb.kernels.vec import ZERO6, dot
+from lierb.kernels.zero import ZERO, is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
 
@@ -44,6 +45,12 @@ INPUT_SLICES = {
     name: slice(*ends) for name, ends in zip(INPUT_WIDTHS, pairwise(_ENDS), strict=True)
 }
 INPUT_COLUMNS = _ENDS[-1]
+
+
+def input_columns(elements: tuple[Element, ...]) -> int:
+    """All of them: those that every problem has, and then the elements' parameters."""
+    return INPUT_COLUMNS + parameter_count(elements)
+
 
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
@@ -107,9 +114,18 @@ def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
     return numbers[:9], numbers[9:]
 
 
+def body_of(
+    space: type[SE3] | type[SO3xR3], elements: tuple[Element, ...], numbers: list[Any]
+) -> Body:
+    """The body, with its elements, from the numbers of all input columns."""
+    parameters, _, _ = parameters_of(numbers)
+    placed = all_placed(elements, numbers[INPUT_COLUMNS:], space.frames(parameters))
+    return space.body(parameters)._replace(elements=placed)
+
+
 def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
-    parameters, _, _ = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
-    body = plan.space.body(parameters)
+    numbers = _columns(plan, inputs, input_columns(plan.elements), first)
+    body = body_of(plan.space, plan.elements, numbers)
     if plan.slots is None:
         return body
     return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
@@ -137,7 +153,7 @@ def _structured(plan: Plan, state: State, pitch: Any) -> State:
 def initial_record(plan: Plan, body: Body, state: State) -> Record:
     """Maxima so far: nothing, as numbers of the state's own type."""
     nothing = 0.0 * body[0]
-    start = measure(plan, Body(*body), pose_of(plan, State(*state)), state[2])
+    start = measure(plan, Body(*body), pose_of(plan, State(*state)), state[2], ZERO)
     return Record(*(nothing,) * 8, start.energy, nothing, nothing)
 
 
@@ -158,7 +174,7 @@ def advance(
 ) -> tuple[State, Record]:
     """Step number k; a body that fails keeps its status and step, and is NaN from then on."""
     state, record = State(*state), Record(*record)
-    moved, singular = step(plan, Body(*body), state, h)
+    moved, singular = step(plan, Body(*body), state, h * (real(k) - 1.0), h)
     q, d = moved.chart
     total = q[0] + q[4] + q[8]  # an angle that is not finite spoils all of Q
     for number in (*moved.velocity, *moved.x, *d):
@@ -182,10 +198,12 @@ def tidy(plan: Plan, body: Body, state: State) -> State:
     return tidied(plan, Body(*body), State(*state))
 
 
-def observe(plan: Plan, body: Body, state: State, record: Record) -> tuple[Measures, Record]:
+def observe(
+    plan: Plan, body: Body, state: State, record: Record, time: Any
+) -> tuple[Measures, Record]:
     """The measures now, and the record with its maxima raised to them where they are finite."""
     record, state = Record(*record), State(*state)
-    now = measure(plan, Body(*body), pose_of(plan, state), state.velocity)
+    now = measure(plan, Body(*body), pose_of(plan, state), state.velocity, time)
     alive = record.status == OK
 
     def raised(old: Any, new: Any) -> Any:
@@ -254,12 +272,13 @@ def store_forces(
     reactions: Any,
     row: Any,
     first: Any,
+    time: Any,
 ) -> None:
     """One row of the history's λ and reactions, [time][body][component]."""
     if not (plan.multipliers or plan.reaction):
         return
     state = State(*state)
-    found = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity)
+    found = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity, time)
     alive = Record(*record).status == OK
     for recorded, array, numbers in (
         (plan.multipliers, multipliers, found.multipliers),
@@ -284,7 +303,7 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     """How far the start, as given, is off the joint; see START_COLUMNS."""
     parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    off = measure(plan, plan.space.body(parameters), chart, velocity)
+    off = measure(plan, load_body(plan, inputs, first), chart, velocity, ZERO)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
     numbers = (
         sqrt(off.position) / place, sqrt(off.rotation), sqrt(off.velocity) / speed,
@@ -331,7 +350,7 @@ def integrate_block(
     while True:
         save = save_every > 0 and (k % save_every == 0 or k == last)
         if fresh and (save or k % measure_every == 0 or k == last):
-            now, seen = observe(plan, body, state, record)
+            now, seen = observe(plan, body, state, record, h * k)
             if k % measure_every == 0 or k == last:
                 record = seen
             if save:
@@ -340,7 +359,7 @@ def integrate_block(
                 if rotations.shape[0] > 0:
                     states = (rotations, places, omegas, velocities)
                     store_state(plan, inputs, state, record, states, row, first, column)
-                store_forces(plan, body, state, record, multipliers, reactions, row, column)
+                store_forces(plan, body, state, record, multipliers, reactions, row, column, h * k)
         if k >= stop:
             break
         if k % TIDY_EVERY == 0 and k > 0:  # after the measures: they see what rounding did

@@ -10,6 +10,7 @@ from lierb.kernels.constraints import (
     rate_errors_squared,
     rotation_error_squared,
 )
+from lierb.kernels.elements import potential_energy
 from lierb.kernels.newton_euler import Body
 from lierb.kernels.plan import Plan
 from lierb.kernels.stepper import Pose
@@ -28,8 +29,8 @@ class Measures(NamedTuple):
     energy: Any  # J
 
 
-def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Measures:
-    x = plan.space.kinematics(body, pose, velocity)
+def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Measures:
+    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     rate, turning_rate = rate_errors_squared(plan.rows, x, body, velocity)
     return Measures(
         position_error_squared(plan.rows, x, body),
@@ -37,8 +38,14 @@ def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Measures:
         rate,
         turning_rate,
         _orthogonality_squared(pose[0]),
-        plan.space.energy(body, pose, velocity),
+        plan.space.energy(body, pose, velocity) + _potential(plan, body, pose, velocity),
     )
+
+
+def _potential(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Any:
+    if not plan.elements:
+        return ZERO
+    return potential_energy(plan.elements, body, plan.space.motion(pose, velocity, ZERO))
 
 
 def _orthogonality_squared(q: Any) -> Any:

@@ -35,9 +35,11 @@ from lierb.kernels.vec import (
     mat_t_mat,
     mat_t_vec,
     mat_vec,
+    mat_vec_add,
     scale,
     sub,
 )
+from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
 
@@ -70,6 +72,7 @@ class Body(NamedTuple):
     origin_inertia: Mat  # about the body frame's origin
     first_moment: Vec  # m c
     gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
+    elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
 
     def momentum(self, velocity: Vec) -> Vec:
         """M V about the body frame's origin, on SE(3)."""
@@ -96,10 +99,49 @@ class Kinematics(NamedTuple):
     point_rate: Vec  # Qᵀ ḋ
     point_bias: Vec  # Qᵀ d̈ at zero acceleration V̇
     is_body_fixed: bool  # velocity of the body frame in body axes (v), or in the ground's (ṙ)
+    time: Any = ZERO  # s
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
         """Translational part of a row along a direction, given in ground and in body axes."""
         return body if self.is_body_fixed else ground
+
+
+class Frames(NamedTuple):
+    """The way from the user's frames to joint axes, for points and directions."""
+
+    ground: Pose
+    axes: Mat  # the joint's, seen from the user's body frame
+    origin: Vec  # of the body frame, seen from the user's
+
+    def body_point(self, p: Vec) -> Vec:
+        return mat_t_vec(self.axes, sub(p, self.origin))
+
+    def body_direction(self, direction: Vec) -> Vec:
+        return mat_t_vec(self.axes, direction)
+
+    def ground_point(self, p: Vec) -> Vec:
+        return mat_t_vec(self.ground[0], sub(p, self.ground[1]))
+
+    def ground_direction(self, direction: Vec) -> Vec:
+        return mat_t_vec(self.ground[0], direction)
+
+
+class Motion(NamedTuple):
+    """What applied forces depend on."""
+
+    time: Any
+    q: Mat
+    place: Vec  # the body frame's origin in the ground's joint frame
+    omega: Vec
+    v: Vec  # of the body frame's origin, in body axes
+
+    def place_of(self, point: Vec) -> Vec:
+        """In the ground's joint frame."""
+        return mat_vec_add(self.q, point, self.place)
+
+    def velocity_of(self, point: Vec) -> Vec:
+        """In body axes."""
+        return cross_add(self.omega, point, self.v)
 
 
 def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
@@ -163,6 +205,10 @@ class SE3:
         return _body(p, origin=p.body[1], arm=ZERO3)
 
     @staticmethod
+    def frames(p: Parameters) -> Frames:
+        return Frames(p.ground, *p.body)
+
+    @staticmethod
     def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
         (ground, origin), (turn, point) = p.ground, p.body
         q = mat_t_mat(ground, mat_mat(pose[0], turn))
@@ -182,6 +228,10 @@ class SE3:
     def kinematics(body: Body, pose: Pose, velocity: Vec) -> Kinematics:
         omega, v = velocity[:3], velocity[3:]
         return Kinematics(pose[0], pose[1], omega, ZERO3, v, cross(omega, v), is_body_fixed=True)
+
+    @staticmethod
+    def motion(pose: Pose, velocity: Vec, time: Any) -> Motion:
+        return Motion(time, *pose, velocity[:3], velocity[3:])
 
     @staticmethod
     def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
@@ -216,6 +266,10 @@ class SO3xR3:
         return _body(p, origin=p.com, arm=arm)._replace(com=ZERO3)
 
     @staticmethod
+    def frames(p: Parameters) -> Frames:
+        return Frames(p.ground, p.body[0], ZERO3)
+
+    @staticmethod
     def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
         (ground, origin), turn = p.ground, p.body[0]
         q = mat_t_mat(ground, mat_mat(pose[0], turn))
@@ -239,6 +293,10 @@ class SO3xR3:
         rate = add(mat_t_vec(q, velocity[3:]), swing)
         d = add(pose[1], mat_vec(q, body.arm))
         return Kinematics(q, d, omega, body.arm, rate, cross(omega, swing), is_body_fixed=False)
+
+    @staticmethod
+    def motion(pose: Pose, velocity: Vec, time: Any) -> Motion:
+        return Motion(time, *pose, velocity[:3], mat_t_vec(pose[0], velocity[3:]))
 
     @staticmethod
     def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from lierb.kernels._jit import Tag
-from lierb.kernels.constraints import Row
+from lierb.kernels.constraints import Rows
+from lierb.kernels.elements import Element
 from lierb.kernels.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.subgroup import Slots, slots_of
 
@@ -27,16 +28,17 @@ def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
 
 @dataclass(frozen=True)
 class Plan(Tag):
-    """One compiled integrator: a joint's rows, a c-space, an update form, a method, L."""
+    """One compiled integrator: a joint's rows, forces, a c-space, an update form, a method, L."""
 
     lanes: int
-    rows: tuple[Row, ...]
+    rows: Rows
     cspace: str
     update: str
     stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
     reaction: bool = False  # whether the joint's wrench is
+    elements: tuple[Element, ...] = ()  # forces beside gravity, and constraints beside the joint's
     # Where accelerations come from: "saddle", the saddle point in every stage, or a subgroup
     # joint's constant gain, on poses in SE(3) ("gain") or in the subgroup itself ("reduced").
     solver: str = "saddle"
@@ -49,6 +51,11 @@ class Plan(Tag):
     def slots(self) -> Slots | None:
         """The joint's subalgebra, where velocities are held in its coordinates."""
         return None if self.solver == "saddle" else slots_of(self.rows)
+
+    @cached_property
+    def nodes(self) -> tuple[float, ...]:
+        """c of the Butcher tableau: when each stage is."""
+        return tuple(sum(weights) for weights in self.stages)
 
     @property
     def is_local(self) -> bool:

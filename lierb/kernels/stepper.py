@@ -18,15 +18,15 @@ from lierb.kernels.constraints import (
     solving_rows,
     value,
 )
-from lierb.kernels.newton_euler import Body
+from lierb.kernels.elements import total_wrench
+from lierb.kernels.newton_euler import Body, row_response
 from lierb.kernels.plan import Plan
 from lierb.kernels.saddle import solve
 from lierb.kernels.subgroup import gain_acceleration, in_subalgebra, on_subgroup
-from lierb.kernels.vec import Mat, Vec, axpy, cross_add, dot, mat_t_vec, neg
+from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_t_vec, neg
 from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
-ZERO6: Vec = (ZERO,) * 6
 # Any angle between 0.25 and 5 rad does as well; 5.8 degrades, 6.2 fails.
 RECHART_ANGLE = PI
 TIDY_EVERY = 32  # steps; 16 to 64 do as well
@@ -55,9 +55,9 @@ class Acceleration(NamedTuple):
     singular: Any  # the mark of a singular configuration
 
 
-def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Acceleration:
+def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Acceleration:
     """The saddle point at one state."""
-    x = plan.space.kinematics(body, pose, velocity)
+    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     in_body_axes = x._replace(is_body_fixed=True)
     rows = solving_rows(plan.rows)
     jacobians = [jacobian(r, in_body_axes, body) for r in rows]
@@ -65,7 +65,10 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Acceleratio
         body,
         jacobians,
         [acceleration(r, x, body) for r in rows],
-        plan.space.free_acceleration(body, pose, velocity),
+        add(
+            plan.space.free_acceleration(body, pose, velocity),
+            row_response(body, applied_wrench(plan, body, pose, velocity, time)),
+        ),
         velocity,
     )
     wrench: Vec = ZERO6
@@ -80,25 +83,34 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Acceleratio
     )
 
 
-def step(plan: Plan, body: Body, state: State, h: Any) -> tuple[State, Any]:
-    """The state after h seconds, and the mark of a singular configuration met on the way."""
+def applied_wrench(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Vec:
+    """(torque, force) of all applied forces but gravity, about the body frame's origin."""
+    if not plan.elements:  # and no pose either, where nothing else asks for it
+        return ZERO6
+    return total_wrench(plan.elements, body, plan.space.motion(pose, velocity, time))
+
+
+def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
+    """The state h seconds after `time`, and the mark of a singular configuration on the way."""
     group = plan.space.group
     falling = mat_t_vec(state.chart[0], body.gravity)
     x_rates: list[Vec] = []
     v_rates: list[Vec] = []
     singular: Any = ZERO
-    for weights in plan.stages:
+    for weights, node in zip(plan.stages, plan.nodes, strict=True):
         x = _advanced(plan, body, state.x, h, weights, x_rates)
         velocity = _advanced(plan, body, state.velocity, h, weights, v_rates)
         k = group.angle_coefficients(x)
+        now = fma(h, node, time)
+        pose = group.compose(state.chart, group.exp(x, k))
         if plan.slots is None:
-            pose = group.compose(state.chart, group.exp(x, k))
-            found = accelerate(plan, body, pose, velocity)
+            found = accelerate(plan, body, pose, velocity, now)
             v_rate = found.rate
             singular = maximum(singular, found.singular)
         else:
             fall = so3.rotate(neg(x[:3]), falling, k)
-            v_rate = gain_acceleration(plan.slots, body, fall, velocity)
+            applied = applied_wrench(plan, body, pose, velocity, now)
+            v_rate = gain_acceleration(plan.slots, body, fall, applied, velocity)
         x_rates.append(group.dexpinv(neg(x), velocity, k))
         v_rates.append(v_rate)
     x = _advanced(plan, body, state.x, h, plan.weights, x_rates)

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.arithmetic import fma
-from lierb.kernels.constraints import Row
+from lierb.kernels.constraints import Rows
 from lierb.kernels.newton_euler import Body, Pose
-from lierb.kernels.vec import IDENTITY, Vec, dot
+from lierb.kernels.vec import IDENTITY, Vec, add, dot
 from lierb.kernels.zero import ZERO
 
 FIXED = -1  # slot of a component that is zero
@@ -22,7 +22,7 @@ PITCHED = -2  # slot of v₃ = pitch·ω₃
 Slots = tuple[int, ...]
 
 
-def slots_of(rows: tuple[Row, ...]) -> Slots:
+def slots_of(rows: Rows) -> Slots:
     """For each of (ω, v) its coordinate's number, or FIXED or PITCHED."""
     constrained = {r.i + (3 if r.kind == "d" else 0) for r in rows if r.kind in ("d", "Omega")}
     pitched = any(r.kind == "screw" for r in rows)
@@ -90,9 +90,12 @@ def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
     return tuple(x for row in rows for x in row[n:])
 
 
-def gain_acceleration(slots: Slots, body: Body, fall: Vec, velocity: Vec) -> Vec:
-    """V̇ = N (NᵀMN)⁻¹ Nᵀ (ad_Vᵀ M V + W): the saddle point's solution, solved once and for all."""
-    force = projected(slots, body.wrench(fall, velocity), body.pitch)
+def gain_acceleration(slots: Slots, body: Body, fall: Vec, applied: Vec, velocity: Vec) -> Vec:
+    """V̇ = N (NᵀMN)⁻¹ Nᵀ (ad_Vᵀ M V + W): the saddle point's solution, solved once and for all.
+
+    fall : gravity in body axes.   applied : the wrench of all other forces.
+    """
+    force = projected(slots, add(body.wrench(fall, velocity), applied), body.pitch)
     n = len(force)
     nu_rate = tuple(dot(body.gain[n * i : n * i + n], force) for i in range(n))
     return lifted(slots, nu_rate, body.pitch)
