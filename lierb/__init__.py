@@ -1,8 +1,10 @@
 """lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
 
-from lierb import bodies, errors, joints, lie
+from lierb import bodies, errors, forces, joints, lie
 from lierb.api import Result, integrate
+from lierb.elements import constraint, wrench
 from lierb.installation import info, warmup
+from lierb.kernels.dual import where
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.provenance import package_version
@@ -15,11 +17,15 @@ __all__ = [
     "Problem",
     "Result",
     "bodies",
+    "constraint",
     "errors",
+    "forces",
     "info",
     "integrate",
     "joints",
     "lie",
     "predict",
     "warmup",
+    "where",
+    "wrench",
 ]

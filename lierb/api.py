@@ -138,15 +138,17 @@ def integrate(
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
     found_by = _solver(problem, cspace, check, solver)
+    rows = problem.rows
     plan = Plan(
-        lanes=block_lanes(DEFAULT_LANES, found_by, len(problem.joint.rows), tableau.stages),
-        rows=problem.joint.rows,
+        lanes=block_lanes(DEFAULT_LANES, found_by, len(rows), tableau.stages),
+        rows=rows,
         cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
         update=update,
         stages=tableau.A,  # type: ignore[arg-type]
         weights=tableau.b,  # type: ignore[arg-type]
         multipliers="multipliers" in recorded,
         reaction="reaction" in recorded,
+        elements=problem.kinds,
         solver=found_by,
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
@@ -158,7 +160,7 @@ def integrate(
         _report(error, on_violation)
         return error is None
 
-    checked = on_violation != "off" and bool(problem.joint.rows)
+    checked = on_violation != "off" and bool(rows)
     metadata = provenance(
         problem,
         twist0=twists,
@@ -174,9 +176,10 @@ def integrate(
     output = run.integrate(
         plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
     )
+    covers = _energy_of(problem)
     return Result(
-        _summary_table(output, metadata),
-        _errors_table(output, grid, recorded, plan, metadata) if save_every else None,
+        _summary_table(output, metadata, covers),
+        _errors_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
     )
 
 
@@ -196,7 +199,12 @@ def check_names(**given: str) -> None:
 def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
     """How the plan shall find accelerations: its `solver`."""
     subgroup = problem.joint.subgroup
+    added = [element.name for element in problem.elements if element.kind.rows]
     if cspace == "reduced":
+        if added:
+            raise ArgumentError(
+                f'cspace="reduced" has no constraints, but {added[0]} is one; use "SE3"'
+            )
         if solver == "saddle":
             raise ArgumentError('cspace="reduced" has no saddle point to solve; leave solver out')
         if subgroup is None or not problem.joint.rows:
@@ -206,7 +214,7 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
                 f"({kept}), not a {problem.joint.name} joint"
             )
         return "reduced"
-    fits = cspace == "SE3" and subgroup is not None and bool(problem.joint.rows)
+    fits = cspace == "SE3" and subgroup is not None and bool(problem.joint.rows) and not added
     return "gain" if fits and solver == "auto" and check == "raise" else "saddle"
 
 
@@ -263,21 +271,26 @@ def _report(error: ValueError | None, check: str) -> None:
 _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
 
 
-def _table(columns: dict[str, pa.Array], metadata: dict[str, Any], units: str = "") -> pa.Table:
-    """units : of the components of `lambda`, if it is there."""
-    key = (*columns, units)
+def _table(
+    columns: dict[str, pa.Array], metadata: dict[str, Any], covers: str, units: str = ""
+) -> pa.Table:
+    """covers : what the energy is made of.   units : of the components of `lambda`, if any."""
+    key = (*columns, covers, units)
     if key not in _schemas:
-        _schemas[key] = _schema(columns, units)
+        _schemas[key] = _schema(columns, covers, units)
     schema = _schemas[key].with_metadata({"lierb": json.dumps(metadata)})
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
 
 
-def _schema(columns: dict[str, pa.Array], units: str) -> pa.Schema:
+def _schema(columns: dict[str, pa.Array], covers: str, units: str) -> pa.Schema:
     fields = []
     for name, array in columns.items():
         plain = name.removesuffix("_max").removesuffix("_final")
         unit = units if name == "lambda" else UNITS.get(plain)
-        fields.append(pa.field(name, array.type, metadata={"unit": unit} if unit else None))
+        described = {"unit": unit} if unit else {}
+        if plain in ("energy", "energy_drift"):
+            described["covers"] = covers
+        fields.append(pa.field(name, array.type, metadata=described or None))
     return pa.schema(fields)
 
 
@@ -286,7 +299,20 @@ def _vectors(array: Array) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
 
 
-def _summary_table(output: run.Output, metadata: dict[str, Any]) -> pa.Table:
+def _energy_of(problem: Problem) -> str:
+    """What the energy is made of, and what else does work and so shows as drift."""
+    stored = [force.name for force in problem.forces if force.kind.is_conservative]
+    working = [force.name for force in problem.forces if not force.kind.is_conservative]
+    working += [
+        f"{force.name}'s damping"
+        for force in problem.forces
+        if "damping" in force.parameters and np.any(force.parameters["damping"] != 0.0)
+    ]
+    text = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
+    return f"{text}; not the work of {', '.join(working)}" if working else text
+
+
+def _summary_table(output: run.Output, metadata: dict[str, Any], covers: str) -> pa.Table:
     scalars = dict(zip(run.SUMMARY_SCALARS, output.scalars, strict=True))
     columns = {
         "body": pa.array(np.arange(len(output.status), dtype=np.int64)),
@@ -295,7 +321,7 @@ def _summary_table(output: run.Output, metadata: dict[str, Any]) -> pa.Table:
     }
     columns |= {name: pa.array(scalars[name]) for name in SUMMARY_ORDER}
     columns |= {name: _vectors(a) for name, a in zip(run.STATE_WIDTHS, output.state, strict=True)}
-    return _table(columns, metadata)
+    return _table(columns, metadata, covers)
 
 
 def _errors_table(
@@ -304,6 +330,7 @@ def _errors_table(
     recorded: tuple[str, ...],
     plan: Plan,
     metadata: dict[str, Any],
+    covers: str,
 ) -> pa.Table:
     saved = grid.saved_steps()
     count = output.errors.shape[2]
@@ -326,4 +353,4 @@ def _errors_table(
         units = ", ".join(row.unit for row in plan.rows)
     if "reaction" in recorded:
         columns["reaction"] = _vectors(output.reactions)
-    return _table(columns, metadata, units)
+    return _table(columns, metadata, covers, units)

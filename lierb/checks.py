@@ -8,17 +8,17 @@ import numpy as np
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
-from lierb.joints import Joint
 from lierb.kernels.constraints import (
-    Row,
+    Rows,
     fixed_axes,
     jacobian,
     position_error_squared,
+    prescribed_rate,
     rate_errors_squared,
     rotation_error_squared,
     value,
 )
-from lierb.kernels.driver import INPUT_COLUMNS, parameters_of
+from lierb.kernels.driver import body_of, parameters_of
 from lierb.kernels.newton_euler import SE3, Body, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
@@ -42,7 +42,7 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
 
     start_columns : START_COLUMNS of the bodies from number `first` on, [column][body].
     """
-    rows = inputs.problem.joint.rows
+    rows = inputs.problem.rows
     errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
     fine = (errors <= TOLERANCE).all(axis=0) & (cosines > 0.0).all(axis=0)  # false for NaN
     for body in np.flatnonzero(~fine).tolist():
@@ -53,7 +53,7 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
     return None
 
 
-def _held_axes(rows: tuple[Row, ...]) -> list[int]:
+def _held_axes(rows: Rows) -> list[int]:
     """The joint axes that `Omega` rows keep parallel."""
     fixed = fixed_axes(rows)
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
@@ -61,52 +61,58 @@ def _held_axes(rows: tuple[Row, ...]) -> list[int]:
 
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
-    joint = inputs.problem.joint
-    columns = inputs.packed(number, number + 1, np.empty((INPUT_COLUMNS, 1)))
+    problem = inputs.problem
+    columns = inputs.packed(number, number + 1, np.empty((inputs.columns, 1)))
     parameters, pose, twist = parameters_of(list(columns[:, 0]))
-    body = SE3.body(parameters)
+    body = body_of(SE3, problem.kinds, list(columns[:, 0]))
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
-    return _pose_violation(joint, x, body, 1.0 + norm(pose[1]), labels[0]) or _twist_violation(
-        joint, x, body, velocity, 1.0 + norm(twist), labels[1]
+    return _pose_violation(problem, x, body, 1.0 + norm(pose[1]), labels[0]) or _twist_violation(
+        problem, x, body, velocity, 1.0 + norm(twist), labels[1]
     )
 
 
 def _pose_violation(
-    joint: Joint, x: Kinematics, body: Body, size: float, label: str
+    problem: Problem, x: Kinematics, body: Body, size: float, label: str
 ) -> PoseError | None:
-    if any(x.q[4 * axis] <= 0.0 for axis in _held_axes(joint.rows)):  # 180°: no error sees it
+    rows, joint = problem.rows, problem.joint
+    if any(x.q[4 * axis] <= 0.0 for axis in _held_axes(rows)):  # 180°: no error sees it
         return PoseError(
             f"{label} holds the {joint.name} joint the wrong way round: its axis on the body "
             "points against that on the ground; turn pose0 or one of the joint's frames by 180°"
         )
     for what, unit, squared, allowed in (
-        ("position", " m", position_error_squared(joint.rows, x, body), TOLERANCE * size),
-        ("rotation", "", rotation_error_squared(joint.rows, x, body), TOLERANCE),
+        ("position", " m", position_error_squared(rows, x, body), TOLERANCE * size),
+        ("rotation", "", rotation_error_squared(rows, x, body), TOLERANCE),
     ):
         error = _root(squared)
         if error <= allowed < np.inf:
             continue
-        rows = [
-            f"{r} = {value(r, x, body):.3g}"
-            for r in joint.rows
+        values = [
+            f"{r} = {_plain(value(r, x, body)):.3g}"
+            for r in rows
             if r.kind != "Omega" and r.is_translational == (what == "position")
         ]
-        detail = f" ({', '.join(rows)})" if rows else ""
+        detail = f" ({', '.join(values)})" if values else ""
+        remedy = (
+            "problem.close(pose0) finds a pose near by that does"
+            if problem.constraints
+            else "leave pose0 out for the closed joint, or give the joint frames that it closes"
+        )
         return PoseError(
-            f"{label} does not close the {joint.name} joint: {what} error {error:.3g}{unit} > "
-            f"{allowed:.3g}{detail}; leave pose0 out for the closed joint, or give the joint "
-            'frames that this pose closes (check="warn" integrates it all the same)'
+            f"{label} does not close the {_held_by(problem)}: {what} error {error:.3g}{unit} > "
+            f"{allowed:.3g}{detail}; {remedy} "
+            '(check="warn" integrates it all the same)'
         )
     return None
 
 
 def _twist_violation(
-    joint: Joint, x: Kinematics, body: Body, velocity: Vec, size: float, label: str
+    problem: Problem, x: Kinematics, body: Body, velocity: Vec, size: float, label: str
 ) -> TwistError | None:
     allowed = TOLERANCE * size
-    squares = rate_errors_squared(joint.rows, x, body, velocity)
+    squares = rate_errors_squared(problem.rows, x, body, velocity)
     for what, unit, squared in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, strict=True
     ):
@@ -114,16 +120,26 @@ def _twist_violation(
         if error <= allowed < np.inf:
             continue
         rows = ", ".join(
-            f"{r}: {dot(jacobian(r, x, body), velocity):.3g}"
-            for r in joint.rows
+            f"{r}: {dot(jacobian(r, x, body), velocity) - prescribed_rate(r, x, body):.3g}"
+            for r in problem.rows
             if r.is_translational == (what == "velocity")
         )
         return TwistError(
-            f"{label} violates the {joint.name} joint: {what} {error:.3g} {unit} > {allowed:.3g} "
+            f"{label} violates the {_held_by(problem)}: {what} {error:.3g} {unit} > {allowed:.3g} "
             f"({rows}); use problem.project(twist0, pose0) for the nearest twist that the joint "
             'allows, or check="warn" to integrate it all the same'
         )
     return None
+
+
+def _held_by(problem: Problem) -> str:
+    """What the rows are of, for messages."""
+    added = [element.name for element in problem.elements if element.kind.rows]
+    return " with ".join((f"{problem.joint.name} joint", *added))
+
+
+def _plain(x: Any) -> float:
+    return 0.0 if is_zero(x) else float(x)
 
 
 def _root(square: Any) -> float:

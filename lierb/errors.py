@@ -22,6 +22,10 @@ class InertiaError(LierbError):
     """A mass or inertia that no rigid body has."""
 
 
+class ForceError(LierbError):
+    """A force that its joint has no axis for, or a function that no kernel can run."""
+
+
 class PoseError(LierbError):
     """A pose that is no rigid motion, or does not close the joint."""
 
@@ -36,6 +40,10 @@ class TimeGridError(LierbError):
 
 class InconsistentStateWarning(UserWarning):
     """With check="warn": the pose or twist violates the joint."""
+
+
+class ScalarFunctionWarning(UserWarning):
+    """A function of the user's runs body by body, because it cannot run for many at once."""
 
 
 class ForkError(RuntimeError):

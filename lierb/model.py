@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +19,22 @@ from lierb.arrays import (
     pose_components,
     pose_matrix,
 )
-from lierb.errors import ArgumentError, InertiaError, PoseError, body_label
-from lierb.joints import Joint
+from lierb.elements import Constraint, Element, Force, reject_functions
+from lierb.errors import ArgumentError, ForceError, InertiaError, PoseError, body_label
+from lierb.joints import MOST_ROWS, Joint
+from lierb.kernels import elements as kinds
 from lierb.kernels import se3, so3
 from lierb.kernels.arithmetic import where
-from lierb.kernels.constraints import jacobian, residuals
-from lierb.kernels.newton_euler import SE3, Parameters, unit_inertia
+from lierb.kernels.constraints import (
+    AddedRow,
+    Row,
+    Rows,
+    jacobian,
+    prescribed_rate,
+    residuals,
+)
+from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
+from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import solve
 from lierb.kernels.vec import norm
 
@@ -121,25 +132,79 @@ def _require(argument: str, value: object, kind: type, expected: str) -> None:
         raise ArgumentError(f"{argument} must be {expected}, got {value!r}")
 
 
+def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
+    elements = tuple(given) if isinstance(given, Iterable) else (given,)
+    for number, element in enumerate(elements):
+        label = f"{argument}[{number}]"
+        reject_functions(label, element)
+        _require(label, element, kind, f"a {kind.__name__.lower()} made by lierb")
+        if element.kind.needs_axis and not {Row("Omega", 0), Row("Omega", 1)} <= set(joint.rows):
+            raise ForceError(
+                f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
+                "keep: its body turns about others too; take a joint such as revolute, or a "
+                "constant_wrench or lierb.wrench"
+            )
+    return elements
+
+
 @dataclass(frozen=True, eq=False, init=False)
 class Problem:
-    """A body, the joint that holds it to the ground, and gravity.
+    """A body, the joint that holds it to the ground, and the forces on it.
 
     gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
+    forces : made by `lierb.forces` and `lierb.wrench`, as many as wanted.
+    constraints : made by `lierb.constraint`, beside the joint's own.
+
+    Raises ForceError for a force about a joint axis that the joint does not have.
     """
 
     body: Body
     joint: Joint
     gravity: Array
+    forces: tuple[Force, ...]
+    constraints: tuple[Constraint, ...]
 
-    def __init__(self, body: Body, joint: Joint, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def __init__(
+        self,
+        body: Body,
+        joint: Joint,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        forces: Force | Iterable[Force] = (),
+        constraints: Constraint | Iterable[Constraint] = (),
+    ) -> None:
         _require("body", body, Body, "a lierb.Body")
         _require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
         field = as_numbers("gravity", gravity, (3,))
         object.__setattr__(self, "body", body)
         object.__setattr__(self, "joint", joint)
         object.__setattr__(self, "gravity", field)
+        object.__setattr__(self, "forces", _checked("forces", forces, Force, joint))
+        object.__setattr__(
+            self, "constraints", _checked("constraints", constraints, Constraint, joint)
+        )
+        if len(self.rows) > MOST_ROWS:
+            raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
+
+    @property
+    def elements(self) -> tuple[Element, ...]:
+        """Forces and constraints."""
+        return (*self.forces, *self.constraints)
+
+    @property
+    def kinds(self) -> tuple[kinds.Element, ...]:
+        """Of the elements, as compiled code is specialised on them."""
+        return tuple(element.kind for element in self.elements)
+
+    @property
+    def rows(self) -> Rows:
+        """Every constraint row: the joint's, those of motors, and further ones."""
+        added = (
+            AddedRow(element.kind, place, i, element.kind.is_translational)
+            for place, element in enumerate(self.elements)
+            for i in range(element.kind.rows)
+        )
+        return (*self.joint.rows, *added)
 
     def batch_size(self, **more: Any) -> int | None:
         """Number of bodies that the batched arguments ask for; None where none is batched."""
@@ -152,6 +217,7 @@ class Problem:
             pitch=self.joint.pitch,
             length=self.joint.length,
             gravity=(self.gravity, 1),
+            **{name: entry for e in self.elements for name, entry in e.batched().items()},
             **more,
         )
 
@@ -167,6 +233,18 @@ class Problem:
             pitch=self.joint.pitch,
             length=self.joint.length,
         )
+
+    def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> KernelBody:
+        """The body, with its elements, as that c-space's formulas take it."""
+        parameters = self.parameters()
+        numbers = [
+            x
+            for element in self.elements
+            for name, shape in element.kind.shapes.items()
+            for x in components(element.parameters[name], len(shape))
+        ]
+        placed = kinds.all_placed(self.kinds, numbers, space.frames(parameters))
+        return space.body(parameters)._replace(elements=placed)
 
     def close(self, pose: Any) -> Array:
         """A pose that closes the joint, from one near by, by Newton's method on its constraints.
@@ -186,9 +264,7 @@ class Problem:
         """
         poses = as_poses("pose", pose)
         self.batch_size(pose=(poses, 2))
-        rows = self.joint.rows
-        parameters = self.parameters()
-        body = SE3.body(parameters)
+        rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
         placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         size = 1.0 + norm(components(poses[..., :3, 3]))
         with np.errstate(all="ignore"):
@@ -222,12 +298,12 @@ class Problem:
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
         self.batch_size(twist=(twists, 1), pose=(pose, 2))
         given = components(twists)
-        parameters = self.parameters()
-        body = SE3.body(parameters)
+        parameters, body = self.parameters(), self.in_joint_axes(SE3)
         placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)
         x = SE3.kinematics(body, placed, velocity)
-        rows = [jacobian(r, x, body) for r in self.joint.rows]
+        rows = [jacobian(r, x, body) for r in self.rows]
+        rates = [prescribed_rate(r, x, body) for r in self.rows]
         with np.errstate(all="ignore"):
-            feasible, _, _ = solve(body, rows, [0.0] * len(rows), velocity)
+            feasible, _, _ = solve(body, rows, rates, velocity)
         _, projected = SE3.to_user_axes(parameters, placed, feasible)
         return assembled(projected)

@@ -16,7 +16,7 @@ import numpy as np
 
 from lierb.arrays import Array, as_poses, pose_components
 from lierb.errors import ArgumentError, PoseError
-from lierb.kernels.constraints import jacobian, residuals
+from lierb.kernels.constraints import AddedRow, jacobian, residuals
 from lierb.kernels.newton_euler import CSPACES, SE3, Body, Pose, SO3xR3
 from lierb.kernels.vec import norm
 from lierb.kernels.zero import is_zero
@@ -122,10 +122,14 @@ class _Explorer:
     """One problem in one c-space, in joint axes."""
 
     def __init__(self, cspace: str, problem: Problem, pose: Array) -> None:
-        self.cspace, self.rows = cspace, problem.joint.rows
+        self.cspace = cspace
+        # A motor's speed says nothing of the pose, and every motion is one of the joint's.
+        self.rows = tuple(
+            r for r in problem.rows if not (isinstance(r, AddedRow) and r.is_of_velocity)
+        )
         self.space: type[SE3] | type[SO3xR3] = CSPACES[cspace]
         parameters = problem.parameters()
-        self.body: Body = self.space.body(parameters)
+        self.body: Body = problem.in_joint_axes(self.space)
         self.start, _ = self.space.to_joint_axes(parameters, pose_components(pose), (0.0,) * 6)
         self.random = np.random.default_rng(SEED)
         gyration = np.sqrt(sum(self.body.inertia[::4]) / (2.0 * self.body.mass))

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 
 from lierb.arrays import Array
+from lierb.elements import Element
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
@@ -55,8 +56,10 @@ def provenance(
             "inertia": _described(problem.body.inertia),
             "com": _described(problem.body.com),
             "gravity": _described(problem.gravity),
+            "forces": [_described_element(force) for force in problem.forces],
+            "constraints": [_described_element(added) for added in problem.constraints],
             "joint": joint.name,
-            "rows": [str(row) for row in joint.rows],
+            "rows": [str(row) for row in problem.rows],
             "ground_frame": _described(joint.ground_frame),
             "body_frame": _described(joint.body_frame),
             "pitch": _described(joint.pitch),
@@ -66,6 +69,11 @@ def provenance(
         },
         "units": "SI: kg, m, s, rad, N, N m, J",
     }
+
+
+def _described_element(element: Element) -> dict[str, Any]:
+    parameters = {name: _described(array) for name, array in element.parameters.items()}
+    return {"name": element.name, "kind": repr(element.kind), **parameters}
 
 
 def _described(array: Array) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
@@ -27,6 +28,7 @@ from lierb.kernels.driver import (
     OK,
     START_COLUMNS,
     SUMMARY_COLUMNS,
+    input_columns,
     integrate_blocks,
 )
 from lierb.kernels.plan import Plan
@@ -112,7 +114,18 @@ class Inputs:
             places["pose"][:] = flatten(closing(ground, held, places["length"][0]))
         else:
             put_pose(places["pose"], joint.closed_pose)
+        first = INPUT_COLUMNS
+        for element in self.problem.elements:
+            for name, shape in element.kind.shapes.items():
+                last = first + math.prod(shape)
+                put(packed[first:last], element.parameters[name], *shape)
+                first = last
         return packed
+
+    @property
+    def columns(self) -> int:
+        """Numbers of a body."""
+        return input_columns(self.problem.kinds)
 
 
 @dataclass(frozen=True)
@@ -134,7 +147,7 @@ class Chunk:
         if spent is not None and spent.inputs.shape[1] == width:
             arrays = [spent.inputs, spent.carried, spent.summary]
         else:
-            heights = (INPUT_COLUMNS, CARRIED_COLUMNS, SUMMARY_COLUMNS)
+            heights = (inputs.columns, CARRIED_COLUMNS, SUMMARY_COLUMNS)
             arrays = [np.empty((height, width)) for height in heights]
         return cls(start, stop, inputs.packed(start, stop, arrays[0]), *arrays[1:])
 

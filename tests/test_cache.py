@@ -223,3 +223,52 @@ def test_lierb_lanes_out_of_range_is_told_clearly(copy, lanes):
     _, err = process.communicate(timeout=60)
     assert process.returncode != 0
     assert f"LIERB_LANES must be 1, 2, 4 or 8, got '{lanes}'" in err.splitlines()[-1]
+
+
+# ---------------------------------------------------------------- functions of the user's
+
+PUSH = """
+import json
+import lierb
+from lierb.kernels.driver import integrate_blocks
+
+scale = {scale}
+
+def twice(x):
+    return {twice}
+
+@lierb.wrench
+def push(t, R, r, omega, v, params):
+    {branch}
+    return (0.0, 0.0, 0.0), (scale * params.size, twice(params.size), 0.0)
+
+body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
+problem = lierb.Problem(body, lierb.joints.free(), forces=push(size=4.0))
+result = lierb.integrate(problem, twist0=[0.0] * 6, dt=0.25, t_end=1.0, method="Euler")
+stats = integrate_blocks.stats
+print(json.dumps({{
+    "v": result.summary["v"][0].as_py(),
+    "loaded": sum(stats.cache_hits.values()),
+    "compiled": sum(stats.cache_misses.values()),
+}}))
+"""
+
+
+def push(scale=1.0, twice="2.0 * x", branch="pass"):
+    return PUSH.format(scale=scale, twice=twice, branch=branch)
+
+
+@pytest.mark.slow  # several processes, most of which compile
+@pytest.mark.parametrize("branch", ["pass", "if v[0] > 100.0: t = 0.0"], ids=["packs", "bodies"])
+def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, branch):
+    quiet = {"PYTHONWARNINGS": "ignore"}  # of one that runs body by body
+    first, second = (copy.run(push(branch=branch), **quiet) for _ in range(2))
+    assert (first["compiled"], first["loaded"]) == (1, 0)
+    assert (second["compiled"], second["loaded"]) == (0, 1)
+    assert first["v"] == second["v"] == [2.0, 4.0, 0.0]
+    edited = copy.run(push(branch=branch, twice="3.0 * x"), **quiet)
+    assert (edited["compiled"], edited["v"]) == (1, [2.0, 6.0, 0.0])
+    rescaled = copy.run(push(branch=branch, scale=2.0), **quiet)
+    assert (rescaled["compiled"], rescaled["v"]) == (1, [4.0, 4.0, 0.0])
+    back = copy.run(push(branch=branch), **quiet)
+    assert (back["loaded"], back["v"]) == (1, [2.0, 4.0, 0.0])

@@ -1,0 +1,322 @@
+"""Applied forces and motors against Newton's and Euler's equations in ground coordinates."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import oracle
+import pytest
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, column, joint, tilted
+
+import lierb
+from lierb.errors import ArgumentError, ForceError, TwistError, UnknownNameError
+
+CSPACES = ("SE3", "SO3xR3")
+BODIES = 3  # parameter sets in each test
+T_END = 1.0
+
+
+def swing(t, params):
+    return params.peak * math.sin(3.0 * t)
+
+
+@lierb.wrench(gain=0.0, centre=(0.0, 0.0, 0.0))
+def odd_wrench(t, R, r, omega, v, params):
+    """Every argument is used, in no way that is right by symmetry."""
+    pull = -params.gain * (R.T @ (r - params.centre)) + 0.3 * params.gain * np.cos(2.0 * t) * v
+    return params.gain * np.cross(omega, v), pull
+
+
+def odd_reference(gain, centre):
+    def function(t, R, r, omega, v):
+        pull = -gain * (R.T @ (r - centre)) + 0.3 * gain * np.cos(2.0 * t) * v
+        return gain * np.cross(omega, v), pull
+
+    return oracle.wrench(function)
+
+
+def drawn(name: str) -> dict[str, np.ndarray]:
+    """Random parameters of one force, those of every body apart."""
+    rng = np.random.default_rng(sum(map(ord, name)))
+
+    def vectors(size):
+        return rng.uniform(-size, size, (BODIES, 3))
+
+    def numbers(low, high):
+        return rng.uniform(low, high, BODIES)
+
+    return {
+        "thruster": lambda: {"torque": vectors(0.05), "force": vectors(2), "point": vectors(0.2)},
+        "pull": lambda: {"torque": vectors(0.05), "force": vectors(5), "point": vectors(0.2)},
+        "spring": lambda: {
+            "body_point": vectors(0.2), "ground_point": vectors(0.5), "stiffness": numbers(5, 50),
+            "damping": numbers(0, 2), "length": numbers(0, 0.5),
+        },
+        "torsional_spring": lambda: {
+            # within half a turn of where the body swings: there the torque jumps
+            "stiffness": numbers(0.1, 1), "damping": numbers(0, 0.1), "angle": numbers(-2.2, -1.4),
+        },
+        "drag": lambda: {
+            "linear": numbers(0, 1), "quadratic": numbers(0, 1), "angular": numbers(0, 0.05),
+            "point": vectors(0.2),
+        },
+        "motor": lambda: {"peak": numbers(-0.5, 0.5)},
+        "function": lambda: {"gain": numbers(0.5, 5), "centre": vectors(0.5)},
+    }[name]()  # fmt: skip
+
+
+AXIAL = ("torsional_spring", "motor")
+FORCES = {
+    "thruster": lambda **p: lierb.forces.constant_wrench(frame="body", **p),
+    "pull": lierb.forces.constant_wrench,
+    "spring": lierb.forces.spring_damper,
+    "torsional_spring": lierb.forces.torsional_spring,
+    "drag": lierb.forces.drag,
+    "motor": lambda **p: lierb.forces.motor(swing, **p),
+    "function": odd_wrench,
+}
+REFERENCES = {
+    "thruster": lambda **p: oracle.constant_wrench(frame="body", **p),
+    "pull": oracle.constant_wrench,
+    "spring": oracle.spring_damper,
+    "torsional_spring": oracle.torsional_spring,
+    "drag": oracle.drag,
+    "motor": lambda peak: oracle.motor_torque(lambda t: peak * math.sin(3.0 * t)),
+    "function": odd_reference,
+}
+
+
+def silent(name: str) -> dict[str, np.ndarray | float]:
+    """Parameters with which a force is none: all forces then share one kernel."""
+    return {key: np.zeros_like(value) for key, value in drawn(name).items()}
+
+
+def case(held: str, acting: tuple[str, ...], quiet: tuple[str, ...] = ()):
+    """A problem of several bodies with some forces, and others that are there but zero."""
+    plain, twist0 = tilted(held)
+    forces = [FORCES[name](**drawn(name)) for name in acting]
+    forces += [FORCES[name](**silent(name)) for name in quiet]
+    order = list(FORCES)
+    placed = sorted(zip((*acting, *quiet), forces, strict=True), key=lambda x: order.index(x[0]))
+    return lierb.Problem(plain.body, plain.joint, GRAVITY, [force for _, force in placed]), twist0
+
+
+def expected(held: str, acting: tuple[str, ...], twist0, body: int) -> oracle.Trajectory:
+    forces = [
+        REFERENCES[name](**{key: value[body] for key, value in drawn(name).items()})
+        for name in acting
+    ]
+    inertia = box(turned=True)
+    return oracle.reference_trajectory(
+        held, [0.0, T_END], mass=float(inertia.mass), inertia=inertia.inertia, twist0=twist0,
+        ground_frame=GROUND_FRAME, body_frame=BODY_FRAME, gravity=GRAVITY, forces=forces,
+    )  # fmt: skip
+
+
+def run(problem, twist0, cspace: str, **options):
+    settings = {"method": "DOP853", "dt": 1e-3, "t_end": T_END, "save_every": 1000} | options
+    record = ("state", "energy", "multipliers", "reaction")
+    return lierb.integrate(problem, twist0=twist0, cspace=cspace, record=record, **settings)
+
+
+def assert_moves_as(problem, twist0, held, acting, cspace):
+    history = run(problem, twist0, cspace).errors
+    columns = {
+        name: column(history, name).reshape(2, BODIES, -1)
+        for name in ("R", "r", "omega", "v", "lambda", "reaction", "energy")
+    }
+    for body in range(BODIES):
+        ref = expected(held, acting, twist0, body)
+        for name, wanted in (
+            ("R", ref.R[-1].ravel()), ("r", ref.r[-1]), ("omega", ref.omega[-1]), ("v", ref.v[-1]),
+        ):  # fmt: skip
+            # DOP853's error at 1e-3 is below rounding, which swings of 50 rad/s² amplify
+            np.testing.assert_allclose(columns[name][-1, body], wanted, atol=1e-9, err_msg=name)
+        size = np.abs(ref.reaction[-1]).max()
+        np.testing.assert_allclose(columns["lambda"][-1, body], ref.multipliers[-1], atol=1e-8)
+        np.testing.assert_allclose(
+            columns["reaction"][-1, body], ref.reaction[-1], atol=1e-9 * (1 + size)
+        )
+        gained = columns["energy"][-1, body] - columns["energy"][0, body]
+        np.testing.assert_allclose(gained, ref.energy[-1] - ref.energy[0], atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("name", FORCES)
+def test_force_moves_the_body_as_newton_and_euler_say(name, cspace):
+    quiet = tuple(other for other in FORCES if other != name)
+    problem, twist0 = case("revolute", (name,), quiet)
+    assert_moves_as(problem, twist0, "revolute", (name,), cspace)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize(
+    ("held", "acting"),
+    [
+        ("revolute", tuple(FORCES)),
+        ("universal", tuple(name for name in FORCES if name not in AXIAL)),
+    ],
+)
+def test_forces_add_up(held, acting, cspace):
+    problem, twist0 = case(held, acting)
+    assert_moves_as(problem, twist0, held, acting, cspace)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{"solver": "saddle"}, {"cspace": "reduced"}])
+def test_gain_reduced_and_saddle_agree_under_forces(options):
+    problem, twist0 = case("revolute", tuple(FORCES))
+    found = [
+        lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=0.5, **o).summary
+        for o in ({}, options)
+    ]
+    for name in ("R", "r", "omega", "v"):
+        # the same differential equation by the same method: rounding, over 500 steps
+        np.testing.assert_allclose(column(found[0], name), column(found[1], name), atol=1e-11)
+
+
+def test_spring_off_the_centre_swings_harmonically():
+    held = lierb.joints.prismatic(axis=(1.0, 2.0, 2.0))
+    axis = np.array((1.0, 2.0, 2.0)) / 3.0
+    spring = lierb.forces.spring_damper(
+        (0.1, 0.0, 0.0), 0.5 * axis + (0.1, 0, 0), stiffness=[3.0, 8.0]
+    )
+    problem = lierb.Problem(lierb.Body(2.0, (1.0, 1.0, 1.0)), held, forces=spring)
+    result = lierb.integrate(
+        problem, twist0=held.twist(), dt=1e-2, t_end=1.0, method="DOP853", cspace="reduced"
+    )
+    place = 0.5 * (1.0 - np.cos(np.sqrt([1.5, 4.0])))  # x₀(1 − cos √(k/m) t) from rest
+    # DOP853 at 1e-2 of ω ≤ 2 rad/s: errors of (ωh)⁸
+    np.testing.assert_allclose(column(result.summary, "r"), np.outer(place, axis), atol=1e-13)
+    assert max(result.summary["energy_drift_max"].to_pylist()) < 1e-13
+
+
+# ---- motors ------------------------------------------------------------------------------------
+
+
+def ramp(t, params):
+    return params.start + 0.5 * t * t
+
+
+def driven(start) -> lierb.Problem:
+    plain, _ = tilted("revolute")
+    forces = [lierb.forces.motor(speed=ramp, start=start), lierb.forces.drag(linear=0.4)]
+    return lierb.Problem(plain.body, plain.joint, GRAVITY, forces)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_speed_motor_keeps_its_speed_and_tells_its_torque(cspace):
+    start = np.array((1.0, -2.0))
+    problem = driven(start)
+    twist0 = problem.project(np.zeros(6))
+    result = run(problem, twist0, cspace)
+    # w is a square, which methods of order 2 and more integrate exactly: rounding of 1000 steps
+    assert max(result.summary["rotation_rate_error_max"].to_pylist()) < 1e-12
+    for body, first in enumerate(start):
+        ref = oracle.reference_trajectory(
+            "revolute", [T_END], mass=float(problem.body.mass), inertia=problem.body.inertia,
+            twist0=twist0[body], ground_frame=GROUND_FRAME, body_frame=BODY_FRAME, gravity=GRAVITY,
+            forces=[oracle.drag(linear=0.4)],
+            speed=(lambda t, w=first: w + 0.5 * t * t, lambda t: t),
+        )  # fmt: skip
+        history = result.errors
+        last = len(start) + body
+        np.testing.assert_allclose(column(history, "r")[last], ref.r[-1], atol=1e-10)
+        np.testing.assert_allclose(column(history, "lambda")[last], ref.multipliers[-1], atol=1e-9)
+        np.testing.assert_allclose(column(history, "reaction")[last], ref.reaction[-1], atol=1e-9)
+
+
+def test_speed_motor_rejects_a_twist_of_another_speed():
+    problem = driven(1.0)
+    with pytest.raises(TwistError, match=r"revolute joint with motor: rotation rate 1 .*motor: -1"):
+        lierb.integrate(problem, twist0=np.zeros(6), dt=1e-3, t_end=0.1)
+
+
+def test_speed_motor_has_no_place_in_the_reduced_space():
+    with pytest.raises(ArgumentError, match='no constraints, but motor is one; use "SE3"'):
+        lierb.integrate(driven(1.0), twist0=np.zeros(6), dt=1e-3, t_end=0.1, cspace="reduced")
+
+
+# ---- what the energy covers --------------------------------------------------------------------
+
+
+def test_energy_says_what_it_covers():
+    problem, twist0 = case("revolute", tuple(FORCES))
+    result = lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=1e-3, cspace="reduced")
+    covers = result.summary.schema.field("energy_drift_max").metadata[b"covers"].decode()
+    assert covers == (
+        "kinetic energy; potential energy of gravity, constant_wrench, spring_damper, "
+        "torsional_spring; not the work of constant_wrench, drag, motor, odd_wrench, "
+        "spring_damper's damping, torsional_spring's damping"
+    )
+
+
+def test_potential_of_a_function_counts_in_the_energy():
+    @lierb.wrench(stiffness=10.0)
+    def tether(t, R, r, omega, v, params):
+        return (0.0, 0.0, 0.0), -params.stiffness * R.T @ r
+
+    @tether.potential
+    def stretched(R, r, params):
+        return params.stiffness * (r @ r) / 2
+
+    held = lierb.joints.spherical(body_point=(0.1, 0.2, 0.3))
+    problem = lierb.Problem(box(), held, GRAVITY, tether())
+    twist0 = held.twist(omega=(1.0, 2.0, 3.0))
+    summary = lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=0.5, method="DOP853").summary
+    # DOP853's error at 1e-3 is below rounding; energies are about 5 J
+    assert summary["energy_drift_max"][0].as_py() < 1e-12
+    covers = summary.schema.field("energy_drift_max").metadata[b"covers"].decode()
+    assert covers == "kinetic energy; potential energy of gravity, tether"
+
+
+# ---- arguments ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held", ["spherical", "universal", "free", "point_on_sphere"])
+def test_axial_force_needs_a_joint_with_an_axis(held):
+    with pytest.raises(
+        ForceError, match=rf"torsional_spring acts about .* a {held} joint does not"
+    ):
+        lierb.Problem(box(), joint(held), forces=[lierb.forces.torsional_spring(stiffness=1.0)])
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: lierb.forces.drag(linear=[0.1, -0.2]), ArgumentError, r"linear\[1\] is -0\.2"),
+        (lambda: lierb.forces.drag(point=(1.0, 2.0)), ArgumentError, r"point has shape \(2,\)"),
+        (lambda: lierb.forces.constant_wrench(frame="boddy"), UnknownNameError, "'body'"),
+        (lambda: lierb.forces.motor(), ArgumentError, "torque= or speed="),
+        (lambda: lierb.forces.motor(1.0, speed=2.0), ArgumentError, "torque= or speed="),
+        (lambda: lierb.forces.motor(1.0, peak=2.0), ArgumentError, "peak: only a function"),
+        (
+            lambda: lierb.forces.spring_damper(stiffness=[1, 2], damping=[1, 2, 3]),
+            ArgumentError,
+            r"spring_damper\.stiffness has 2, spring_damper\.damping has 3",
+        ),
+    ],
+)  # fmt: skip
+def test_bad_parameter_is_named(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+def test_problem_takes_forces_only():
+    held = lierb.joints.free()
+    with pytest.raises(ArgumentError, match=r"forces\[0\] is the function odd_wrench; call it"):
+        lierb.Problem(box(), held, forces=odd_wrench)
+    with pytest.raises(ArgumentError, match=r"forces\[1\] must be a force made by lierb, got 3"):
+        lierb.Problem(box(), held, forces=[odd_wrench(), 3])
+
+
+def test_parameters_of_forces_set_the_number_of_bodies():
+    held = lierb.joints.free()
+    problem = lierb.Problem(box(), held, forces=[lierb.forces.drag(linear=[0.1, 0.2])])
+    assert problem.batch_size() == 2
+    with pytest.raises(ArgumentError, match=r"drag\.linear has 2, twist0 has 3"):
+        lierb.integrate(problem, twist0=np.zeros((3, 6)), dt=1e-3, t_end=0.1)

@@ -1,0 +1,339 @@
+"""Functions of the user's: forces and constraints from Python, and when they are compiled anew."""
+
+from __future__ import annotations
+
+import math
+import types
+import warnings
+
+import numba
+import numpy as np
+import oracle
+import pytest
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, column, final, tilted
+
+import lierb
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    PoseError,
+    ScalarFunctionWarning,
+    UnknownNameError,
+)
+from lierb.kernels.fingerprint import UnfitFunctionError, fingerprint
+
+CSPACES = ("SE3", "SO3xR3")
+FALL = {"dt": 0.125, "t_end": 1.0, "method": "Euler"}  # the least to compile, exact in binary
+
+
+def fallen(force, bodies: int = 1, **parameters) -> np.ndarray:
+    """v after 1 s of a free body of 2 kg on which only that force acts, by Euler's method."""
+    problem = lierb.Problem(
+        lierb.Body(2.0, (1.0, 1.0, 1.0)), lierb.joints.free(), forces=force(**parameters)
+    )
+    return column(lierb.integrate(problem, twist0=np.zeros((bodies, 6)), **FALL).summary, "v")
+
+
+# ---- what a function may do --------------------------------------------------------------------
+
+OFFSET = 0.25
+
+
+def doubled(x):
+    return 2.0 * x
+
+
+@numba.njit
+def compiled_double(x):
+    return 2.0 * x
+
+
+def with_closure(factor):
+    def push(t, R, r, omega, v, params):
+        return np.zeros(3), (factor * params.size, 0.0, OFFSET)
+
+    return push
+
+
+def with_helpers(t, R, r, omega, v, params):
+    return [0, 0, 0], np.array([doubled(params.size), compiled_double(params.size), 0])
+
+
+def with_math(t, R, r, omega, v, params):
+    size = math.sqrt(params.size**2) * math.cos(0.0 * t) * max(1.0, 0.5 * t)
+    return (0, 0, 0), (size, abs(-params.size), min(params.size, 7.0))
+
+
+def with_where(t, R, r, omega, v, params):
+    late = (t >= 0.5) & (params.size > 0.0)
+    return (0, 0, 0), lierb.where(late, (params.size, 0.0, 0.0), (0.0, params.size, 0.0))
+
+
+def with_arrays(t, R, r, omega, v, params):
+    along = R.T @ np.array([0.0, 0.0, 1.0])
+    return np.cross(along, along), params.size * along / np.linalg.norm(along) + 0.0 * r
+
+
+@pytest.mark.parametrize(
+    ("function", "rates"),
+    [
+        (with_closure(3.0), (1.5, 0, 0.125)),
+        (with_helpers, (1, 1, 0)),
+        (with_math, (0.5, 0.5, 0.5)),
+        (with_where, (0.25, 0.25, 0)),
+        (with_arrays, (0, 0, 0.5)),
+    ],
+    ids=lambda x: getattr(x, "__name__", ""),
+)
+def test_function_may_use(function, rates):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # none of these runs body by body
+        found = fallen(lierb.wrench(function), bodies=2, size=np.array([1.0, 3.0]))
+    np.testing.assert_array_equal(found[0], rates)
+
+
+def test_parameters_have_the_shape_of_their_defaults():
+    @lierb.wrench(pull=(0.0, 0.0, 1.0), size=2.0)
+    def push(t, R, r, omega, v, params):
+        return (0, 0, 0), params.size * params.pull
+
+    np.testing.assert_array_equal(fallen(push)[0], (0, 0, 1))
+    per_body = fallen(push, bodies=2, pull=np.eye(3)[:2], size=[2.0, 4.0])
+    np.testing.assert_array_equal(per_body, [(1, 0, 0), (0, 2, 0)])
+    with pytest.raises(UnknownNameError, match=r"'pulll' is unknown.*Did you mean 'pull'"):
+        push(pulll=1.0)
+    with pytest.raises(ArgumentError, match=r"pull has shape \(2,\); expected \(3,\) or \(n, 3\)"):
+        push(pull=(1.0, 2.0))
+    assert repr(push) == "<wrench push: pull, size>"
+
+
+# ---- body by body ------------------------------------------------------------------------------
+
+
+def branching(t, R, r, omega, v, params):
+    if t < 0.5 and params.size > 0.0:
+        return np.zeros(3), np.array([params.size, 0.0, R[2, 2]])
+    return np.zeros(3), params.pull
+
+
+def test_function_that_branches_runs_body_by_body_and_says_so_once():
+    decorated = lierb.wrench(size=1.0, pull=(0.0, 1.0, 0.0))(branching)
+    sizes = np.linspace(0.0, 4.0, 21)
+    with pytest.warns(ScalarFunctionWarning, match="branching runs body by body.*lierb.where"):
+        found = fallen(decorated, bodies=21, size=sizes)
+    expected = [(s / 4, 0.25, 0.25) if s else (0, 0.5, 0) for s in sizes]
+    np.testing.assert_array_equal(found, expected)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        decorated(size=2.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (lambda t, R: None, r"takes \(t, R\); expected the form \(t, R, r, omega, v, params\)"),
+        (lambda t, R, r, omega, v, params: 3.0, "must return 2 vectors, not 3.0"),
+        (lambda t, R, r, omega, v, params: ((1, 2), (1, 2, 3)), r"3 components, not \(1, 2\)"),
+        (lambda t, R, r, omega, v, params: (r, "pull"), "3 components, not 'pull'"),
+        (lambda t, R, r, omega, v, params: (r, r / params.width), "'width'"),
+        (lambda t, R, r, omega, v, params: (r, np.none(r)), "nor, compiled by Numba"),
+    ],
+)
+def test_function_that_cannot_be_run_says_why(function, message):
+    with pytest.raises(ForceError, match=message):
+        lierb.wrench(function)()
+
+
+def test_only_functions_are_decorated():
+    with pytest.raises(ForceError, match="expected a function to decorate, got 3"):
+        lierb.wrench(3)
+
+
+# ---- constraints -------------------------------------------------------------------------------
+
+END, ANCHOR = np.array((0.1, 0.0, 0.05)), np.array((0.3, -0.2, 0.5))
+
+
+@lierb.constraint(length=0.5, point=tuple(END), anchor=tuple(ANCHOR))
+def rod(R, r, params):
+    s = r + R @ params.point - params.anchor
+    return (s @ s / params.length - params.length) / 2
+
+
+def rod_problem(lengths=0.5) -> tuple[lierb.Problem, np.ndarray, np.ndarray]:
+    problem = lierb.Problem(
+        box(turned=True), lierb.joints.free(), GRAVITY, constraints=rod(length=lengths)
+    )
+    poses = problem.close(np.eye(4))
+    return problem, poses, problem.project(np.array((1.0, 2.0, 0.5, 0.1, 0.2, 0.3)), poses)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_constraint_moves_the_body_as_newton_and_euler_say(cspace):
+    lengths = np.array((0.4, 0.5, 0.6))
+    problem, poses, twists = rod_problem(lengths)
+    result = lierb.integrate(
+        problem, twist0=twists, pose0=poses, dt=1e-3, t_end=1.0, method="DOP853", cspace=cspace,
+        save_every=1000, record=("state", "multipliers"),
+    )  # fmt: skip
+    assert max(result.summary["position_error_max"].to_pylist()) < 1e-13  # of order 8: rounding
+    for body, length in enumerate(lengths):
+        ref = oracle.reference_trajectory(
+            "free", [1.0], mass=float(problem.body.mass), inertia=problem.body.inertia,
+            twist0=twists[body], pose0=poses[body], gravity=GRAVITY,
+            extra_rows=oracle.rod_rows(END, ANCHOR, length),
+        )  # fmt: skip
+        last = 3 + body
+        for name, wanted in (("r", ref.r), ("omega", ref.omega), ("lambda", ref.multipliers)):
+            np.testing.assert_allclose(column(result.errors, name)[last], wanted[-1], atol=1e-9)
+
+
+@lierb.constraint
+def held_point(R, r, params):
+    """The rows d1 d2 d3 of a spherical joint, in ground axes."""
+    ground, body = np.array(GROUND_FRAME), np.array(BODY_FRAME)
+    return r + R @ body[:3, 3] - ground[:3, 3]
+
+
+@lierb.constraint(unit="1")
+def crossed(R, r, params):
+    """The row Q32 of a universal joint."""
+    ground, body = np.array(GROUND_FRAME), np.array(BODY_FRAME)
+    return ground[:3, 2] @ (R @ body[:3, 1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_constraints_are_the_joint_that_they_spell_out(cspace):
+    problem, twist0 = tilted("universal")
+    spelled = lierb.Problem(
+        problem.body, lierb.joints.free(), GRAVITY, constraints=[held_point(), crossed()]
+    )
+    pose = problem.joint.closed_pose
+    options = {"twist0": twist0, "dt": 1e-3, "t_end": 0.25, "cspace": cspace}
+    record = {"save_every": 250, "record": ("state", "multipliers")}
+    built_in = lierb.integrate(problem, **options, **record)
+    found = lierb.integrate(spelled, pose0=pose, **options, **record)
+    for name in ("position_error_max", "rotation_error_max"):
+        # the same constraints by the same method: as large, to their own rounding
+        np.testing.assert_allclose(
+            column(found.summary, name), column(built_in.summary, name), rtol=1e-3, atol=1e-13
+        )
+    for name in ("R", "r", "omega", "v"):
+        np.testing.assert_allclose(
+            final(found, name), final(built_in, name), atol=1e-12, err_msg=name
+        )
+    turned = np.block([[GROUND_FRAME[:3, :3].T, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
+    multipliers = [turned @ row for row in column(found.errors, "lambda")]
+    np.testing.assert_allclose(multipliers, column(built_in.errors, "lambda"), atol=1e-9)
+    units = found.errors.schema.field("lambda").metadata[b"unit"]
+    assert units == b"N, N, N, N m"
+
+
+def test_constraint_off_at_the_start_is_named():
+    problem, _, twist0 = rod_problem()
+    with pytest.raises(PoseError, match=r"free joint with rod: .* \(rod = .*problem\.close"):
+        lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=0.1)
+
+
+def test_constraint_cannot_branch():
+    @lierb.constraint
+    def one_sided(R, r, params):
+        return r[2] if r[2] > 0.0 else 0.0
+
+    with pytest.raises(ForceError, match=r"one_sided must run on dual numbers.*lierb\.where"):
+        one_sided()
+
+
+def test_constraints_beyond_twelve_rows_are_refused():
+    with pytest.raises(ArgumentError, match="15 constraint rows; at most 12"):
+        lierb.Problem(box(), lierb.joints.fixed(), constraints=[held_point()] * 3)
+
+
+def test_constraint_has_a_unit():
+    with pytest.raises(UnknownNameError, match="unit='mm' is unknown"):
+        lierb.constraint(unit="mm")(lambda R, r, params: r[0])
+
+
+def test_prediction_knows_constraints():
+    problem, _ = tilted("universal")
+    pose = problem.joint.closed_pose
+    spelled = lierb.Problem(
+        problem.body, lierb.joints.free(), constraints=[held_point(), crossed()]
+    )
+    found, built_in = lierb.predict(spelled, pose), lierb.predict(problem)
+    for cspace in CSPACES:
+        assert found[cspace].rows_exact == built_in[cspace].rows_exact
+        assert found[cspace].group == built_in[cspace].group
+
+
+# ---- fingerprints ------------------------------------------------------------------------------
+
+
+def of_source(source: str, **names) -> types.FunctionType:
+    """The function `f` that a source defines."""
+    names = dict(names)
+    exec(source, names)
+    return names["f"]
+
+
+SAME = "def f(x):\n    return k * g(x) + 1.5\n"
+
+
+def test_fingerprint_of_equal_functions_is_equal():
+    one, other = (of_source(SAME, k=2.0, g=of_source("def f(x): return x")) for _ in range(2))
+    assert fingerprint(one) == fingerprint(other)
+    moved = of_source("\n\n# a comment\n" + SAME, k=2.0, g=of_source("def f(x): return x"))
+    assert fingerprint(one) == fingerprint(moved)
+
+
+@pytest.mark.parametrize(
+    "edited",
+    [
+        lambda: of_source(SAME.replace("1.5", "1.25"), k=2.0, g=of_source("def f(x): return x")),
+        lambda: of_source(SAME.replace("* g", "- g"), k=2.0, g=of_source("def f(x): return x")),
+        lambda: of_source(SAME, k=3.0, g=of_source("def f(x): return x")),
+        lambda: of_source(SAME, k=np.float32(2.0), g=of_source("def f(x): return x")),
+        lambda: of_source(SAME, k=2.0, g=of_source("def f(x): return -x")),
+        lambda: of_source(SAME, k=2.0, g=of_source("def f(x, y=1.0): return x")),
+        lambda: of_source(SAME, k=2.0, g=math.sin),
+    ],
+    ids=["constant", "operator", "global", "type", "helper", "default", "built-in"],
+)
+def test_fingerprint_knows_an_edit(edited):
+    plain = of_source(SAME, k=2.0, g=of_source("def f(x): return x"))
+    assert fingerprint(plain) != fingerprint(edited())
+
+
+def test_fingerprint_knows_closures_and_members_of_modules():
+    def closed(k):
+        return lambda x: k * x
+
+    assert fingerprint(closed(1.0)) == fingerprint(closed(1.0)) != fingerprint(closed(2.0))
+    constants = types.ModuleType("constants")
+    constants.k = 1.0
+    function = of_source("def f(x): return constants.k * x", constants=constants)
+    before = fingerprint(function)
+    constants.k = 2.0
+    assert fingerprint(function) != before
+
+
+def test_fingerprint_refuses_what_it_cannot_know():
+    class Setting:
+        k = 1.0
+
+    with pytest.raises(UnfitFunctionError, match="refers to setting, a Setting"):
+        fingerprint(of_source("def f(x): return setting.k * x", setting=Setting()))
+    with pytest.raises(ForceError, match="cannot be compiled: it refers to setting"):
+        lierb.wrench(
+            of_source(
+                "def f(t, R, r, omega, v, params): return r, setting.k * r", setting=Setting()
+            )
+        )()
+
+
+def test_a_function_that_calls_itself_has_a_fingerprint():
+    names = {}
+    exec("def f(x): return f(x - 1) if x else 0", names)
+    assert fingerprint(names["f"])
