@@ -156,7 +156,7 @@ def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike)
 
     The function is written for one body and compiled for many at once: operators, `math`, NumPy's
     elementary functions and `@`, and `lierb.where(condition, a, b)` in place of `if`. One that
-    branches on a number all the same runs body by body, more slowly, and a warning says so once.
+    branches on a number all the same runs body by body, far more slowly; a warning says so once.
     A kernel is compiled again when the function, or anything that it refers to, has changed.
 
     Raises ForceError for a function of another form, or one that cannot be compiled at all.
@@ -259,7 +259,7 @@ def user_function(
     if mark not in _warned:
         _warned.add(mark)
         warnings.warn(
-            f"{name} runs body by body, several times as slowly as for many at once: {reason}",
+            f"{name} runs body by body, far more slowly than for many at once: {reason}",
             ScalarFunctionWarning,
             stacklevel=3,
         )

@@ -44,10 +44,12 @@ def box(turned: bool = False) -> lierb.Body:
     return lierb.Body(ref.BOX_MASS, turn @ inertia @ turn.T if turned else inertia)
 
 
-def joint(name: str, ground_frame=GROUND_FRAME, body_frame=BODY_FRAME) -> lierb.joints.Joint:
+def joint(
+    name: str, ground_frame=GROUND_FRAME, body_frame=BODY_FRAME, length=LENGTH
+) -> lierb.joints.Joint:
     """A catalogue joint in tilted frames."""
     entry = lierb.joints.JOINTS[name]
-    values = {"pitch": PITCH, "length": LENGTH}
+    values = {"pitch": PITCH, "length": length}
     options = {name: value for name, value in values.items() if name in entry.options}
     return entry(ground_frame=ground_frame, body_frame=body_frame, **options)
 
