@@ -196,6 +196,7 @@ def test_command_line_starts_without_matplotlib_and_rich_tables():
     assert done.stdout.strip() == "set()"
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_the_process_cleanly(tmp_path):
     command = [sys.executable, "-m", "lierb", "paper", "--out", str(tmp_path)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}

@@ -224,6 +224,7 @@ def test_interrupt_of_one_thread_leaves_the_others_running(alone):
             one.result(timeout=60)
 
 
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_stops_a_long_run_soon():
     # the main thread is inside compiled code most of the time; calls last some 0.15 s
     timer = threading.Timer(0.5, signal.raise_signal, [signal.SIGINT])
