@@ -13,6 +13,7 @@ SUBGROUP_JOINTS = [name for name, entry in lierb.joints.JOINTS.items() if entry.
 PITCH = 0.07  # m/rad
 LENGTH = 0.35  # m, of a rod
 GRAVITY = (0.0, 0.0, -9.81)
+RECORD = ("state", "multipliers", "reaction")
 
 
 def rotation(*xi: float) -> np.ndarray:
@@ -72,6 +73,16 @@ def top() -> tuple[lierb.Problem, np.ndarray]:
     held = lierb.joints.spherical(body_point=-np.array(ref.TOP_CENTRE_OF_MASS))
     problem = lierb.Problem(lierb.Body(ref.TOP_MASS, ref.TOP_INERTIA), held, ref.TOP_GRAVITY)
     return problem, held.twist(omega=ref.TOP_OMEGA_0)
+
+
+def integrate(problem: lierb.Problem, **options) -> lierb.Result:
+    """`lierb.integrate`, recording RECORD, at the ends unless told otherwise.
+
+    A record, like a method, has kernels of its own, and compiling is what the tests take time for:
+    those that run over the joints ask for the same one.
+    """
+    ends = {"save_every": round(options["t_end"] / options["dt"]), "record": RECORD}
+    return lierb.integrate(problem, **(ends | options))
 
 
 def column(table, name: str) -> np.ndarray:

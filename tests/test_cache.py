@@ -123,15 +123,14 @@ EDITS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow  # three processes that compile
-@pytest.mark.parametrize("edit", EDITS)
-def test_edited_kernel_changes_the_next_process(copy, edit):
-    name, old, new, changed = EDITS[edit]
+@pytest.mark.slow  # four processes that compile
+def test_edited_kernel_changes_the_next_process(copy):
     assert fallen(copy.run()) == FALLEN["Euler"]
-    copy.edit(name, old, new)
-    assert fallen(copy.run()) == changed
-    assert copy.entries() == 1  # the old code is gone: nothing can ask for it
-    copy.edit(name, new, old)
+    for name, old, new, changed in EDITS.values():
+        copy.edit(name, old, new)
+        assert fallen(copy.run()) == changed
+        assert copy.entries() == 1  # the old code is gone: nothing can ask for it
+        copy.edit(name, new, old)
     assert fallen(copy.run()) == FALLEN["Euler"]
 
 
@@ -155,13 +154,6 @@ def test_process_of_the_old_source_keeps_its_code_to_itself(copy):
     assert fallen(copy.run()) == changed
     assert fallen(finished(process)) == FALLEN["Heun"]  # it goes on as it began
     assert fallen(copy.run(NOW, "Heun")) == {"v": -16.0, "r": -8.0}
-
-
-@pytest.mark.slow
-def test_methods_do_not_share_code(copy):
-    for method in ("Euler", "Heun", "Euler"):
-        assert fallen(copy.run(NOW, method)) == FALLEN[method]
-    assert copy.entries() == 2
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import oracle
 import pytest
-from cases import GRAVITY, LENGTH, PITCH, box, column, joint, slow_but, tilted
+from cases import GRAVITY, LENGTH, PITCH, box, column, integrate, joint, tilted
 
 import lierb
 from lierb.kernels.constraints import acceleration, jacobian
@@ -24,10 +24,9 @@ def test_steady_pendulum_pulls_with_weight_and_centrifugal_force():
     mass, length, omega = 1.3, 0.8, 2.1
     held = lierb.joints.revolute(body_point=(0, 0, length), axis=(0, 1, 0))
     problem = lierb.Problem(lierb.Body(mass, (0.02, 0.02, 0.01)), held, GRAVITY)
-    result = lierb.integrate(
-        problem, twist0=held.twist(omega=(0, omega, 0)), dt=1e-3, t_end=1.0, save_every=50,
-        method="DOP853", record=["state", "multipliers"],
-    )  # fmt: skip
+    result = integrate(
+        problem, twist0=held.twist(omega=(0, omega, 0)), dt=1e-4, t_end=1.0, save_every=500
+    )
     rotations = column(result.errors, "R").reshape(-1, 3, 3)
     rates = column(result.errors, "omega")[:, 1]
     # −λ is the ground's force on the body, in the ground's joint frame
@@ -105,10 +104,7 @@ def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace):
 @pytest.mark.parametrize("name", [name for name in ROWS if name in lierb.joints.JOINTS])
 def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
     problem, twist0 = tilted(name)
-    result = lierb.integrate(
-        problem, twist0=twist0, dt=1e-2, t_end=0.01, save_every=1,
-        record=["multipliers", "reaction"],
-    )  # fmt: skip
+    result = integrate(problem, twist0=twist0, dt=1e-2, t_end=0.01)
     truth = oracle.reference_trajectory(
         name, [0.0], mass=float(problem.body.mass), inertia=problem.body.inertia, twist0=twist0,
         pose0=problem.joint.closed_pose, ground_frame=problem.joint.ground_frame,
@@ -126,10 +122,7 @@ def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
 def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
     """At a state that is far from the start, and in both c-spaces."""
     problem, twist0 = tilted("universal")
-    result = lierb.integrate(
-        problem, twist0=twist0, dt=2e-4, t_end=0.4, save_every=2000, record=["reaction"],
-        cspace=cspace,
-    )  # fmt: skip
+    result = integrate(problem, twist0=twist0, dt=2e-4, t_end=0.4, cspace=cspace)
     truth = oracle.reference_trajectory(
         "universal", [0.4], mass=float(problem.body.mass), inertia=problem.body.inertia,
         twist0=twist0, ground_frame=problem.joint.ground_frame,
@@ -140,6 +133,7 @@ def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
     np.testing.assert_allclose(found, truth.reaction[0], rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_reaction_does_not_depend_on_the_rows():
     """The same hinge, its point held by the ground's axes and by the body's."""
     problem, twist0 = tilted("revolute")
@@ -147,9 +141,9 @@ def test_reaction_does_not_depend_on_the_rows():
     other = lierb.joints.from_rows(["Qtd3", "Qtd1", "Qtd2", "Omega2", "Omega1"], **frames)
     wrenches = []
     for held in (problem.joint, other):
-        run = lierb.integrate(
-            lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3,
-            t_end=0.1, save_every=100, record="reaction", solver="saddle",
+        run = integrate(
+            lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3, t_end=0.1,
+            solver="saddle",
         )  # fmt: skip
         wrenches.append(column(run.errors, "reaction"))
     # rounding of 100 steps
@@ -166,16 +160,17 @@ TWICE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", slow_but(TWICE, "spherical"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TWICE)
 def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
     """Again in other rows, which depend on the first ones: the pivot rule drops them."""
     problem, twist0 = tilted(name)
     frames = {n: getattr(problem.joint, n) for n in ("ground_frame", "body_frame")}
     ends, wrenches = [], []
     for held in (problem.joint, lierb.joints.from_rows(TWICE[name], **frames)):
-        run = lierb.integrate(
+        run = integrate(
             lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3, t_end=0.5,
-            save_every=100, record=["state", "reaction"], solver="saddle",
+            save_every=100, solver="saddle",
         )  # fmt: skip
         assert run.summary["status"].to_pylist() == ["ok"]
         ends.append(column(run.errors, "R"))
@@ -185,6 +180,7 @@ def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
     np.testing.assert_allclose(*wrenches, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_rows_that_drift_apart_are_marked():
     """On SO(3)×R³ rows that say the same come to contradict each other as the joint drifts."""
     problem, twist0 = tilted("spherical")
@@ -204,9 +200,7 @@ def test_rows_given_again_are_left_out():
 
 def test_free_body_feels_no_reaction():
     problem, twist0 = tilted("free")
-    run = lierb.integrate(
-        problem, twist0=twist0, dt=1e-2, t_end=0.02, save_every=1, record=["reaction"]
-    )
+    run = integrate(problem, twist0=twist0, dt=1e-2, t_end=0.02, save_every=1)
     np.testing.assert_array_equal(column(run.errors, "reaction"), 0.0)
     unit = run.errors.schema.field("reaction").metadata[b"unit"]
     assert unit == b"N m, N m, N m, N, N, N"
@@ -243,7 +237,7 @@ def test_mass_scales_out(size):
     heavy = lierb.Body(size * problem.body.mass, size * problem.body.inertia)
     scaled = lierb.Problem(heavy, problem.joint, problem.gravity)
     ends = [
-        column(lierb.integrate(p, twist0=twist0, dt=1e-3, t_end=1.0).summary, "r")
+        column(integrate(p, twist0=twist0, dt=1e-3, t_end=1.0).summary, "r")
         for p in (problem, scaled)
     ]
     # 1000 steps of rounding, amplified about tenfold by the motion

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, column, slow_but, tilted
+from cases import LENGTH, PITCH, column, integrate, slow_but, tilted
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -165,7 +165,7 @@ def random_problems(name, count):
 
 
 def drift(problem, twists, cspace, dt):
-    run = lierb.integrate(problem, twist0=twists, dt=dt, t_end=0.5, cspace=cspace)
+    run = integrate(problem, twist0=twists, dt=dt, t_end=0.5, cspace=cspace)
     assert set(run.summary["status"].to_pylist()) == {"ok"}
     return {
         kind: column(run.summary, f"{kind}_error_max") for kind in ("position", "rotation")
