@@ -9,11 +9,13 @@ import re
 from pathlib import Path
 
 import pytest
+from cases import slow_but
 
 import lierb
 
 ROOT = Path(__file__).parent.parent
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+QUICK = [page for page in PAGES if page.stem != "theory"]  # that one compiles three kernels
 
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
@@ -82,7 +84,7 @@ def test_link_leads_somewhere(page, match):
         assert anchor in _anchors(file)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", slow_but(PAGES, *QUICK), ids=lambda page: page.stem)
 def test_examples_run(page):
     result = doctest.testfile(str(page), module_relative=False, encoding="utf-8")
     assert result.failed == 0

@@ -41,6 +41,7 @@ def run(program, cache):
     return done.stdout.split()
 
 
+@pytest.mark.slow  # two processes, one of which compiles
 def test_warmup_spares_another_process_the_compile(tmp_path):
     assert run(WARM_UP, tmp_path) == ["1", "0"]
     assert run(INTEGRATE, tmp_path) == ["0", "1"]
@@ -88,6 +89,7 @@ def test_warmup_knows_its_names_before_it_compiles(arguments, hint, monkeypatch)
         lierb.warmup(**arguments)
 
 
+@pytest.mark.slow  # four processes, one of which compiles
 def test_info_counts_the_kernels_of_this_version(tmp_path):
     count = "import lierb; print(lierb.info()['cache']['kernels'])"
     assert run(count, tmp_path) == ["0"]

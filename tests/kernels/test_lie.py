@@ -6,6 +6,7 @@ Every entry's error is taken relative to the largest entry of its own 3×3 block
 import numpy as np
 import oracle
 import pytest
+from cases import slow_but
 from oracle import mp
 
 from kernels.samples import (
@@ -25,7 +26,7 @@ from kernels.samples import (
 )
 from lierb.kernels import so3
 
-everywhere = pytest.mark.parametrize("group", GROUPS)
+everywhere = pytest.mark.parametrize("group", slow_but(GROUPS, "so3", "se3"))
 every_number = pytest.mark.parametrize("number_type", NUMBER_TYPES)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import slow_but
 from numba import config, njit
 
 import lierb
@@ -21,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 4, 8)
 
 needs_jit = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="the JIT is off")
-every_group = pytest.mark.parametrize("group", GROUPS)
+every_group = pytest.mark.parametrize("group", slow_but(GROUPS, "so3"))
 every_function = pytest.mark.parametrize("name", SIGNATURES)
 
 # Angles of every branch, in an order that puts them side by side in packs of 2, 4 and 8, and packs
