@@ -1,6 +1,7 @@
 # lierb. `make help` lists the targets; all they need is Python 3.11 to 3.14 and make.
 #
 #   make test ARGS="-k paper -x"    arguments for pytest (ARGS works for demo and bench too)
+#   make test ARGS="-n 0 --pdb"     in one process
 #   make install PYTHON=python3.13  the interpreter for the environment
 #   make test VENV=../lierb-venv    where the environment is
 
@@ -23,8 +24,8 @@ install: $(VENV)/.dev  ## make the environment in .venv, with everything for dev
 demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in results/paper
 	$(BIN)/lierb paper --out results/paper $(ARGS)
 
-test: $(VENV)/.dev  ## run the tests
-	$(BIN)/python -m pytest $(ARGS)
+test: $(VENV)/.dev  ## run the tests, on up to four cores
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
 
 lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/ruff check .

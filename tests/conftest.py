@@ -1,11 +1,49 @@
-"""Fixtures for every test file."""
+"""Ctrl-C in tests, and what pytest-xdist has to know: who compiles what, and where."""
 
 from __future__ import annotations
 
+import os
+import re
 import signal
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
+
+WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+if WORKER:  # before Numba is imported: a cache is locked while anything is compiled for it
+    caches = os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent / "__pycache__" / "numba")
+    os.environ["NUMBA_CACHE_DIR"] = str(Path(caches) / WORKER)
+
+
+# Files whose tests share kernels or fixtures; each of the others is on its own.
+TOGETHER = {
+    "paper": ("paper", "cli", "docs"),
+    "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
+    "groups": ("lie", "lie_arrays", "log", "number_types"),
+}
+BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """One worker for the tests that share kernels."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    from lierb.joints import JOINTS
+
+    class ByKernels(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            if file == "cache":  # each of its tests has a cache of its own
+                return nodeid
+            if file in BY_JOINT:
+                parts = re.split(r"[][-]", nodeid)
+                return next((part for part in parts if part in JOINTS), "spherical")
+            return next((name for name, files in TOGETHER.items() if file in files), file)
+
+    return ByKernels(config, log)
 
 
 @pytest.fixture
