@@ -55,7 +55,7 @@ class Acceleration(NamedTuple):
     singular: Any  # the mark of a singular configuration
 
 
-def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Acceleration:
+def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZERO) -> Acceleration:
     """The saddle point at one state."""
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     in_body_axes = x._replace(is_body_fixed=True)
