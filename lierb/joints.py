@@ -228,7 +228,7 @@ class JointType:
         ground_point : (3,) or (n, 3), m, in the ground frame. Default: its origin.
         axis : (3,) or (n, 3), the body direction of the joint axis e₃. Default: (0, 0, 1).
         slot : (3,), body direction of the slot e₁ at R = I (pin_in_slot only).
-        second_axis : (3,), body direction of e₂ (universal only).
+        second_axis : (3,), body direction of e₂ (universal and hook only).
         pitch : number or (n,), m/rad (screw and helical_planar only).
         length : number or (n,), m, positive (point_on_sphere only).
         body_frame, ground_frame : (4, 4) or (n, 4, 4), instead of points and axes.
@@ -371,6 +371,12 @@ universal = _entry(
     "universal",
     "d1 d2 d3 Q32",
     "Hooke's joint: e₃ on the ground stays perpendicular to e₂ on the body",
+    options=("second_axis",),
+)
+hook = _entry(
+    "hook",
+    "d1 d2 d3 Q23",
+    "Hooke's joint as Müller prints it: e₂ on the ground stays perpendicular to e₃ on the body",
     options=("second_axis",),
 )
 fixed = _entry("fixed", "d1 d2 d3 Omega1 Omega2 Omega3", "does not move")

@@ -223,6 +223,7 @@ JOINT_ROWS: dict[str, str] = {
     "screw": "d1 d2 screw turn1 turn2",
     "planar": "d3 turn1 turn2",
     "universal": "d1 d2 d3 cross32",
+    "hook": "d1 d2 d3 cross23",
     "pin_in_slot": "d2 d3 turn1 turn2",
     "pin_in_slot_body": "slot2 slot3 turn1 turn2",
     "planar_translation": "d3 turn1 turn2 turn3",

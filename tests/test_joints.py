@@ -37,7 +37,7 @@ SUBGROUPS = pytest.mark.parametrize(
 FREEDOMS = {
     "R": 1, "SO(2)": 1, "H_p": 1, "R²": 2, "SO(2)×R": 2, "R³": 3, "SO(3)": 3, "SE(2)": 3,
     "H_p⋉R²": 3, "SO(2)⋉R³": 4, "SE(3)": 6,
-    "universal": 2, "pin_in_slot": 2, "pin_in_slot_body": 2, "fixed": 0,
+    "universal": 2, "hook": 2, "pin_in_slot": 2, "pin_in_slot_body": 2, "fixed": 0,
     "point_on_line": 4, "point_on_plane": 5, "point_on_sphere": 5, "constant_velocity": 2,
 }  # fmt: skip
 
@@ -540,6 +540,7 @@ ROWS = {
     "screw": "d1 d2 screw Omega1 Omega2",
     "planar": "d3 Omega1 Omega2",
     "universal": "d1 d2 d3 Q32",
+    "hook": "d1 d2 d3 Q23",
     "fixed": "d1 d2 d3 Omega1 Omega2 Omega3",
     "planar_translation": "d3 Omega1 Omega2 Omega3",
     "translation": "Omega1 Omega2 Omega3",
@@ -613,9 +614,14 @@ def test_subgroup_motion_keeps_every_row_at_zero(entry, cspace):
         assert rotation_error_squared(joint.rows, x, parameters(joint)) <= (1e-14) ** 2
 
 
-def _hook(rng):
+def _universal(rng):
     about_ground, about_body = rng.uniform(-3, 3, size=2)
     return pose_of(turn_z(about_ground) @ turn_y(about_body), (0, 0, 0))
+
+
+def _hook(rng):
+    about_ground, about_body = rng.uniform(-3, 3, size=2)
+    return pose_of(turn_y(about_ground) @ turn_z(about_body), (0, 0, 0))
 
 
 def _pin(rng):
@@ -647,7 +653,8 @@ def _constant_velocity(rng):
 
 
 MOTIONS = {
-    "universal": _hook,
+    "universal": _universal,
+    "hook": _hook,
     "pin_in_slot": _pin,
     "pin_in_slot_body": _pin_body,
     "point_on_line": _on_line,

@@ -295,6 +295,7 @@ FREE_DIRECTIONS = {
     "screw": "screw",
     "planar": "w3 u1 u2",
     "universal": "w2 w3",
+    "hook": "w2 w3",
     "pin_in_slot": "w3 u1",
     "pin_in_slot_body": "w3 u1",
     "planar_translation": "u1 u2",
@@ -361,7 +362,8 @@ def joint_values(joint, R, r):
     angle = np.arctan2(Q[1, 0], Q[0, 0])
     remainder = d[2] - PITCH * angle
     remainder -= 2 * np.pi * PITCH * round(remainder / (2 * np.pi * PITCH))
-    values = {f"d{i + 1}": d[i] for i in range(3)} | {"screw": remainder, "cross32": Q[2, 1]}
+    values = {f"d{i + 1}": d[i] for i in range(3)} | {"screw": remainder}
+    values |= {"cross32": Q[2, 1], "cross23": Q[1, 2]}
     values |= {f"slot{i + 1}": (Q.T @ d)[i] for i in range(3)}
     values |= {"rod": (d @ d - LENGTH**2) / (2 * LENGTH), "equal": (Q[1, 0] - Q[0, 1]) / 2}
     values |= {"turn1": Q[1, 2], "turn2": Q[0, 2], "turn3": Q[1, 0]}
