@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from lierb import checks, run
+from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
 from lierb.errors import (
     ArgumentError,
@@ -134,7 +134,7 @@ def integrate(
     start = (
         {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
     )
-    inputs = run.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
+    inputs = engine.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
     found_by = _solver(problem, cspace, check, solver)
@@ -152,7 +152,7 @@ def integrate(
         solver=found_by,
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
-    grid = run.Grid(float(dt), steps, *strides)
+    grid = engine.Grid(float(dt), steps, *strides)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
     def check_start(errors: Array, first: int) -> bool:
@@ -173,7 +173,7 @@ def integrate(
             "record": list(recorded), "check": check, "solver": plan.solver,
         },
     )  # fmt: skip
-    output = run.integrate(
+    output = engine.integrate(
         plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
     )
     covers = _energy_of(problem)
@@ -312,21 +312,23 @@ def _energy_of(problem: Problem) -> str:
     return f"{text}; not the work of {', '.join(working)}" if working else text
 
 
-def _summary_table(output: run.Output, metadata: dict[str, Any], covers: str) -> pa.Table:
-    scalars = dict(zip(run.SUMMARY_SCALARS, output.scalars, strict=True))
+def _summary_table(output: engine.Output, metadata: dict[str, Any], covers: str) -> pa.Table:
+    scalars = dict(zip(engine.SUMMARY_SCALARS, output.scalars, strict=True))
     columns = {
         "body": pa.array(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(output.status, STATUS_DICTIONARY),
         "t": pa.array(output.t),
     }
     columns |= {name: pa.array(scalars[name]) for name in SUMMARY_ORDER}
-    columns |= {name: _vectors(a) for name, a in zip(run.STATE_WIDTHS, output.state, strict=True)}
+    columns |= {
+        name: _vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)
+    }
     return _table(columns, metadata, covers)
 
 
 def _errors_table(
-    output: run.Output,
-    grid: run.Grid,
+    output: engine.Output,
+    grid: engine.Grid,
     recorded: tuple[str, ...],
     plan: Plan,
     metadata: dict[str, Any],
@@ -343,7 +345,7 @@ def _errors_table(
     energy = scalars.pop("energy")
     columns |= {name: pa.array(array.reshape(-1)) for name, array in scalars.items()}
     if "state" in recorded:
-        for name, array in zip(run.STATE_WIDTHS, output.states, strict=True):
+        for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
             columns[name] = _vectors(array)
     if "energy" in recorded:
         columns["energy"] = pa.array(energy.reshape(-1))

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lierb.arrays import Array
+from lierb.engine import Inputs
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.constraints import (
     Rows,
@@ -23,7 +24,6 @@ from lierb.kernels.newton_euler import SE3, Body, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
-from lierb.run import Inputs
 
 TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 

@@ -13,6 +13,7 @@ import numba
 import pyarrow as pa
 
 from lierb.api import check_names, integrate
+from lierb.engine import threading_layer
 from lierb.errors import unknown_name
 from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels._jit import cached_kernels
@@ -21,7 +22,6 @@ from lierb.kernels.driver import integrate_blocks
 from lierb.kernels.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.model import Body, Problem
 from lierb.provenance import machine
-from lierb.run import threading_layer
 from lierb.tableaus import ButcherTableau, tableau_of
 
 VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")

@@ -40,7 +40,7 @@ def stop_before_running(monkeypatch):
         for body in range(inputs.shape[1]):
             store_start(plan, inputs, summary, body)
 
-    monkeypatch.setattr(lierb.run, "integrate_blocks", stub)
+    monkeypatch.setattr(lierb.engine, "integrate_blocks", stub)
 
 
 def spherical_top(body=None, joint=None, gravity=(0.0, 0.0, 0.0)):
@@ -567,7 +567,7 @@ def test_twist_is_checked_at_the_given_pose():
 
 
 def test_offender_beyond_the_first_chunk_keeps_its_index(monkeypatch):
-    monkeypatch.setattr(lierb.run, "CHUNK_BODIES", 16)
+    monkeypatch.setattr(lierb.engine, "CHUNK_BODIES", 16)
     count, body = 26, 23
     twists = with_body(np.zeros((count, 6)), (body, 3), 0.1)
     with pytest.raises(TwistError, match=rf"twist0\[{body}\]"):
@@ -588,7 +588,7 @@ BAD_STATES = {
 
 
 def test_check_warn_warns_once_about_a_batch_of_many_chunks(monkeypatch):
-    monkeypatch.setattr(lierb.run, "CHUNK_BODIES", 16)
+    monkeypatch.setattr(lierb.engine, "CHUNK_BODIES", 16)
     loose = np.tile((0, 0, 0, 0, 0, 1.0), (60, 1))
     with pytest.warns(InconsistentStateWarning) as told, pytest.raises(DriverReached):
         integrate(twist0=loose, check="warn")

@@ -115,7 +115,7 @@ def test_threads_are_set_back_after_an_error():
 def test_threads_are_used_in_the_call(monkeypatch):
     seen = []
     monkeypatch.setattr(
-        lierb.run,
+        lierb.engine,
         "integrate_blocks",
         lambda *_: seen.append(numba.get_num_threads()),
     )
@@ -146,7 +146,7 @@ def test_no_number_is_taken_twice():
 
 def long_run(progress, **given):
     """Two chunks of bodies, and several calls of the driver in each."""
-    count = lierb.run.CHUNK_BODIES + 100
+    count = lierb.engine.CHUNK_BODIES + 100
     twists = np.tile(TWISTS[:1], (count, 1))
     return run(twists, t_end=0.1, progress=progress, **given)
 
@@ -155,7 +155,7 @@ def test_progress_rises_to_the_total():
     told = []
     long_run(lambda done, total: told.append((done, total)))
     done, totals = zip(*told, strict=True)
-    assert set(totals) == {(lierb.run.CHUNK_BODIES + 100) * 100}
+    assert set(totals) == {(lierb.engine.CHUNK_BODIES + 100) * 100}
     assert len(done) > 2
     assert all(a < b for a, b in pairwise(done))
     assert done[0] > 0
@@ -171,8 +171,8 @@ def test_progress_of_one_body_ends_at_its_steps():
 def test_progress_changes_no_bit(alone, monkeypatch):
     # a call of the driver for every step, or for all of them at once
     for seconds, first in ((0.0, 1), (60.0, 10**9)):
-        monkeypatch.setattr(lierb.run, "CALL_SECONDS", seconds)
-        monkeypatch.setattr(lierb.run, "FIRST_CALL_BLOCK_STEPS", first)
+        monkeypatch.setattr(lierb.engine, "CALL_SECONDS", seconds)
+        monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", first)
         told = []
         assert bits(run(progress=lambda done, total: told.append(done))) == alone  # noqa: B023
         assert len(told) == (STEPS if seconds == 0.0 else 1)

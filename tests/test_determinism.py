@@ -7,7 +7,7 @@ import pytest
 from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but
 
 import lierb
-from lierb import api, run
+from lierb import api, engine
 from lierb.kernels.driver import NON_FINITE, OK, SINGULAR
 
 STEPS = 50
@@ -106,9 +106,9 @@ def test_bits_do_not_depend_on_sharing_of_parameters(expected):
 
 @pytest.mark.parametrize(("bodies", "block_steps"), [(64, 8), (1000, 1), (17, 10_000)])
 def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch):
-    monkeypatch.setattr(run, "CHUNK_BODIES", bodies)
-    monkeypatch.setattr(run, "FIRST_CALL_BLOCK_STEPS", block_steps)
-    monkeypatch.setattr(run, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr(engine, "CHUNK_BODIES", bodies)
+    monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", block_steps)
+    monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
     np.testing.assert_array_equal(_bits(_run(TWISTS[:100])), expected[:100])
 
 
@@ -135,12 +135,12 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, expected):
     """Fed to the runner directly: the public face lets no NaN in."""
     twists = TWISTS[:17].copy()
     twists[victim, 1] = fault
-    inputs = run.Inputs(_problem(), None, twists, 17)
+    inputs = engine.Inputs(_problem(), None, twists, 17)
     plan = api.Plan(
         api.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
         lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
     )  # fmt: skip
-    output = run.integrate(plan, inputs, run.Grid(1e-2, STEPS, 1, 0))
+    output = engine.integrate(plan, inputs, engine.Grid(1e-2, STEPS, 1, 0))
     others = np.arange(17) != victim
     state = np.concatenate(output.state, axis=1)
     undisturbed = expected[:17, len(SUMMARY) :]

@@ -697,13 +697,13 @@ def test_metadata_names_a_users_tableau(top):
 def kept_output(monkeypatch):
     """The arrays that the driver wrote into, of each run."""
     kept = []
-    original = lierb.api.run.integrate
+    original = lierb.api.engine.integrate
 
     def integrate(*arguments, **named):
         kept.append(original(*arguments, **named))
         return kept[-1]
 
-    monkeypatch.setattr(lierb.api.run, "integrate", integrate)
+    monkeypatch.setattr(lierb.api.engine, "integrate", integrate)
     return kept
 
 
