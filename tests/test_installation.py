@@ -67,6 +67,7 @@ def test_warmup_takes_one_name_for_a_list_of_one():
     assert (kernel.joint, kernel.method, kernel.cspace) == ("spherical", "Euler", "reduced")
 
 
+@pytest.mark.slow
 def test_warmup_takes_a_joint_that_does_not_close_at_rest():
     held = lierb.joints.from_rows(["Q11"])
     (kernel,) = lierb.warmup(held, methods="Euler")

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, column, integrate, slow_but, tilted
+from cases import LENGTH, PITCH, column, integrate, tilted
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -173,7 +173,8 @@ def drift(problem, twists, cspace, dt):
     }, np.abs(column(run.summary, "r")).max(axis=1)
 
 
-@pytest.mark.parametrize("name", slow_but(lierb.joints.JOINTS, "universal"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
 @pytest.mark.parametrize("cspace", CSPACES)
 def test_prediction_agrees_with_the_measured_drift(name, cspace):
     problem, twists, found = random_problems(name, COUNT)
