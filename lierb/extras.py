@@ -4,6 +4,7 @@ from importlib import import_module
 
 EXTRAS = {
     "cli": ("The command line", ("click", "rich")),
+    "scipy": ("Drawing from normal distributions, or by Sobol points,", ("scipy",)),
     "plot": ("Drawing figures", ("matplotlib",)),
 }
 
