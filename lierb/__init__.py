@@ -1,6 +1,6 @@
 """lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
 
-from lierb import bodies, errors, forces, joints, lie
+from lierb import bodies, errors, forces, joints, lie, sampling
 from lierb.api import Result, integrate
 from lierb.elements import constraint, wrench
 from lierb.installation import info, warmup
@@ -25,6 +25,7 @@ __all__ = [
     "joints",
     "lie",
     "predict",
+    "sampling",
     "warmup",
     "where",
     "wrench",
