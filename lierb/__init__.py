@@ -1,14 +1,23 @@
 """lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from lierb import bodies, errors, forces, joints, lie, sampling
 from lierb.api import Result, integrate
 from lierb.elements import constraint, wrench
+from lierb.extras import require
 from lierb.installation import info, warmup
 from lierb.kernels.dual import where
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.provenance import package_version
 from lierb.tableaus import ButcherTableau
+
+if TYPE_CHECKING:
+    from lierb.running import integrate_batches as integrate_batches
+    from lierb.running import run as run
+    from lierb.study import Study as Study
 
 __version__ = package_version()
 __all__ = [
@@ -30,3 +39,13 @@ __all__ = [
     "where",
     "wrench",
 ]
+
+_STUDIES = {"Study": "lierb.study", "integrate_batches": "lierb.running", "run": "lierb.running"}
+
+
+def __getattr__(name: str) -> Any:
+    """What needs `lierb[study]`, imported when it is first asked for."""
+    if name not in _STUDIES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    require("study")
+    return getattr(import_module(_STUDIES[name]), name)

@@ -123,21 +123,19 @@ def integrate(
     """
     if not isinstance(problem, Problem):
         raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
-    check_names(cspace=cspace, update=update, check=check, solver=solver)
-    recorded = _checked_record(record, save_every)
-    tableau = tableau_of(method)
+    recorded, tableau, steps, found_by = check_options(
+        problem, dt=dt, t_end=t_end, method=method, cspace=cspace, update=update,
+        save_every=save_every, measure_every=measure_every, record=record, check=check,
+        solver=solver,
+    )  # fmt: skip
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
-    steps = _checked_grid(dt, t_end, save_every, measure_every)
     twists = as_numbers("twist0", twist0, (6,), copy=None)
     poses = None if pose0 is None else as_poses("pose0", pose0, copy=None)
     start = (
         {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
     )
     inputs = engine.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
-    if cspace == "SO3xR3":
-        checks.require_central_com(problem)
-    found_by = _solver(problem, cspace, check, solver)
     rows = problem.rows
     plan = Plan(
         lanes=block_lanes(DEFAULT_LANES, found_by, len(rows), tableau.stages),
@@ -184,6 +182,30 @@ def integrate(
 
 
 # ---- arguments ---------------------------------------------------------------------------------
+
+
+def check_options(
+    problem: Problem,
+    *,
+    dt: float,
+    t_end: float,
+    method: str | ButcherTableau,
+    cspace: str,
+    update: str,
+    save_every: int | None,
+    measure_every: int,
+    record: Iterable[str],
+    check: str = "raise",
+    solver: str = "auto",
+) -> tuple[tuple[str, ...], ButcherTableau, int, str]:
+    """Raise what `integrate` would; columns to record, method, steps and the plan's solver."""
+    check_names(cspace=cspace, update=update, check=check, solver=solver)
+    recorded = _checked_record(record, save_every)
+    tableau = tableau_of(method)
+    steps = _checked_grid(dt, t_end, save_every, measure_every)
+    if cspace == "SO3xR3":
+        checks.require_central_com(problem)
+    return recorded, tableau, steps, _solver(problem, cspace, check, solver)
 
 
 CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver": SOLVER_NAMES}

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lierb.errors import LierbError
-from lierb.extras import MissingExtraError
+from lierb.extras import MissingExtraError, require
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from lierb.dataset import Dataset
     from lierb.paper import Finding, PaperReport
 
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it
@@ -173,6 +174,133 @@ def warmup(
         name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
         click.echo(f"{name:40}{kernel.seconds:6.2f} s")
     click.echo(f"{len(kernels)} kernels are ready in {lierb.info()['cache']['folder']}")
+
+
+STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+
+
+@cli.command()
+@STUDY
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the results.  [default: results/NAME]",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
+@click.option("--threads", type=click.IntRange(min=1), help="Threads to use.  [default: all]")
+@click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
+def run(study: Path, out: Path | None, resume: bool, threads: int | None, only: int | None) -> None:
+    """Run a Monte Carlo STUDY, a TOML file, into a folder of Parquet parts.
+
+    A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
+    """
+    require("study")
+    from lierb.running import run as run_study
+
+    folder = out or Path("results") / study.stem
+    if only is not None:
+        _replay(study, folder, only, threads)
+        return
+    try:
+        with _body_steps() as progress:
+            dataset = run_study(study, folder, resume=resume, threads=threads, progress=progress)
+    except KeyboardInterrupt:
+        click.echo(
+            f"\nStopped. Finished parts are kept; go on with:  lierb run {study} --resume", err=True
+        )
+        raise click.exceptions.Exit(INTERRUPTED) from None
+    _show(dataset)
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def show(folder: Path) -> None:
+    """The summary of a study's results in FOLDER, finished or not."""
+    require("study")
+    from lierb.dataset import Dataset
+
+    dataset = Dataset(folder)
+    dataset.read()
+    _show(dataset)
+
+
+@cli.command()
+@STUDY
+def predict(study: Path) -> None:
+    """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
+
+    Of its first body: where the joint is on the body can make a difference.
+    """
+    require("study")
+    import lierb
+    from lierb.study import Study
+
+    batch = Study.load(study).batch(0, 1)
+    found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
+    click.echo(str(found))
+    for prediction in found.values():
+        click.echo(_wrapped(f"{prediction.cspace}: {prediction.reason}"))
+
+
+def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
+    """One body's history in files of its own, and its row of the summary."""
+    import pyarrow.parquet as pq
+
+    from lierb.running import replay
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (setting, tables) in enumerate(replay(study, body, threads=threads)):
+        path = folder / f"body-{body}-{number:02d}.parquet"
+        pq.write_table(tables["errors"], path)
+        (row,) = tables["summary"].to_pylist()
+        click.echo(f"{setting.label}: {row['status']}, history in {path}")
+        for name, value in row.items():
+            if isinstance(value, float):
+                click.echo(f"  {name:28}{value!r}")
+
+
+def _show(dataset: Dataset) -> None:
+    from rich.console import Console
+
+    from lierb.findings import findings, table_of
+
+    console = Console(highlight=False)
+    shown = table_of(findings(dataset))
+    console.width = max(console.width, Console(width=1000).measure(shown).maximum)
+    console.print(shown)
+    done, asked = len(dataset.parts), dataset.manifest["asked"]
+    state = "" if done == asked else "; the rest with: lierb run STUDY --resume"
+    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+
+
+@contextmanager
+def _body_steps() -> Iterator[Callable[[int, int], None] | None]:
+    """A bar of body-steps on standard error, with their rate and the time left."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield None
+        return
+    columns = (
+        BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None, rate="")
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+            speed = bar.tasks[0].speed
+            if speed:
+                bar.update(task, rate=f"{speed / 1e6:.1f} M body-steps/s")
+
+        yield show
 
 
 @contextmanager

@@ -34,6 +34,10 @@ class TwistError(LierbError):
     """A twist that violates the joint."""
 
 
+class StudyError(LierbError):
+    """A study that cannot be run, or results that are not its own."""
+
+
 class TimeGridError(LierbError):
     """dt, t_end, save_every or measure_every that make no grid."""
 

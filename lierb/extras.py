@@ -6,6 +6,7 @@ EXTRAS = {
     "cli": ("The command line", ("click", "rich")),
     "scipy": ("Drawing from normal distributions, or by Sobol points,", ("scipy",)),
     "plot": ("Drawing figures", ("matplotlib",)),
+    "study": ("Running studies", ("pydantic", "scipy", "tomli_w")),
 }
 
 

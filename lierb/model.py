@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -185,6 +185,30 @@ class Problem:
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
+
+    def of_body(self, body: int) -> Problem:
+        """The problem of one body of the batch."""
+
+        def own(array: Array, item_axes: int = 0) -> Array:
+            if array.ndim == item_axes:
+                return array
+            return np.asarray(array[body] if len(array) > 1 else array[0])
+
+        held = self.joint
+        one = replace(
+            held, ground_frame=own(held.ground_frame, 2), body_frame=own(held.body_frame, 2),
+            pitch=own(held.pitch), length=own(held.length),
+        )  # fmt: skip
+        mass = Body(own(self.body.mass), own(self.body.inertia, 2), own(self.body.com, 1))
+
+        def element(of: Element) -> Any:
+            given = {n: own(a, len(of.kind.shapes[n])) for n, a in of.parameters.items()}
+            return replace(of, parameters=given)
+
+        return Problem(
+            mass, one, own(self.gravity, 1),
+            [element(e) for e in self.forces], [element(e) for e in self.constraints],
+        )  # fmt: skip
 
     @property
     def elements(self) -> tuple[Element, ...]:

@@ -1,0 +1,155 @@
+"""A study's results on the disk: Parquet parts, entered in a manifest once they are safe there.
+
+    DIR/study.toml            as it was run
+    DIR/manifest.json         digest of the study, versions, every finished part with its checksums
+    DIR/summary/part-*.parquet, DIR/errors/part-*.parquet
+
+A file is written under another name, synced, renamed, and then entered; a process may die at any
+moment. What is not in the manifest does not count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+from filelock import FileLock, Timeout
+
+from lierb.errors import StudyError
+from lierb.provenance import machine
+
+MANIFEST = "manifest.json"
+STUDY = "study.toml"
+TABLES = ("summary", "errors")
+TEMPORARY = ".unfinished"
+
+
+class Dataset:
+    """The folder of one study's results."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        self.manifest: dict[str, Any] = {}
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """The finished parts by name."""
+        found: dict[str, Any] = self.manifest.get("parts", {})
+        return found
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else writes to the folder meanwhile; the lock goes with its process."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self.folder / ".lock")
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise StudyError(f"{self.folder} is being written by another run") from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def exists(self) -> bool:
+        return (self.folder / MANIFEST).exists()
+
+    def read(self) -> None:
+        """Read the manifest. Raises StudyError where there is none, or no more of one."""
+        path = self.folder / MANIFEST
+        try:
+            self.manifest = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise StudyError(f"{self.folder} holds no results of a study") from None
+        except json.JSONDecodeError as error:
+            raise StudyError(f"{path} is damaged ({error}); delete the folder") from None
+
+    def begin(self, digest: str, study: dict[str, Any], text: str, asked: int) -> None:
+        """Start the folder of a study of so many parts."""
+        self.write(STUDY, text.encode())
+        self.manifest = {
+            "format": 1, "digest": digest, "study": study, "machine": machine(), "asked": asked,
+            "parts": {},
+        }  # fmt: skip
+        self._enter()
+
+    def add(self, part: str, tables: dict[str, pa.Table], compression: str) -> None:
+        """Write a part's tables and enter them."""
+        files = {}
+        for name, table in tables.items():
+            path = f"{name}/part-{part}.parquet"
+            sink = pa.BufferOutputStream()
+            pq.write_table(table, sink, compression=compression)
+            content = sink.getvalue()
+            self.write(path, content)
+            digest = hashlib.sha256(content).hexdigest()
+            files[path] = {"rows": table.num_rows, "sha256": digest}
+        self.parts[part] = files
+        self._enter()
+
+    def _enter(self) -> None:
+        self.manifest["parts"] = dict(sorted(self.parts.items()))
+        self.write(MANIFEST, (json.dumps(self.manifest, indent=1) + "\n").encode())
+
+    def write(self, name: str, content: Any) -> None:
+        """A file with that content, or none: never half of it."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished = path.with_name(path.name + TEMPORARY)
+        try:
+            with unfinished.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(path)
+        except BaseException:
+            unfinished.unlink(missing_ok=True)
+            raise
+        _sync(path.parent)
+
+    def drop_damaged(self) -> list[str]:
+        """Forget parts whose files are not what was entered, and what was left unfinished."""
+        damaged = [part for part, files in self.parts.items() if not self._is_whole(files)]
+        for part in damaged:
+            del self.parts[part]
+        for leftover in self.folder.rglob(f"*{TEMPORARY}"):
+            leftover.unlink(missing_ok=True)
+        if damaged:
+            self._enter()
+        return damaged
+
+    def _is_whole(self, files: dict[str, Any]) -> bool:
+        for name, entry in files.items():
+            try:
+                with (self.folder / name).open("rb") as file:
+                    if hashlib.file_digest(file, "sha256").hexdigest() != entry["sha256"]:
+                        return False
+            except FileNotFoundError:
+                return False
+        return True
+
+    def table(self, name: str = "summary") -> ds.Dataset:
+        """The finished parts of a table, as an Arrow dataset."""
+        paths = [str(self.folder / file) for files in self.parts.values() for file in files]
+        chosen = [path for path in paths if Path(path).parent.name == name]
+        if not chosen:
+            raise StudyError(f"{self.folder} has no finished part with {name}")
+        return ds.dataset(chosen, format="parquet")
+
+
+def _sync(folder: Path) -> None:
+    """Make renames in a folder last, where the system lets one."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

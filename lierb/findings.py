@@ -1,0 +1,102 @@
+"""What a study found, setting by setting: quantiles of the errors, failures, observed orders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from lierb.arrays import Array
+from lierb.convergence import Order, observed_order
+from lierb.dataset import Dataset
+from lierb.study import Setting, Study
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+ERRORS = {"position": "position_error_max", "rotation": "rotation_error_max"} | {
+    "energy": "energy_drift_max"
+}
+LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
+QUANTILES = (0.5, 0.95, 1.0)
+
+
+@dataclass(frozen=True)
+class Found:
+    """One setting of a study.
+
+    bodies : finished ones.   failed : those of them whose status is not ok.
+    quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok.
+    """
+
+    setting: Setting
+    bodies: int
+    failed: int
+    quantiles: dict[str, Array]
+
+
+def findings(dataset: Dataset) -> list[Found]:
+    """What the finished parts say, setting by setting."""
+    study = Study.model_validate(dataset.manifest["study"])
+    return [_found(dataset, setting) for setting in study.settings]
+
+
+def _found(dataset: Dataset, setting: Setting) -> Found:
+    names = ["status", *ERRORS.values()]
+    wanted = (
+        (pc.field("cspace") == setting.cspace)
+        & (pc.field("method") == setting.method)
+        & (pc.field("dt") == setting.dt)
+    )
+    rows: pa.Table = dataset.table("summary").to_table(columns=names, filter=wanted)
+    ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
+    quantiles = {
+        kind: np.quantile(rows[name].to_numpy()[ok], QUANTILES, method="inverted_cdf")
+        if ok.any()
+        else np.full(len(QUANTILES), np.nan)
+        for kind, name in ERRORS.items()
+    }
+    return Found(setting, len(ok), int((~ok).sum()), quantiles)
+
+
+def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
+    """Observed orders of the medians over all dt of a c-space and method."""
+    same = [
+        f for f in found
+        if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)
+    ]  # fmt: skip
+    dts = [f.setting.dt for f in same]
+    if len(set(dts)) < 2:
+        return dict.fromkeys(ERRORS)
+    return {kind: observed_order(dts, [f.quantiles[kind][0] for f in same]) for kind in ERRORS}
+
+
+def table_of(found: list[Found]) -> Table:
+    """For a terminal."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    for column in ("c-space", "method", "dt/s", "bodies", "failed", "largest error of"):
+        table.add_column(column, no_wrap=True)
+    for column in (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"):
+        table.add_column(column, no_wrap=True, justify="right")
+    for each in found:
+        seen, setting = orders(found, each), each.setting
+        heads = [
+            setting.cspace,
+            setting.method,
+            f"{setting.dt:g}",
+            str(each.bodies),
+            str(each.failed),
+        ]
+        for kind, label in LABELS.items():
+            quantiles = [f"{x:.1e}" if x else "0" for x in each.quantiles[kind]]
+            order = "" if seen[kind] is None else str(seen[kind])
+            table.add_row(*heads, label, *quantiles, order)
+            heads = [""] * len(heads)
+        table.add_section()
+    return table

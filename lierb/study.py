@@ -1,0 +1,525 @@
+"""Studies: a Monte Carlo run described by a TOML file, or by the same as Python objects.
+
+    [body]         mass, inertia, com; or solid = "box" … with its size and density
+    [joint]        type and frames, as `lierb.joints` takes them
+    [problem]      gravity, forces
+    [initial]      omega, point_velocity, twist, velocities; coordinates, rotation, place
+    [sample]       n, seed, method; and for each sampled quantity a table [sample.SECTION.KEY]
+    [integrate]    cspace, method, dt: one value or several, run as a product; t_end, record, …
+    [output]       bodies in a part, compression
+
+A file is checked as a whole before anything runs; what is wrong is named with its line and key.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    ValidationError,
+)
+
+from lierb import api, bodies, forces, joints, sampling
+from lierb.arrays import Array, Pose, assembled, components, pose_components, pose_matrix
+from lierb.elements import Force
+from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
+from lierb.joints import Joint
+from lierb.kernels import se3
+from lierb.kernels.newton_euler import SE3
+from lierb.kernels.subgroup import lifted, slots_of
+from lierb.model import Body, Problem
+from lierb.sampling import Design, inertia_of
+
+PREVIEW = 8  # bodies that are made when a study is checked
+Numbers = float | list[float] | list[list[float]]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+class Section(BaseModel):
+    """A table of the file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def given(self) -> dict[str, Any]:
+        """What is set in it."""
+        return {k: v for k, v in self.model_dump().items() if v is not None}
+
+
+class BodySection(Section):
+    """Mass properties, or a homogeneous solid of `lierb.bodies`."""
+
+    solid: Literal["box", "cylinder", "rod", "sphere"] | None = None
+    mass: float | None = None
+    inertia: Numbers | None = None
+    second_moments: Vector | None = None
+    com: Vector | None = None
+    size: Vector | None = None
+    radius: float | None = None
+    length: float | None = None
+    density: float | None = None
+
+    def make(self, sampled: dict[str, Array]) -> Body:
+        values = self.given() | sampled
+        if "second_moments" in values:
+            if "inertia" in values:
+                raise ArgumentError("give inertia or second_moments, not both")
+            values["inertia"] = inertia_of(values.pop("second_moments"))
+        solid = values.pop("solid", None)
+        made: Body = _called("body", Body if solid is None else getattr(bodies, solid), values)
+        return made
+
+
+class JointSection(Section):
+    """A joint of the catalogue, or `type = "from_rows"` with its rows."""
+
+    type: str
+    rows: list[str] | None = None
+    body_point: Vector | None = None
+    ground_point: Vector | None = None
+    axis: Vector | None = None
+    slot: Vector | None = None
+    second_axis: Vector | None = None
+    pitch: float | None = None
+    length: float | None = None
+    body_frame: list[list[float]] | None = None
+    ground_frame: list[list[float]] | None = None
+
+    def make(self, sampled: dict[str, Array]) -> Joint:
+        values = self.given() | sampled
+        name = values.pop("type")
+        if name not in joints.JOINTS and name != "from_rows":
+            raise unknown_name("type", name, (*joints.JOINTS, "from_rows"))
+        make = joints.from_rows if name == "from_rows" else joints.JOINTS[name]
+        made: Joint = _called("joint", make, values)
+        return made
+
+
+class ForceSection(BaseModel):
+    """A force of `lierb.forces`, with its parameters; `name` if there are several of a type."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    type: Literal["constant_wrench", "spring_damper", "torsional_spring", "drag", "motor"]
+    name: str | None = None
+
+    @property
+    def label(self) -> str:
+        return self.name or self.type
+
+    def make(self, sampled: dict[str, Array]) -> Force:
+        values = dict(self.model_extra or {}) | sampled
+        made: Force = _called(f"forces.{self.label}", getattr(forces, self.type), values)
+        return made
+
+
+class ProblemSection(Section):
+    gravity: Vector = [0.0, 0.0, 0.0]
+    forces: list[ForceSection] = []
+
+
+class InitialSection(Section):
+    """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
+
+    velocities, coordinates : of the joint, in the order of `Joint.coordinate_names`.
+    rotation, place : the body's joint frame seen from the ground's, 3×3 and m.
+    """
+
+    omega: Vector | None = None
+    point_velocity: Vector | None = None
+    twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+    velocities: list[float] | None = None
+    coordinates: list[float] | None = None
+    rotation: list[Vector] | None = None
+    place: Vector | None = None
+
+
+class SampleSection(BaseModel):
+    """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    n: PositiveInt | None = None
+    seed: NonNegativeInt = 0
+    method: Literal["random", "sobol", "grid"] = "random"
+    body: dict[str, Any] = {}
+    joint: dict[str, Any] = {}
+    problem: dict[str, Any] = {}
+    forces: dict[str, dict[str, Any]] = {}
+    initial: dict[str, Any] = {}
+
+    def quantities(self) -> dict[str, Any]:
+        """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
+        tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
+        tables |= {f"forces.{name}": table for name, table in self.forces.items()}
+        return {
+            f"{section}.{key}": _distribution(f"sample.{section}.{key}", value)
+            for section, table in tables.items()
+            for key, value in table.items()
+        }
+
+
+Several = BeforeValidator(_as_list)
+
+
+class IntegrateSection(Section):
+    """As `lierb.integrate` takes it; cspace, method and dt may be lists, run as a product."""
+
+    t_end: float
+    dt: Annotated[list[float], Several] = Field(min_length=1)
+    cspace: Annotated[list[str], Several] = Field(default=["SE3"], min_length=1)
+    method: Annotated[list[str], Several] = Field(default=["RK4"], min_length=1)
+    update: str = "local"
+    solver: str = "auto"
+    save_every: PositiveInt | None = None
+    measure_every: PositiveInt = 1
+    record: list[str] = []
+
+
+class OutputSection(Section):
+    part: PositiveInt = 16384  # bodies
+    compression: Literal["none", "snappy", "zstd"] = "snappy"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One of the runs that a study's lists multiply out to."""
+
+    cspace: str
+    method: str
+    dt: float
+
+    @property
+    def label(self) -> str:
+        return f"{self.cspace}, {self.method}, dt = {self.dt:g} s"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some bodies of a study, ready for `lierb.integrate`."""
+
+    problem: Problem
+    twist0: Array
+    pose0: Array | None
+    draws: dict[str, Array]
+
+
+class Study(Section):
+    """A study, checked when it is made; see the module for its tables.
+
+    Raises StudyError (a ValueError) that names what is wrong.
+    """
+
+    name: str = "study"
+    body: BodySection
+    joint: JointSection
+    problem: ProblemSection = ProblemSection()
+    initial: InitialSection = InitialSection()
+    sample: SampleSection = SampleSection(n=1)
+    integrate: IntegrateSection
+    output: OutputSection = OutputSection()
+
+    @classmethod
+    def of(cls, tables: dict[str, Any], source: str = "study", text: str = "") -> Study:
+        """A study from the tables of its file; `source` and `text` are for messages."""
+        try:
+            study = cls.model_validate(tables)
+            study.check()
+        except ValidationError as error:
+            lines = [_message(e, tables, source, text) for e in error.errors()]
+            raise StudyError("\n".join(dict.fromkeys(lines))) from None
+        except StudyError as error:
+            raise StudyError(_located(str(error), source, text)) from None
+        return study
+
+    @classmethod
+    def load(cls, path: str | Path) -> Study:
+        """A study from its TOML file. Raises StudyError, or OSError where there is no file."""
+        path = Path(path)
+        text = path.read_text(encoding="utf-8")
+        try:
+            tables = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise StudyError(f"{path.name}: {error}") from None
+        return cls.of({"name": path.stem} | tables, path.name, text)
+
+    def check(self) -> None:
+        """Make the first bodies, and look at every setting, as a run will."""
+        with _at("sample"):
+            design = self.design
+        batch = self.batch(0, min(PREVIEW, len(design)))
+        for setting in self.settings:
+            with _at("integrate"):
+                api.check_options(batch.problem, **self.options(setting))
+
+    @property
+    def design(self) -> Design:
+        quantities = self.sample.quantities()
+        return Design(quantities, n=self.sample.n, seed=self.sample.seed, method=self.sample.method)
+
+    @property
+    def settings(self) -> list[Setting]:
+        run = self.integrate
+        return [Setting(*each) for each in product(run.cspace, run.method, run.dt)]
+
+    def options(self, setting: Setting) -> dict[str, Any]:
+        """What `lierb.integrate` is called with, beside the batch."""
+        run = self.integrate
+        return {
+            "cspace": setting.cspace, "method": setting.method, "dt": setting.dt,
+            "t_end": run.t_end, "update": run.update, "solver": run.solver,
+            "save_every": run.save_every, "measure_every": run.measure_every,
+            "record": tuple(run.record),
+        }  # fmt: skip
+
+    def batch(self, first: int, count: int, design: Design | None = None) -> Batch:
+        """Bodies first … first + count, made and started."""
+        draws = (design or self.design).draw(first, count)
+        own: dict[str, dict[str, Array]] = {}
+        for path, values in draws.items():
+            section, _, key = path.rpartition(".")
+            own.setdefault(section, {})[key] = values
+        with _at("body"):
+            body = self.body.make(own.pop("body", {}))
+        with _at("joint"):
+            joint = self.joint.make(own.pop("joint", {}))
+        acting = []
+        for force in self.problem.forces:
+            with _at("problem.forces"):
+                acting.append(force.make(own.pop(f"forces.{force.label}", {})))
+        with _at("problem"):
+            gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
+            problem = Problem(body, joint, gravity, acting)
+        with _at("initial"):
+            twist0, pose0 = _started(problem, self.initial.given() | own.pop("initial", {}))
+        if own:
+            names = [force.label for force in self.problem.forces]
+            raise StudyError(f"sample.{next(iter(own))}: there is no such force; known: {names}")
+        if twist0.ndim == 1:
+            twist0 = np.broadcast_to(twist0, (count, 6))
+        return Batch(problem, twist0, pose0, draws)
+
+    def to_toml(self) -> str:
+        """The text of a file that says the same."""
+        tables = self.model_dump(exclude_none=True, exclude_defaults=True)
+        return tomli_w.dumps(tables)
+
+    def digest(self) -> str:
+        """Of everything that the results depend on."""
+        text = json.dumps(self.model_dump(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _started(problem: Problem, initial: dict[str, Any]) -> tuple[Array, Array | None]:
+    """Twists and poses that satisfy the joint."""
+    joint = problem.joint
+    pose = _placed(joint, initial)
+    kinds = [k for k in ("omega", "twist", "velocities") if k in initial]
+    if len(kinds) > 1 or ("point_velocity" in initial and kinds not in ([], ["omega"])):
+        raise ArgumentError("give omega and point_velocity, or twist, or velocities")
+    if "velocities" in initial:
+        rates = np.asarray(initial["velocities"], dtype=float)
+        if rates.shape[-1] != len(joint.coordinate_names):
+            names = ", ".join(joint.coordinate_names)
+            raise ArgumentError(
+                f"velocities has {rates.shape[-1]} numbers; expected the rates of {names}"
+            )
+        velocity = lifted(slots_of(joint.rows), components(rates), joint.pitch)
+        _, body_twist = SE3.to_user_axes(problem.parameters(), se3.identity, velocity)
+        return assembled(body_twist), pose
+    if "twist" in initial:
+        return problem.project(initial["twist"], pose), pose
+    turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
+    twist = joint.twist(pose=pose, **turning)
+    held = {row.kind for row in problem.rows}
+    allowed = not held or (
+        held == {"d"} and len(problem.rows) == 3 and "point_velocity" not in turning
+    )
+    return twist if allowed else problem.project(twist, pose), pose
+
+
+def _placed(joint: Joint, initial: dict[str, Any]) -> Array | None:
+    """The poses that coordinates, or rotation and place, give; None for the closed joint."""
+    placed = [k for k in ("rotation", "place") if k in initial]
+    if "coordinates" in initial:
+        if placed:
+            raise ArgumentError(f"give coordinates or {placed[0]}, not both")
+        return joint.pose(initial["coordinates"])
+    if not placed:
+        return None
+    turn = np.asarray(initial.get("rotation", np.eye(3)), dtype=float)
+    place = np.asarray(initial.get("place", (0.0, 0.0, 0.0)), dtype=float)
+    ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
+    relative: Pose = components(turn, 2), components(place)
+    return pose_matrix(se3.compose(se3.compose(ground, relative), se3.inverse(body)))
+
+
+# ---- distributions -----------------------------------------------------------------------------
+
+DISTRIBUTIONS = {
+    "normal": sampling.Normal,
+    "uniform": sampling.Uniform,
+    "truncated_normal": sampling.TruncatedNormal,
+    "log_normal": sampling.LogNormal,
+    "direction": sampling.Direction,
+    "rotation": sampling.Rotation,
+    "values": sampling.Values,
+}
+
+
+def _distribution(key: str, value: Any) -> Any:
+    """A distribution from its table; numbers and lists are constants."""
+    if not isinstance(value, dict):
+        return value
+    options = dict(value)
+    name = options.pop("distribution", None)
+    if name is None:
+        raise StudyError(f'{key}: needs distribution = "…", one of {", ".join(DISTRIBUTIONS)}')
+    if name not in DISTRIBUTIONS:
+        raise StudyError(f"{key}.distribution: {unknown_name('it', name, DISTRIBUTIONS)}")
+    if isinstance(options.get("length"), dict):
+        options["length"] = _distribution(f"{key}.length", options["length"])
+    return _called(key, DISTRIBUTIONS[name], options)
+
+
+# ---- messages ----------------------------------------------------------------------------------
+
+
+class _at:
+    """Errors in the block are those of a table of the file."""
+
+    def __init__(self, table: str) -> None:
+        self.table = table
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, _kind: Any, error: Any, _traceback: Any) -> None:
+        if isinstance(error, LierbError) and not isinstance(error, StudyError):
+            raise StudyError(f"{self.table}: {error}") from None
+
+
+def _called(table: str, function: Any, values: dict[str, Any]) -> Any:
+    """function(**values), where a key that it does not take is named."""
+    signature = inspect.signature(function)
+    known = [n for n, p in signature.parameters.items() if p.kind is not p.VAR_KEYWORD]
+    for name in values:
+        if name not in known:
+            raise StudyError(f"{table}.{name}: unknown key{_suggestion(name, known)}")
+    try:
+        signature.bind(**values)
+    except TypeError as error:
+        raise StudyError(f"{table}: {error}") from None
+    return function(**values)
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+
+
+def _message(error: Any, tables: dict[str, Any], source: str, text: str) -> str:
+    """One of pydantic's errors as a line: where, key, what, got."""
+    path = tuple(error["loc"])
+    while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
+        path = path[:-1]  # pydantic adds the names of the alternatives that it tried
+    key = ".".join(map(str, path))
+    what = error["msg"][0].lower() + error["msg"][1:]
+    if error["type"] == "extra_forbidden":
+        what = "unknown key" + _suggestion(str(path[-1]), _fields_at(path[:-1]))
+    elif error["type"] == "missing":
+        what = "is missing"
+    elif not isinstance(error["input"], dict):
+        what += f", got {error['input']!r}"
+    return f"{_place(path, source, text)}: {key}: {what}"
+
+
+def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
+    for part in path:
+        try:
+            tables = tables[part]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
+
+
+def _fields_at(path: tuple[Any, ...]) -> list[str]:
+    model: Any = Study
+    for part in path:
+        field = model.model_fields.get(part) if isinstance(part, str) else None
+        model = field.annotation if field else Section
+        if not (inspect.isclass(model) and issubclass(model, BaseModel)):
+            return []
+    return list(model.model_fields)
+
+
+def _located(message: str, source: str, text: str) -> str:
+    """`table.key: what` with the line before it."""
+    key = message.partition(":")[0]
+    return f"{_place(tuple(key.split('.')), source, text)}: {message}"
+
+
+def _place(path: tuple[Any, ...], source: str, text: str) -> str:
+    line = line_of(text, path)
+    return f"{source}:{line}" if line else source
+
+
+def line_of(text: str, path: tuple[Any, ...]) -> int | None:
+    """The line of a TOML text where a key, or the nearest table around it, is."""
+    names = [part for part in path if isinstance(part, str)]
+    best: tuple[int, int] | None = None  # parts that agree, line
+    table: list[str] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        found = _parts_of(line, table)
+        if found is None:
+            continue
+        if line.lstrip().startswith("["):
+            table = found
+        agree = len(found) if found == names[: len(found)] else 0
+        if agree and (best is None or agree > best[0]):
+            best = agree, number
+    return best[1] if best else None
+
+
+def _parts_of(line: str, table: list[str]) -> list[str] | None:
+    """The path that a line of TOML sets: a table's, or a key's in the table."""
+    stripped = line.strip()
+    if stripped.startswith("["):
+        return [part.strip(" \"'") for part in stripped.strip("[]").split("]")[0].split(".")]
+    key, equals, _ = stripped.partition("=")
+    if not equals or stripped.startswith("#"):
+        return None
+    return table + [part.strip(" \"'") for part in key.split(".")]
+
+
+def tables_of(study: Study) -> Iterator[tuple[str, Any]]:
+    """Every setting by its path, to compare two studies."""
+
+    def walk(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                yield from walk(f"{path}.{key}" if path else key, inner)
+        else:
+            yield path, value
+
+    return walk("", study.model_dump())

@@ -1,0 +1,412 @@
+"""Studies: their files, and runs that stream, stop and go on."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import errno
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pyarrow.dataset as ds
+import pytest
+from cases import column
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import lierb
+from lierb import dataset as dataset_module
+from lierb.dataset import Dataset
+from lierb.errors import StudyError
+from lierb.running import parts_of, replay
+from lierb.study import Study, line_of
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
+TEXT = """\
+[body]
+mass = 6.075
+inertia = [0.0126563, 0.0468281, 0.0569531]
+
+[joint]
+type = "spherical"
+body_point = [-0.15, 0.0375, 0.0]
+
+[problem]
+gravity = [0.0, 0.0, -9.81]
+
+[[problem.forces]]
+type = "drag"
+linear = 0.1
+
+[sample]
+n = 50
+seed = 3
+
+[sample.initial.omega]
+distribution = "normal"
+mean = [6.28, 3.14, 0.63]
+std = 0.5
+
+[sample.body.mass]
+distribution = "uniform"
+low = 5.0
+high = 7.0
+
+[sample.forces.drag.linear]
+distribution = "uniform"
+low = 0.0
+high = 0.2
+
+[integrate]
+cspace = ["SE3", "SO3xR3"]
+dt = [1e-3, 2e-3]
+t_end = 0.05
+
+[output]
+part = 8
+"""
+PARTS = 2 * 2 * 7
+
+
+def study(**changes) -> Study:
+    """The study of TEXT with some tables changed: `sample={"seed": 4}`."""
+    tables = tomllib.loads(TEXT)
+    for name, values in changes.items():
+        tables[name] = tables.get(name, {}) | values
+    return Study.of(tables)
+
+
+def sorted_rows(folder, name="summary") -> list[dict]:
+    """A table's rows, by setting and body."""
+    found = Dataset(folder)
+    found.read()
+    rows = found.table(name).to_table().to_pylist()
+    return sorted(rows, key=lambda row: (row["cspace"], row["dt"], row["body"]))
+
+
+def bits(folder, name="summary") -> dict:
+    """Every column of a table, sorted by setting and body, as bytes."""
+    rows = sorted_rows(folder, name)
+    return {column: np.array([row[column] for row in rows]).tobytes() for column in rows[0]}
+
+
+def hashes(folder) -> dict:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The study run without a break."""
+    folder = tmp_path_factory.mktemp("whole") / "out"
+    lierb.run(study(), folder)
+    return folder
+
+
+# ---- files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_example_is_a_study(path):
+    loaded = Study.load(path)
+    assert loaded.name == path.stem
+    assert Study.of(tomllib.loads(loaded.to_toml())) == loaded
+
+
+LOW, HIGH = "low = 5.0", "high = 7.0"
+DOWN, SLIGHTLY = "low = [0, 0, -9]", "high = [0, 0, -8]"
+WRONG = {
+    "syntax": ([("mass = 6.075", "mass = ")], "s.toml: Invalid value (at line 2"),
+    "key": ([("t_end", "tend")], "s.toml:38: integrate.tend: unknown key; did you mean t_end?"),
+    "missing": ([("t_end = 0.05", "")], "s.toml:35: integrate.t_end: is missing"),
+    "table": ([("[joint]", "[jonit]")], "s.toml:5: jonit: unknown key; did you mean joint?"),
+    "joint's type": ([("spherical", "sphericl")], "s.toml:5: joint: type='sphericl' is unknown"),
+    "vector": ([("[0.0, 0.0, -9.81]", "[0.0, -9.81]")], "s.toml:10: problem.gravity: list"),
+    "word": ([("dt = [1e-3, 2e-3]", 'dt = "1 ms"')], "s.toml:37: integrate.dt"),
+    "sign": (
+        [("= 6.075", "= -1"), ("sample.body.mass", "sample.problem.gravity"), (LOW, DOWN),
+         (HIGH, SLIGHTLY)],
+        "s.toml:1: body: mass is -1.0 kg",
+    ),
+    "grid": ([("t_end = 0.05", "t_end = 0.0505")], "s.toml:35: integrate: t_end=0.0505 s is no"),
+    "cspace": ([('"SE3"', '"SE4"')], "s.toml:35: integrate: cspace='SE4' is unknown"),
+    "distribution": ([("normal", "norml")], "sample.initial.omega.distribution: it='norml'"),
+    "parameter": (
+        [("std = 0.5", "sdt = 0.5")],
+        "s.toml:23: sample.initial.omega.sdt: unknown key; did you mean std?",
+    ),
+    "no distribution": (
+        [('distribution = "normal"', "")], "sample.initial.omega: needs distribution",
+    ),
+    "quantity": ([("body.mass]", "body.mas]")], "body.mas: unknown key; did you mean mass?"),
+    "force": ([("drag.linear]", "darg.linear]")], "sample.forces.darg: there is no such force"),
+    "force's parameter": (
+        [("linear = 0.1", "linaer = 0.1")],
+        "forces.drag.linaer: unknown key; did you mean linear?",
+    ),
+    "force's joint": (
+        [("drag", "torsional_spring"), ("linear", "stiffness")],
+        "problem: torsional_spring acts about the joint axis",
+    ),
+    "n": ([("n = 50", "n = 0")], "s.toml:17: sample.n: input should be greater than 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_error_names_line_and_key(name, tmp_path):
+    edits, message = WRONG[name]
+    text = TEXT
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    with pytest.raises(StudyError) as caught:
+        Study.load(path)
+    assert message in str(caught.value)
+
+
+def test_line_of_finds_the_nearest_key():
+    assert line_of(TEXT, ("integrate", "dt")) == TEXT.splitlines().index("dt = [1e-3, 2e-3]") + 1
+    assert line_of(TEXT, ("sample", "initial", "omega", "std")) == 23
+    assert line_of(TEXT, ("integrate", "nothing")) == line_of(TEXT, ("integrate",)) == 35
+    assert line_of(TEXT, ("nothing",)) is None
+
+
+VALUES = st.one_of(
+    st.none(), st.booleans(), st.integers(-3, 10**6), st.floats(), st.text(max_size=5),
+    st.lists(st.floats(), max_size=4), st.dictionaries(st.text(max_size=5), st.integers()),
+    st.sampled_from(["SE3", "RK4", "normal", "spherical", [1.0, 2.0, 3.0], [[1.0]], {}]),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=2500, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+)
+@given(data=st.data())
+def test_any_file_is_a_study_or_an_error_that_says_so(data):
+    tables = copy.deepcopy(tomllib.loads(TEXT))
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = tables
+        while True:
+            if isinstance(place, list):
+                place = place[0]
+            key = data.draw(st.sampled_from([*place, "extra"]))
+            inner = place.get(key)
+            deeper = isinstance(inner[0] if isinstance(inner, list) and inner else inner, dict)
+            if not deeper or data.draw(st.booleans()):
+                break
+            place = inner
+        action = data.draw(st.sampled_from(["set", "set", "delete"]))
+        if action == "set":
+            place[key] = data.draw(VALUES)
+        else:
+            place.pop(key, None)
+    with contextlib.suppress(StudyError):  # and nothing else
+        Study.of(tables)
+
+
+# ---- runs --------------------------------------------------------------------------------------
+
+
+def test_rows_are_those_of_integrate(whole):
+    given = study()
+    rows = Dataset(whole)
+    rows.read()
+    assert len(rows.parts) == PARTS == len(parts_of(given))
+    stored = sorted_rows(whole)
+    batch = given.batch(0, 50)
+    for n, (cspace, dt) in enumerate((c, d) for c in ("SE3", "SO3xR3") for d in (1e-3, 2e-3)):
+        result = lierb.integrate(
+            batch.problem, twist0=batch.twist0, cspace=cspace, dt=dt, t_end=0.05
+        ).summary
+        part = stored[50 * n : 50 * n + 50]
+        own = [{name: row[name] for name in result.column_names} for row in part]
+        assert own == result.to_pylist()
+        drawn = np.array([row["sample.initial.omega"] for row in part])
+        np.testing.assert_array_equal(drawn, batch.draws["initial.omega"])
+
+
+@pytest.mark.parametrize("part", [1, 13, 1000])
+def test_bits_do_not_depend_on_parts(whole, part, tmp_path):
+    given = study(output={"part": part})
+    lierb.run(given, tmp_path / "out")
+    assert bits(tmp_path / "out") == bits(whole)
+
+
+def test_stream_has_the_same_rows(whole):
+    reader = lierb.integrate_batches(study())
+    table = reader.read_all()
+    assert table.num_rows == 200
+    rows = Dataset(whole)
+    rows.read()
+    assert table.equals(rows.table().to_table().cast(table.schema), check_metadata=False)
+
+
+def test_history_has_its_own_parts(tmp_path):
+    given = study(integrate={"save_every": 10, "record": ["state"], "dt": 1e-3})
+    done = lierb.run(given, tmp_path)
+    errors = done.table("errors").to_table()
+    assert errors.num_rows == 2 * 50 * 6
+    assert {"cspace", "method", "dt", "body", "step", "R"} <= set(errors.column_names)
+
+
+def test_one_body_is_replayed_bit_for_bit(whole):
+    rows = Dataset(whole)
+    rows.read()
+    stored = rows.table().to_table().to_pylist()
+    for setting, tables in replay(study(), 17):
+        (row,) = tables["summary"].to_pylist()
+        (same,) = [
+            r for r in stored
+            if (r["body"], r["cspace"], r["dt"]) == (17, setting.cspace, setting.dt)
+        ]  # fmt: skip
+        assert row == same
+        assert "lambda" in tables["errors"].column_names
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])
+def test_other_libraries_read_the_parts(library, whole):
+    module = pytest.importorskip(library)
+    pattern = str(whole / "summary" / "*.parquet")
+    if library == "pandas":
+        count = len(module.read_parquet(whole / "summary"))
+    elif library == "polars":
+        count = module.read_parquet(pattern).height
+    else:
+        count = module.sql(f"select count(*) from '{pattern}'").fetchall()[0][0]
+    assert count == 200
+    assert ds.dataset(whole / "summary").count_rows() == 200
+
+
+# ---- nothing is lost ---------------------------------------------------------------------------
+
+
+def test_results_are_not_run_over(whole, tmp_path):
+    with pytest.raises(StudyError, match="has results of this study already; --resume"):
+        lierb.run(study(), whole)
+    with pytest.raises(StudyError, match=r"of another study: sample\.seed = 3 there, 4 here"):
+        lierb.run(study(sample={"seed": 4}), whole, resume=True)
+    before = hashes(whole)
+    lierb.run(study(), whole, resume=True)
+    assert hashes(whole) == before
+
+
+def test_damaged_and_lost_parts_are_done_again(whole, tmp_path):
+    lierb.run(study(), tmp_path)
+    parts = sorted((tmp_path / "summary").iterdir())
+    content = bytearray(parts[3].read_bytes())
+    content[100] ^= 1
+    parts[3].write_bytes(content)
+    parts[5].unlink()
+    (tmp_path / "summary" / "part-x.parquet.unfinished").write_text("left by a crash")
+    lierb.run(study(), tmp_path, resume=True)
+    assert hashes(tmp_path) == hashes(whole)
+
+
+def test_two_runs_into_one_folder_are_refused(tmp_path):
+    with (
+        Dataset(tmp_path).locked(),
+        pytest.raises(StudyError, match="is being written by another run"),
+    ):
+        lierb.run(study(), tmp_path)
+
+
+def test_full_disk_leaves_what_is_there(whole, tmp_path, monkeypatch):
+    sync, left = os.fsync, [9]
+
+    def fills_up(handle):
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        sync(handle)
+
+    monkeypatch.setattr(dataset_module.os, "fsync", fills_up)
+    with pytest.raises(OSError, match="No space left"):
+        lierb.run(study(), tmp_path)
+    monkeypatch.undo()
+    assert not list(tmp_path.rglob("*.unfinished"))
+    lierb.run(study(), tmp_path, resume=True)
+    assert hashes(tmp_path) == hashes(whole)
+
+
+def start(tmp_path, *options) -> subprocess.Popen:
+    file = tmp_path / "study.toml"
+    file.write_text(TEXT)
+    return subprocess.Popen(
+        [sys.executable, "-m", "lierb", "run", str(file), "--out", str(tmp_path / "out"), *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_it_resumes_bit_for_bit(whole, tmp_path):
+    rng = random.Random(5)
+    kills, began = 0, time.monotonic()
+    (tmp_path / "study.toml").write_text(TEXT)
+    whole_again = tmp_path / "whole"
+    lierb.run(tmp_path / "study.toml", whole_again)
+    out = tmp_path / "out"
+    while kills < 30 and time.monotonic() - began < 120:
+        manifest = out / "manifest.json"
+        if manifest.exists() and len(json.loads(manifest.read_text())["parts"]) == PARTS:
+            shutil.rmtree(out)
+        process = start(tmp_path, "--resume")
+        time.sleep(rng.uniform(0.8, 2.5))
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        kills += 1
+    process = start(tmp_path, "--resume")
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert hashes(tmp_path / "out") == hashes(whole_again)
+    assert bits(tmp_path / "out") == bits(whole)
+
+
+@pytest.mark.slow
+def test_ctrl_c_finishes_the_part_and_says_how_to_go_on(tmp_path, interruptible):
+    text = TEXT.replace("n = 50", "n = 200_000").replace("part = 8", "part = 2048")
+    (tmp_path / "study.toml").write_text(text.replace("t_end = 0.05", "t_end = 1.0"))
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lierb", "run", str(tmp_path / "study.toml"), "--out", str(out)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while not (out / "summary").exists() and process.poll() is None:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert "go on with:  lierb run" in errors
+    stopped = Dataset(out)
+    stopped.read()
+    assert stopped.parts
+    assert stopped.drop_damaged() == []
+
+
+def test_summary_of_a_study(whole):
+    from lierb.findings import findings, orders
+
+    rows = Dataset(whole)
+    rows.read()
+    found = findings(rows)
+    assert [f.bodies for f in found] == [50] * 4
+    stored = column(rows.table().to_table(), "position_error_max")
+    assert max(f.quantiles["position"][-1] for f in found) == stored.max()
+    drift = next(f for f in found if f.setting.cspace == "SO3xR3")
+    order = orders(found, drift)["position"]
+    assert order is None or order.slope == pytest.approx(4.0, abs=0.3)
