@@ -8,11 +8,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from numba import config
 from oracle import mp
 
 from kernels.packs import FORMULAS, on_lanes
 from lierb.kernels import dual as module
 from lierb.kernels.dual import Dual, where
+from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.zero import is_zero
 
 # function of a number, the same in mpmath, where it is looked at
@@ -74,10 +76,10 @@ FORMULAS["duals"] = all_functions
 
 
 @cache
-def on_packs():
+def on_packs(lanes=DEFAULT_LANES):
     """(function, value or derivative, place): all functions in one kernel."""
     columns = [np.resize(places, ROWS) for *_, places in FUNCTIONS.values()]
-    found = on_lanes("duals", *columns, results=3 * len(FUNCTIONS))
+    found = on_lanes("duals", *columns, results=3 * len(FUNCTIONS), lanes=lanes)
     return found.reshape(len(FUNCTIONS), 3, ROWS)
 
 
@@ -98,6 +100,12 @@ def test_lanes_agree_with_floats(name):
     found = on_packs()[list(FUNCTIONS).index(name)]
     # fused products, and the C library's functions beside NumPy's: a few roundings
     np.testing.assert_allclose(found.T, plain, rtol=2e-14, atol=1e-15)
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="the JIT is off")
+@pytest.mark.parametrize("lanes", [1, 2])
+def test_bits_do_not_depend_on_lanes(lanes):
+    assert on_packs(lanes).tobytes() == on_packs().tobytes()
 
 
 def test_where_chooses_values_and_parts():

@@ -12,7 +12,7 @@ from cases import slow_but
 from numba import config, njit
 
 import lierb
-from kernels.packs import FORMULAS, on_lanes
+from kernels.packs import on_lanes
 from kernels.samples import GROUPS, dim, twists, unpacked
 from lierb.kernels import se3, so3xr3
 from lierb.kernels.arithmetic import flatten
@@ -122,7 +122,7 @@ SCALARS = {
 
 
 @needs_jit
-@pytest.mark.parametrize("name", FORMULAS)
+@pytest.mark.parametrize("name", SCALARS)
 def test_scalar_formulas_same_bits_on_every_number_of_lanes(name):
     results, *columns = SCALARS[name]
     scalar = on_lanes(name, *columns, results=results, lanes=1)
