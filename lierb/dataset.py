@@ -86,8 +86,10 @@ class Dataset:
         files = {}
         for name, table in tables.items():
             path = f"{name}/part-{part}.parquet"
+            # No two doubles are alike: looking for a dictionary of them takes most of the time.
+            repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
             sink = pa.BufferOutputStream()
-            pq.write_table(table, sink, compression=compression)
+            pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
             content = sink.getvalue()
             self.write(path, content)
             digest = hashlib.sha256(content).hexdigest()

@@ -34,6 +34,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveInt,
     ValidationError,
+    WithJsonSchema,
 )
 
 from lierb import api, bodies, forces, joints, sampling
@@ -179,16 +180,25 @@ class SampleSection(BaseModel):
         }
 
 
-Several = BeforeValidator(_as_list)
+def _one_or_several(kind: str) -> tuple[Any, Any]:
+    """Validator and schema of a list for which one value will do."""
+    one = {"type": kind}
+    return BeforeValidator(_as_list), WithJsonSchema(
+        {"anyOf": [one, {"type": "array", "items": one}]}
+    )
+
+
+Names = Annotated[list[str], *_one_or_several("string")]
+Seconds = Annotated[list[float], *_one_or_several("number")]
 
 
 class IntegrateSection(Section):
     """As `lierb.integrate` takes it; cspace, method and dt may be lists, run as a product."""
 
     t_end: float
-    dt: Annotated[list[float], Several] = Field(min_length=1)
-    cspace: Annotated[list[str], Several] = Field(default=["SE3"], min_length=1)
-    method: Annotated[list[str], Several] = Field(default=["RK4"], min_length=1)
+    dt: Seconds = Field(min_length=1)
+    cspace: Names = Field(default=["SE3"], min_length=1)
+    method: Names = Field(default=["RK4"], min_length=1)
     update: str = "local"
     solver: str = "auto"
     save_every: PositiveInt | None = None

@@ -220,6 +220,11 @@ def test_any_file_is_a_study_or_an_error_that_says_so(data):
         Study.of(tables)
 
 
+def test_schema_is_that_of_the_code():
+    stored = json.loads((EXAMPLES[0].parent.parent / "docs" / "study.schema.json").read_text())
+    assert stored == Study.model_json_schema()
+
+
 # ---- runs --------------------------------------------------------------------------------------
 
 
