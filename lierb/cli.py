@@ -161,10 +161,17 @@ def warmup(
     """Compile ahead of time what later processes then load from the disk cache.
 
     JOINT is a name such as spherical (the default), or several. Every option but --solver may be
-    given more than once: each combination is compiled.
+    given more than once: each combination is compiled. Or it is the TOML file of a study.
     """
     import lierb
 
+    if len(joint) == 1 and joint[0].endswith(".toml"):
+        require("study")
+        from lierb.running import compile_for
+
+        for setting, seconds in compile_for(joint[0]):
+            click.echo(f"{setting.label:40}{seconds:6.2f} s")
+        return
     with _progress() as progress:
         kernels = lierb.warmup(
             joint or ("spherical",), methods=method, cspaces=cspace, updates=update,

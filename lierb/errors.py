@@ -50,6 +50,10 @@ class ScalarFunctionWarning(UserWarning):
     """A function of the user's runs body by body, because it cannot run for many at once."""
 
 
+class StudyWarning(UserWarning):
+    """Results of a study that may not be what they would be elsewhere."""
+
+
 class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 

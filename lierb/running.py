@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ import pyarrow as pa
 from lierb.api import integrate
 from lierb.arrays import Array
 from lierb.dataset import Dataset
-from lierb.errors import ArgumentError, StudyError
+from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.provenance import machine
 from lierb.sampling import Design
 from lierb.study import Batch, Setting, Study, tables_of
 
@@ -125,6 +128,19 @@ def integrate_batches(
     return pa.RecordBatchReader.from_batches(first.schema, batches())
 
 
+def compile_for(study: Study | str | Path) -> list[tuple[Setting, float]]:
+    """Compile what a study needs, setting by setting; the seconds that each took."""
+    given, _ = _loaded(study)
+    batch = given.batch(0, 1)
+    took = []
+    for setting in given.settings:
+        options = given.options(setting) | {"t_end": setting.dt}
+        began = time.perf_counter()
+        integrate(batch.problem, twist0=batch.twist0, pose0=batch.pose0, progress=False, **options)
+        took.append((setting, time.perf_counter() - began))
+    return took
+
+
 def replay(
     study: Study | str | Path, body: int, *, save_every: int = 1, threads: int | None = None
 ) -> list[tuple[Setting, dict[str, pa.Table]]]:
@@ -170,6 +186,13 @@ def _opened(dataset: Dataset, study: Study, text: str, resume: bool) -> None:
         raise StudyError(
             f"{dataset.folder} has results of this study already; --resume (resume=True) does what "
             "is missing, or choose another folder"
+        )
+    if dataset.manifest["machine"] != machine():
+        warnings.warn(
+            f"{dataset.folder} was begun with other versions or on another machine; what is done "
+            "now may differ from its parts in the last bits",
+            StudyWarning,
+            stacklevel=3,
         )
     dataset.drop_damaged()
 

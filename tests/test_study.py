@@ -26,8 +26,9 @@ from hypothesis import strategies as st
 
 import lierb
 from lierb import dataset as dataset_module
+from lierb import running
 from lierb.dataset import Dataset
-from lierb.errors import StudyError
+from lierb.errors import StudyError, StudyWarning
 from lierb.running import parts_of, replay
 from lierb.study import Study, line_of
 
@@ -251,6 +252,28 @@ def test_bits_do_not_depend_on_parts(whole, part, tmp_path):
     given = study(output={"part": part})
     lierb.run(given, tmp_path / "out")
     assert bits(tmp_path / "out") == bits(whole)
+
+
+@pytest.mark.parametrize("n", [1, 3, 6])
+def test_few_bodies_are_not_taken_for_a_matrix(n):
+    moments = {"distribution": "uniform", "low": [0.02] * 3, "high": [0.03] * 3}
+    few = study(sample={"n": n, "body": {"inertia": moments}})
+    many = study(sample={"n": 50, "body": {"inertia": moments}})
+    own, whole_batch = few.batch(0, n).problem.body, many.batch(0, 50).problem.body
+    np.testing.assert_array_equal(own.inertia, whole_batch.inertia[:n])
+    assert few.batch(0, n).problem.batch_size() == n
+
+
+def test_resuming_elsewhere_warns(tmp_path, monkeypatch):
+    lierb.run(study(sample={"n": 8}), tmp_path)
+    monkeypatch.setattr(running, "machine", lambda: {"cpu": "another"})
+    with pytest.warns(StudyWarning, match="on another machine"):
+        lierb.run(study(sample={"n": 8}), tmp_path, resume=True)
+
+
+def test_kernels_of_a_study_are_compiled_ahead():
+    took = running.compile_for(study())
+    assert [setting.label for setting, _ in took] == [s.label for s in study().settings]
 
 
 def test_stream_has_the_same_rows(whole):
