@@ -231,6 +231,21 @@ def show(folder: Path) -> None:
 
 
 @cli.command()
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def plot(folder: Path) -> None:
+    """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
+    require("study")
+    require("plot")
+    from lierb.dataset import Dataset
+    from lierb.study_plots import draw_all
+
+    dataset = Dataset(folder)
+    dataset.read()
+    for path in draw_all(dataset, folder / "figures"):
+        click.echo(str(path))
+
+
+@cli.command()
 @STUDY
 def predict(study: Path) -> None:
     """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.

@@ -438,3 +438,31 @@ def test_summary_of_a_study(whole):
     drift = next(f for f in found if f.setting.cspace == "SO3xR3")
     order = orders(found, drift)["position"]
     assert order is None or order.slope == pytest.approx(4.0, abs=0.3)
+
+
+def test_figures_of_a_study_are_complete(tmp_path):
+    study_plots = pytest.importorskip("lierb.study_plots")
+    history = {"save_every": 10}
+    done = lierb.run(study(integrate=history), tmp_path / "out")
+    written = study_plots.draw_all(done, tmp_path / "figures")
+    assert [path.name for path in written] == [
+        f"{name}.{kind}"
+        for name in ("distribution", "time", "order", "parameters")
+        for kind in ("png", "svg")
+    ]
+    given = study(integrate=history)
+    figure = study_plots.distribution_figure(done, given)
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == len(given.settings)
+    for name in ("distribution", "time", "order", "parameter"):
+        figure = getattr(study_plots, f"{name}_figure")(done, given)
+        for panel in figure.axes:
+            if panel.get_visible():
+                assert panel.lines
+                assert panel.get_xlabel()
+                assert all(np.isfinite(line.get_ydata()).all() for line in panel.lines)
+    sampled = [panel.get_xlabel() for panel in figure.axes if panel.get_visible()]
+    assert sampled == [
+        "body.mass [kg]", "initial.omega, 1 [rad/s]", "initial.omega, 2 [rad/s]",
+        "initial.omega, 3 [rad/s]", "forces.drag.linear [N s/m]",
+    ]  # fmt: skip

@@ -1,0 +1,266 @@
+"""Figures of a study: errors over its bodies, over time, over the step, over what was sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+
+from lierb.arrays import Array
+from lierb.dataset import Dataset
+from lierb.extras import require
+from lierb.findings import ERRORS, QUANTILES, findings
+from lierb.study import Setting, Study
+
+require("plot")
+import matplotlib  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+
+from lierb.plots import COLOURS, CSPACE_NAMES, LEAST, STYLE, save  # noqa: E402
+
+AXES = {
+    "position": "position error [m]",
+    "rotation": "rotation error",
+    "energy": "energy drift [J]",
+}
+HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
+DASHES = ("-", "--", ":", "-.")
+SAMPLED_UNITS = {
+    "omega": "rad/s", "point_velocity": "m/s", "place": "m", "mass": "kg", "com": "m",
+    "second_moments": "kg m²", "inertia": "kg m²", "size": "m", "radius": "m", "length": "m",
+    "density": "kg/m³", "body_point": "m", "ground_point": "m", "pitch": "m/rad",
+    "gravity": "m/s²", "stiffness": "N/m or N m/rad", "damping": "N s/m or N m s/rad",
+    "linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "torque": "N m", "force": "N",
+    "angle": "rad", "speed": "rad/s", "coordinates": "rad or m", "velocities": "rad/s or m/s",
+}  # fmt: skip
+POINTS = 4000  # of a scatter plot, at most
+
+
+def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
+    """Every figure that the results have the data for, as PNG and SVG in `folder`."""
+    study = Study.model_validate(dataset.manifest["study"])
+    figures: dict[str, Callable[[Dataset, Study], Figure | None]] = {
+        "distribution": distribution_figure,
+        "time": time_figure,
+        "order": order_figure,
+        "parameters": parameter_figure,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, draw in figures.items():
+        with matplotlib.rc_context(STYLE):
+            figure = draw(dataset, study)
+        if figure is None:
+            continue
+        for kind in ("png", "svg"):
+            path = folder / f"{name}.{kind}"
+            save(figure, path, kind)
+            written.append(path)
+    return written
+
+
+def distribution_figure(dataset: Dataset, study: Study) -> Figure:
+    """Empirical distribution functions of the largest errors, a line for each setting."""
+    shown = _seen(dataset, study)
+    figure, panels = _panels(study, "How large the errors get, over all bodies", len(shown))
+    for panel, (kind, name) in zip(panels, shown.items()):
+        for setting, style in _styles(study):
+            values = np.sort(_ok(dataset, setting, [name])[name])
+            if values.size:
+                share = np.arange(1, values.size + 1) / values.size
+                panel.step(np.maximum(values, LEAST), share, where="post", **style)
+        panel.set_xscale("log")
+        panel.set_xlabel(f"largest {AXES[kind]}")
+    panels[0].set_ylabel("share of the bodies at or below")
+    _legend(figure, panels)
+    return figure
+
+
+def time_figure(dataset: Dataset, study: Study) -> Figure | None:
+    """Errors over time: median, 5 to 95 %, and extremes over the bodies; None without a history."""
+    if study.integrate.save_every is None:
+        return None
+    shown = _seen(dataset, study)
+    figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
+    for panel, kind in zip(panels, shown):
+        for setting, style in _styles(study):
+            times, bands = _bands(dataset, setting, HISTORY[kind])
+            if times.size < 2:
+                continue
+            times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
+            low, median, high, most = np.maximum(bands, LEAST)
+            panel.plot(times, median, **style)
+            panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
+            panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
+        panel.set_yscale("log")
+        panel.set_ylabel(f"{AXES[kind]}")
+        panel.set_xlabel("time [s]")
+    _legend(figure, panels)
+    return figure
+
+
+def order_figure(dataset: Dataset, study: Study) -> Figure | None:
+    """Quantiles of the errors over dt, with a line of order 4; None for a single dt."""
+    if len(set(study.integrate.dt)) < 2:
+        return None
+    shown = _seen(dataset, study)
+    figure, panels = _panels(study, "Errors over the step: median, 95 % and largest", len(shown))
+    found = findings(dataset)
+    for panel, kind in zip(panels, shown):
+        for (cspace, method), colour in zip(_spaces(study), COLOURS):
+            of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
+            of.sort(key=lambda f: f.setting.dt)
+            dts = np.array([f.setting.dt for f in of])
+            for n, marker in zip(range(len(QUANTILES)), "o^s"):
+                errors = np.maximum([f.quantiles[kind][n] for f in of], LEAST)
+                label = _label(cspace, method) if n == 0 else None
+                panel.plot(
+                    dts, errors, color=colour, marker=marker, markersize=4, label=label,
+                    linestyle=DASHES[n],
+                )  # fmt: skip
+                if n == 0 and errors[-1] > 1e-12:
+                    panel.plot(dts, errors[-1] * (dts / dts[-1]) ** 4, color="#999999", zorder=0)
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_xlabel("Δt [s]; grey: order 4")
+        panel.set_ylabel(AXES[kind])
+    _legend(figure, panels)
+    return figure
+
+
+def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
+    """The largest position error, or the rotation's or the drift, against what was sampled."""
+    drawn = [name for name in dataset.table().schema.names if name.startswith("sample.")]
+    if not drawn:
+        return None
+    rows = _ok(dataset, study.settings[0], [*ERRORS.values(), *drawn])
+    columns = list(_components(drawn, rows))
+    if not columns:
+        return None
+    kind = next(iter(_seen(dataset, study)))
+    across = min(len(columns), 4)
+    figure, panels = _panels(
+        study, "The largest error against what was sampled", across, -(-len(columns) // across)
+    )
+    for setting, style in _styles(study):
+        if setting.dt != max(study.integrate.dt):
+            continue
+        rows = _ok(dataset, setting, [ERRORS[kind], *drawn])
+        some = slice(None, None, max(1, len(rows[ERRORS[kind]]) // POINTS))
+        errors = np.maximum(rows[ERRORS[kind]][some], LEAST)
+        for panel, (name, values) in zip(panels, _components(drawn, rows)):
+            panel.plot(
+                values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
+                label=style["label"],
+            )  # fmt: skip
+            panel.set_yscale("log")
+            panel.set_xlabel(name)
+    panels[0].set_ylabel(f"largest {AXES[kind]}")
+    for panel in panels[len(columns) :]:
+        panel.set_visible(False)
+    _legend(figure, panels)
+    return figure
+
+
+# ---- data --------------------------------------------------------------------------------------
+
+
+def _ok(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
+    """Columns of the bodies that are ok in a setting; lists as (n, k)."""
+    table = dataset.table().to_table(columns=names, filter=_of(setting) & (_status() == "ok"))
+    return {
+        name: np.stack(column.to_numpy(zero_copy_only=False))
+        if table.num_rows and hasattr(column.type, "list_size")
+        else column.to_numpy()
+        for name, column in ((name, table[name].combine_chunks()) for name in names)
+    }
+
+
+def _of(setting: Setting) -> Any:
+    return (
+        (pc.field("cspace") == setting.cspace)
+        & (pc.field("method") == setting.method)
+        & (pc.field("dt") == setting.dt)
+    )
+
+
+def _status() -> Any:
+    return pc.field("status")
+
+
+def _seen(dataset: Dataset, study: Study) -> dict[str, str]:
+    """The errors of which there are any, and their columns."""
+    seen = {
+        kind: name
+        for kind, name in ERRORS.items()
+        if any(_ok(dataset, s, [name])[name].max(initial=0.0) > LEAST for s in study.settings)
+    }
+    return seen or {"energy": ERRORS["energy"]}
+
+
+def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]:
+    """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
+    table = dataset.table("errors").to_table(columns=["step", "t", name], filter=_of(setting))
+    steps, values = table["step"].to_numpy(), np.abs(table[name].to_numpy())
+    order = np.argsort(steps, kind="stable")
+    whole, starts = np.unique(steps[order], return_index=True)
+    groups = np.split(values[order], starts[1:])
+    times = table["t"].to_numpy()[order][starts]
+    bands = [np.nanquantile(group, (0.05, 0.5, 0.95, 1.0)) for group in groups]
+    return times, np.array(bands).T.reshape(4, len(whole))
+
+
+def _components(names: list[str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+    """Sampled numbers one by one, but for matrices."""
+    for name in names:
+        values, title = rows[name], name.removeprefix("sample.")
+        unit = SAMPLED_UNITS.get(title.rpartition(".")[2])
+        if values.ndim == 1:
+            yield _with_unit(title, unit), values
+        elif values.shape[1] <= 6:
+            for i in range(values.shape[1]):
+                own = unit if title != "initial.twist" else ("rad/s", "m/s")[i // 3]
+                yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
+
+
+def _with_unit(title: str, unit: str | None) -> str:
+    return f"{title} [{unit}]" if unit else title
+
+
+# ---- looks -------------------------------------------------------------------------------------
+
+
+def _spaces(study: Study) -> list[tuple[str, str]]:
+    return list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
+
+
+def _label(cspace: str, method: str) -> str:
+    return f"{CSPACE_NAMES.get(cspace, cspace)}, {method}"
+
+
+def _styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
+    """A colour for each c-space and method, a dash for each dt."""
+    spaces, dts = _spaces(study), sorted(set(study.integrate.dt), reverse=True)
+    for setting in study.settings:
+        colour = COLOURS[spaces.index((setting.cspace, setting.method)) % len(COLOURS)]
+        dash = DASHES[dts.index(setting.dt) % len(DASHES)]
+        step = f", Δt = {setting.dt:g} s" if len(dts) > 1 else ""
+        label = _label(setting.cspace, setting.method) + step
+        yield setting, {"color": colour, "linestyle": dash, "label": label}
+
+
+def _panels(study: Study, title: str, across: int, down: int = 1) -> tuple[Figure, list[Axes]]:
+    width = max(7.5, 3.6 * across + 0.8)  # room for the title
+    figure = Figure(figsize=(width, 3.4 * down + 1.0), layout="constrained")
+    figure.suptitle(f"{study.name}: {title}", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    return figure, list(figure.subplots(down, across, squeeze=False).ravel())
+
+
+def _legend(figure: Figure, panels: list[Axes]) -> None:
+    handles, labels = panels[0].get_legend_handles_labels()
+    dots = bool(handles) and getattr(handles[0], "get_linestyle", str)() == "None"
+    figure.legend(handles, labels, loc="outside lower left", ncols=4, markerscale=4 if dots else 1)
