@@ -132,6 +132,7 @@ def violation(name, held, pose):
         **{f"d{i + 1}": d[i] for i in range(3)},
         **{f"Qtd{i + 1}": (Q.T @ d)[i] for i in range(3)},
         "Q32": Q[2, 1],
+        "Q23": Q[1, 2],
         "screw": slip - whole_turn * np.round(slip / whole_turn),
         "rod": np.linalg.norm(d) - held.length,
         "cv": Rotation.from_matrix(Q).as_rotvec()[2],
