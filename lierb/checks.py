@@ -37,6 +37,15 @@ def require_central_com(problem: Problem) -> None:
         )
 
 
+def require_consistent(problem: Problem, twists: Array, poses: Array | None) -> None:
+    """Raise for the first body whose start violates the joint."""
+    inputs = Inputs(problem, poses, twists, len(twists))
+    for number in range(inputs.count):
+        found = _violation_of(inputs, number)
+        if found is not None:
+            raise found
+
+
 def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbError | None:
     """The first violation of the joint, as an error to raise or to warn of.
 

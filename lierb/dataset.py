@@ -29,6 +29,8 @@ from lierb.provenance import machine
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
 TABLES = ("summary", "errors")
+FORMAT = 1
+KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
 TEMPORARY = ".unfinished"
 
 
@@ -66,18 +68,21 @@ class Dataset:
         """Read the manifest. Raises StudyError where there is none, or no more of one."""
         path = self.folder / MANIFEST
         try:
-            self.manifest = json.loads(path.read_text(encoding="utf-8"))
+            found = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise StudyError(f"{self.folder} holds no results of a study") from None
-        except json.JSONDecodeError as error:
+        except ValueError as error:  # no JSON, or no text
             raise StudyError(f"{path} is damaged ({error}); delete the folder") from None
+        if not (isinstance(found, dict) and found.keys() >= KEYS and found["format"] == FORMAT):
+            raise StudyError(f"{path} is no manifest of this version of lierb")
+        self.manifest = found
 
     def begin(self, digest: str, study: dict[str, Any], text: str, asked: int) -> None:
         """Start the folder of a study of so many parts."""
         self.write(STUDY, text.encode())
         self.manifest = {
-            "format": 1, "digest": digest, "study": study, "machine": machine(), "asked": asked,
-            "parts": {},
+            "format": FORMAT, "digest": digest, "study": study, "machine": machine(),
+            "asked": asked, "parts": {},
         }  # fmt: skip
         self._enter()
 
@@ -105,7 +110,7 @@ class Dataset:
         """A file with that content, or none: never half of it."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_name(path.name + TEMPORARY)
+        unfinished = path.with_name(f".{path.name}{TEMPORARY}")  # readers of the folder skip it
         try:
             with unfinished.open("wb") as file:
                 file.write(content)

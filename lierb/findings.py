@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from pydantic import ValidationError
 
 from lierb.arrays import Array
 from lierb.convergence import Order, observed_order
 from lierb.dataset import Dataset
+from lierb.errors import StudyError
 from lierb.study import Setting, Study
 
 if TYPE_CHECKING:
@@ -38,9 +40,17 @@ class Found:
     quantiles: dict[str, Array]
 
 
+def study_of(dataset: Dataset) -> Study:
+    """The study whose results they are."""
+    try:
+        return Study.model_validate(dataset.manifest["study"])
+    except ValidationError as error:
+        raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
+
+
 def findings(dataset: Dataset) -> list[Found]:
     """What the finished parts say, setting by setting."""
-    study = Study.model_validate(dataset.manifest["study"])
+    study = study_of(dataset)
     return [_found(dataset, setting) for setting in study.settings]
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import as_numbers
 from lierb.elements import Force, user_function
-from lierb.errors import ArgumentError, body_label, unknown_name
+from lierb.errors import ArgumentError, ForceError, body_label, unknown_name
 from lierb.kernels import elements as kinds
 from lierb.kernels.functions import Function, Shape
 
@@ -151,7 +151,10 @@ def _time_function(
     function: Callable[..., Any], shapes: dict[str, Shape], differentiated: bool
 ) -> Function:
     """A user's function of (t) or (t, params) that returns one number."""
-    if not shapes and len(inspect.signature(function).parameters) == 1:
+    if not inspect.isfunction(function):
+        raise ForceError(f"expected a number or a function of (t) or (t, params), got {function!r}")
+    given = inspect.signature(function).parameters.values()
+    if not shapes and sum(p.default is p.empty for p in given) == 1:
         function = _ignoring_parameters(function)
     return user_function(function, ("t",), shapes, ((),), differentiated)
 

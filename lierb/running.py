@@ -174,10 +174,11 @@ def _loaded(study: Study | str | Path) -> tuple[Study, str]:
 
 
 def _opened(dataset: Dataset, study: Study, text: str, resume: bool) -> None:
-    if not dataset.exists():
+    if dataset.exists():
+        dataset.read()
+    if not dataset.parts:
         dataset.begin(study.digest(), study.model_dump(), text, len(parts_of(study)))
         return
-    dataset.read()
     if dataset.manifest["digest"] != study.digest():
         raise StudyError(
             f"{dataset.folder} has the results of another study: {_differences(dataset, study)}"
@@ -198,8 +199,7 @@ def _opened(dataset: Dataset, study: Study, text: str, resume: bool) -> None:
 
 
 def _differences(dataset: Dataset, study: Study) -> str:
-    there = dict(tables_of(Study.model_validate(dataset.manifest["study"])))
-    here = dict(tables_of(study))
+    there, here = dict(tables_of(dataset.manifest["study"])), dict(tables_of(study.model_dump()))
     keys = [key for key in there | here if there.get(key) != here.get(key)]
     return ", ".join(f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:5])
 

@@ -37,7 +37,7 @@ from pydantic import (
     WithJsonSchema,
 )
 
-from lierb import api, bodies, forces, joints, sampling
+from lierb import api, bodies, checks, forces, joints, sampling
 from lierb.arrays import Array, Pose, assembled, components, pose_components, pose_matrix
 from lierb.elements import Force
 from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
@@ -48,6 +48,7 @@ from lierb.kernels.subgroup import lifted, slots_of
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 
+NOTHING = "nothing"  # a design draws something
 PREVIEW = 8  # bodies that are made when a study is checked
 Numbers = float | list[float] | list[list[float]]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -177,11 +178,12 @@ class SampleSection(BaseModel):
         """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
         tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
         tables |= {f"forces.{name}": table for name, table in self.forces.items()}
-        return {
+        found = {
             f"{section}.{key}": _distribution(f"sample.{section}.{key}", value)
             for section, table in tables.items()
             for key, value in table.items()
         }
+        return dict(sorted(found.items()))  # tables have no order, points of a sequence do
 
 
 def _one_or_several(kind: str) -> tuple[Any, Any]:
@@ -270,10 +272,10 @@ class Study(Section):
     def load(cls, path: str | Path) -> Study:
         """A study from its TOML file. Raises StudyError, or OSError where there is no file."""
         path = Path(path)
-        text = path.read_text(encoding="utf-8")
         try:
+            text = path.read_text(encoding="utf-8-sig")
             tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except ValueError as error:  # no TOML, or no text
             raise StudyError(f"{path.name}: {error}") from None
         return cls.of({"name": path.stem} | tables, path.name, text)
 
@@ -282,13 +284,18 @@ class Study(Section):
         with _at("sample"):
             design = self.design
         batch = self.batch(0, min(PREVIEW, len(design)))
+        labels = [force.label for force in self.problem.forces]
+        if len(set(labels)) < len(labels):
+            raise StudyError("problem.forces: two have the same name; give each a name of its own")
+        with _at("initial"), np.errstate(all="ignore"):
+            checks.require_consistent(batch.problem, batch.twist0, batch.pose0)
         for setting in self.settings:
             with _at("integrate"):
                 api.check_options(batch.problem, **self.options(setting))
 
     @property
     def design(self) -> Design:
-        quantities = self.sample.quantities()
+        quantities = self.sample.quantities() or {NOTHING: 0.0}
         return Design(quantities, n=self.sample.n, seed=self.sample.seed, method=self.sample.method)
 
     @property
@@ -309,9 +316,11 @@ class Study(Section):
     def batch(self, first: int, count: int, design: Design | None = None) -> Batch:
         """Bodies first … first + count, made and started."""
         draws = (design or self.design).draw(first, count)
+        draws.pop(NOTHING, None)
         own: dict[str, dict[str, Array]] = {}
         for path, values in draws.items():
             section, _, key = path.rpartition(".")
+            self._check_shape(path, section, key, values.shape[1:])
             own.setdefault(section, {})[key] = values
         with _at("body"):
             body = self.body.make(own.pop("body", {}))
@@ -320,7 +329,12 @@ class Study(Section):
         acting = []
         for force in self.problem.forces:
             with _at("problem.forces"):
-                acting.append(force.make(own.pop(f"forces.{force.label}", {})))
+                drawn = own.pop(f"forces.{force.label}", {})
+                acting.append(force.make(drawn))
+            for key, values in drawn.items():
+                _require_shape(
+                    f"forces.{force.label}.{key}", values.shape[1:], acting[-1].kind.shapes[key]
+                )
         with _at("problem"):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
             problem = Problem(body, joint, gravity, acting)
@@ -338,10 +352,45 @@ class Study(Section):
         tables = self.model_dump(exclude_none=True, exclude_defaults=True)
         return tomli_w.dumps(tables)
 
+    def _check_shape(self, path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
+        """Whether a draw is what its key takes: else bodies might be taken for components."""
+        known = KEYS.get(section)
+        if known is not None and key not in known:
+            raise StudyError(f"sample.{path}: unknown key{_suggestion(key, list(known))}")
+        if section == "body" and key == "inertia" and shape == (3, 3):
+            return
+        if not section.startswith("forces."):
+            _require_shape(
+                path, shape, SHAPES.get(key, (3,)), free=key in ("coordinates", "velocities")
+            )
+
     def digest(self) -> str:
         """Of everything that the results depend on."""
-        text = json.dumps(self.model_dump(), sort_keys=True)
+        text = json.dumps(self.model_dump(exclude={"name"}), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+NUMBERS = ("mass", "radius", "length", "density", "pitch")
+SHAPES: dict[str, tuple[int, ...]] = dict.fromkeys(NUMBERS, ()) | {
+    "twist": (6,),
+    "rotation": (3, 3),
+}
+KEYS = {
+    "problem": ("gravity",),
+    "initial": tuple(InitialSection.model_fields),
+    "body": tuple(k for k in BodySection.model_fields if k != "solid"),
+    "joint": tuple(k for k in JointSection.model_fields if k not in ("type", "rows")),
+}
+
+
+def _require_shape(
+    path: str, shape: tuple[int, ...], expected: tuple[int, ...], free: bool = False
+) -> None:
+    fits = len(shape) == 1 if free else shape == expected
+    if not fits:
+        what = "a list of numbers" if free or expected == (3,) else f"shape {expected}"
+        what = "one number" if expected == () else what
+        raise StudyError(f"sample.{path}: a draw has shape {shape}; expected {what}")
 
 
 def _started(problem: Problem, initial: dict[str, Any]) -> tuple[Array, Array | None]:
@@ -407,7 +456,7 @@ def _distribution(key: str, value: Any) -> Any:
         return value
     options = dict(value)
     name = options.pop("distribution", None)
-    if name is None:
+    if not isinstance(name, str):
         raise StudyError(f'{key}: needs distribution = "…", one of {", ".join(DISTRIBUTIONS)}')
     if name not in DISTRIBUTIONS:
         raise StudyError(f"{key}.distribution: {unknown_name('it', name, DISTRIBUTIONS)}")
@@ -526,7 +575,7 @@ def _parts_of(line: str, table: list[str]) -> list[str] | None:
     return table + [part.strip(" \"'") for part in key.split(".")]
 
 
-def tables_of(study: Study) -> Iterator[tuple[str, Any]]:
+def tables_of(study: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Every setting by its path, to compare two studies."""
 
     def walk(path: str, value: Any) -> Iterator[tuple[str, Any]]:
@@ -536,4 +585,4 @@ def tables_of(study: Study) -> Iterator[tuple[str, Any]]:
         else:
             yield path, value
 
-    return walk("", study.model_dump())
+    return walk("", study)

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from lierb.arrays import Array
 from lierb.dataset import Dataset
 from lierb.extras import require
-from lierb.findings import ERRORS, QUANTILES, findings
+from lierb.findings import ERRORS, QUANTILES, findings, study_of
 from lierb.study import Setting, Study
 
 require("plot")
@@ -42,7 +42,7 @@ POINTS = 4000  # of a scatter plot, at most
 
 def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
     """Every figure that the results have the data for, as PNG and SVG in `folder`."""
-    study = Study.model_validate(dataset.manifest["study"])
+    study = study_of(dataset)
     figures: dict[str, Callable[[Dataset, Study], Figure | None]] = {
         "distribution": distribution_figure,
         "time": time_figure,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import types
 import warnings
+from collections import namedtuple
 
 import numba
 import numpy as np
@@ -331,6 +333,76 @@ def test_fingerprint_refuses_what_it_cannot_know():
                 "def f(t, R, r, omega, v, params): return r, setting.k * r", setting=Setting()
             )
         )()
+
+
+def test_motors_are_told_apart():
+    """They are wrapped by a function of lierb's, which must not hide them."""
+    one, two = (lierb.forces.motor(lambda t, k=k: k * t) for k in (1.0, 2.0))
+    assert one.kind != two.kind
+    held = lierb.joints.revolute()
+    ends = []
+    for torque in (lambda t: 1.0, lambda t: 2.0):
+        problem = lierb.Problem(
+            lierb.Body(2.0, (1.0, 1.0, 1.0)), held, forces=lierb.forces.motor(torque)
+        )
+        ends.append(final(lierb.integrate(problem, twist0=np.zeros(6), **FALL), "omega")[2])
+    assert ends == [1.0, 2.0]
+    with pytest.raises(ForceError, match="expected a number or a function"):
+        lierb.forces.motor(np.sin)
+
+
+def package(name: str, **members) -> types.ModuleType:
+    module = types.ModuleType(name)
+    vars(module).update(members)
+    return module
+
+
+def test_fingerprint_sees_modules_in_packages():
+    def described(k):
+        consts = package("pkg.consts", k=k)
+        return fingerprint(
+            of_source("def f(x): return pkg.consts.k * x", pkg=package("pkg", consts=consts))
+        )
+
+    assert described(1.0) == described(1.0) != described(2.0)
+
+
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        ("def f(x):\n    import math\n    return math.sin(x)", {}),
+        ("def f(x): return getattr(m, 'k') * x", {"m": package("m", k=1.0)}),
+        ("def f(x): return curve(x)", {"curve": np.polynomial.Polynomial([1.0, 2.0])}),
+        ("def f(x): return curve(x)", {"curve": np.frompyfunc(abs, 1, 1)}),
+        ("def f(x): return p.a * x", {"p": namedtuple("P", "a b")(1.0, 2.0)}),
+    ],
+)
+def test_fingerprint_refuses_what_hides(source, names):
+    with pytest.raises(UnfitFunctionError):
+        fingerprint(of_source(source, **names))
+
+
+def test_a_helper_in_a_known_function_s_clothes_is_looked_at():
+    def helper(factor):
+        @functools.wraps(np.cross)
+        def cross(x):
+            return factor * x
+
+        return cross
+
+    one, two = (fingerprint(of_source("def f(x): return g(x)", g=helper(k))) for k in (1.0, 2.0))
+    assert one != two
+
+
+def test_a_difference_of_equal_products_is_zero():
+    @lierb.wrench(size=0.1)
+    def sideways(t, R, r, omega, v, params):
+        speed = math.sqrt(v @ v - v[2] * v[2])
+        return (0, 0, 0), (speed, 0.0, params.size + 0.1 * abs(v[2]))
+
+    found = fallen(sideways, bodies=3, size=np.array([0.1, 0.7, 1.3]))
+    assert np.isfinite(found).all()
+    assert (found[:, 0] == 0.0).all()
 
 
 def test_a_function_that_calls_itself_has_a_fingerprint():

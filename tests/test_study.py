@@ -162,6 +162,25 @@ WRONG = {
         [("drag", "torsional_spring"), ("linear", "stiffness")],
         "problem: torsional_spring acts about the joint axis",
     ),
+    "ignored quantity": ([("initial.omega", "initial.omgea")], "sample.initial.omgea: unknown key"),
+    "ignored field": ([("body.mass", "problem.gravty")], "sample.problem.gravty: unknown key"),
+    "numbers for a vector": (
+        [("mean = [6.28, 3.14, 0.63]", "mean = 1.0"), ("n = 50", "n = 3")],
+        "sample.initial.omega: a draw has shape (); expected a list of numbers",
+    ),
+    "a vector for a number": (
+        [("low = 0.0", "low = [0.0, 0.0]"), ("high = 0.2", "high = [0.2, 0.2]")],
+        "linear has shape (8, 2)",
+    ),
+    "start": (
+        [("[sample]\n", "[initial]\nplace = [0.1, 0.0, 0.0]\n[sample]\n")],
+        "s.toml:16: initial: pose0[0] does not close the spherical joint",
+    ),
+    "two forces": (
+        [("[sample]\n", '[[problem.forces]]\ntype = "drag"\n[sample]\n')],
+        "problem.forces: two have the same name",
+    ),
+    "list as a name": ([('"normal"', '["normal"]')], "sample.initial.omega: needs distribution"),
     "n": ([("n = 50", "n = 0")], "s.toml:17: sample.n: input should be greater than 0"),
 }  # fmt: skip
 
@@ -274,6 +293,50 @@ def test_resuming_elsewhere_warns(tmp_path, monkeypatch):
 def test_kernels_of_a_study_are_compiled_ahead():
     took = running.compile_for(study())
     assert [setting.label for setting, _ in took] == [s.label for s in study().settings]
+
+
+def test_quantities_have_no_order():
+    tables = tomllib.loads(TEXT)
+    tables["sample"]["method"] = "sobol"
+    turned = copy.deepcopy(tables)
+    turned["sample"] = dict(reversed(turned["sample"].items()))
+    one, other = Study.of(tables), Study.of(turned)
+    assert one.digest() == other.digest()
+    for name, values in one.design.draw(0, 8).items():
+        np.testing.assert_array_equal(other.design.draw(0, 8)[name], values)
+
+
+def test_a_study_without_samples_is_one_body(tmp_path):
+    tables = tomllib.loads(TEXT)
+    del tables["sample"]
+    tables["initial"] = {"omega": [1.0, 2.0, 3.0]}
+    done = lierb.run(Study.of(tables), tmp_path)
+    assert done.table().to_table().num_rows == 4
+
+
+def test_a_run_that_did_nothing_does_not_block_its_folder(whole, tmp_path):
+    given = study(sample={"seed": 9})
+    Dataset(tmp_path).begin(given.digest(), given.model_dump(), "", 1)
+    lierb.run(study(), tmp_path)
+    assert bits(tmp_path) == bits(whole)
+
+
+@pytest.mark.parametrize("content", [b"[]", b"{}", b"\xff", b"{"])
+def test_a_manifest_that_is_none_is_named(content, tmp_path):
+    (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(StudyError, match="manifest"):
+        lierb.run(study(), tmp_path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
+def test_encodings(encoding, tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_bytes(("# °\n" + TEXT).encode(encoding))
+    if encoding == "latin-1":
+        with pytest.raises(StudyError, match=r"s\.toml: .*utf-8"):
+            Study.load(path)
+    else:
+        assert Study.load(path).sample.n == 50
 
 
 def test_stream_has_the_same_rows(whole):
@@ -463,6 +526,6 @@ def test_figures_of_a_study_are_complete(tmp_path):
                 assert all(np.isfinite(line.get_ydata()).all() for line in panel.lines)
     sampled = [panel.get_xlabel() for panel in figure.axes if panel.get_visible()]
     assert sampled == [
-        "body.mass [kg]", "initial.omega, 1 [rad/s]", "initial.omega, 2 [rad/s]",
-        "initial.omega, 3 [rad/s]", "forces.drag.linear [N s/m]",
+        "body.mass [kg]", "forces.drag.linear [N s/m]", "initial.omega, 1 [rad/s]",
+        "initial.omega, 2 [rad/s]", "initial.omega, 3 [rad/s]",
     ]  # fmt: skip

@@ -76,8 +76,7 @@ class Dual:
         return _quotient(other, self)
 
     def __neg__(self) -> Dual:
-        factors = (-self.factors[0], self.factors[1]) if self.factors else ()
-        return Dual(-self.value, tuple(-part for part in self.parts), factors)
+        return Dual(-self.value, tuple(-part for part in self.parts))
 
     def __pos__(self) -> Dual:
         return self
@@ -167,7 +166,7 @@ def _fused(a: Any, b: Any, c: Any) -> Any:
 
 
 def _difference(a: Any, b: Any) -> Any:
-    return _sum(a, -b)
+    return _value(a) - _value(b)  # not fused: x·x − x·x shall be zero
 
 
 def _parts(x: Any) -> tuple[Any, ...]:
@@ -332,8 +331,27 @@ def _whole_power(base: Any, exponent: int) -> Any:
     return half * half * base if exponent % 2 else half * half
 
 
-def hypot(x: Any, y: Any) -> Any:
-    return sqrt(x * x + y * y)
+def hypot(*numbers: Any) -> Any:
+    return sqrt(sum(x * x for x in numbers))
+
+
+def logarithm(x: Any, base: float | None = None) -> Any:
+    return log(x) if base is None else log(x) / math.log(base)
+
+
+def log10(x: Any) -> Any:
+    return log(x) / math.log(10.0)
+
+
+def log2(x: Any) -> Any:
+    return log(x) / math.log(2.0)
+
+
+class _Float(float):
+    """`float` in functions of the user's: numbers of many bodies stay what they are."""
+
+    def __new__(cls, x: Any = 0.0) -> Any:
+        return x if isinstance(x, Dual) else float(x)
 
 
 def copysign(x: Any, y: Any) -> Any:
@@ -365,22 +383,25 @@ def sign(x: Any) -> Any:
 
 
 _METHODS = (
-    sin, cos, tan, exp, expm1, log, log1p, sqrt, sinh, cosh, tanh, arcsin, arccos, arctan, arctan2,
-    hypot,
+    sin, cos, tan, exp, expm1, log, log1p, log10, log2, sqrt, sinh, cosh, tanh, arcsin, arccos,
+    arctan, arctan2, hypot,
 )  # fmt: skip
 for _function in _METHODS:  # what NumPy calls on objects
     setattr(Dual, _function.__name__, _function)
 
 _BY_COMPARISON = {
     np.maximum: larger, np.minimum: smaller, np.fmax: larger, np.fmin: smaller, np.sign: sign,
-    np.copysign: copysign, np.float_power: power,
+    np.copysign: copysign, np.float_power: power, np.arctan2: arctan2, np.hypot: hypot,
 }  # fmt: skip
 
 # What stands for the functions of `math`, and for built-in ones, in functions of the user's.
 REPLACEMENTS: dict[Any, Any] = {
-    math.sin: sin, math.cos: cos, math.tan: tan, math.exp: exp, math.expm1: expm1, math.log: log,
+    math.sin: sin, math.cos: cos, math.tan: tan, math.exp: exp, math.expm1: expm1,
+    math.log: logarithm,
+    math.log10: log10, math.log2: log2, math.radians: lambda x: x * (math.pi / 180.0),
+    math.degrees: lambda x: x * (180.0 / math.pi),
     math.log1p: log1p, math.sqrt: sqrt, math.sinh: sinh, math.cosh: cosh, math.tanh: tanh,
     math.asin: arcsin, math.acos: arccos, math.atan: arctan, math.atan2: arctan2,
     math.hypot: hypot, math.pow: power, math.fabs: absolute_value, math.copysign: copysign,
-    max: larger, min: smaller, float: lambda x: x,
+    max: larger, min: smaller, float: _Float,
 }  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 import builtins
 import dis
 import hashlib
+import sys
 import types
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,7 +18,9 @@ import numpy as np
 from numba.core.registry import CPUDispatcher
 
 LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, type(...))
-FOREIGN = ("math", "numpy", "numba", "lierb", "builtins")  # packages known by their names
+KNOWN = {"numpy", "numba", "lierb", *sys.stdlib_module_names}  # packages whose names say it all
+# With these a function gets at what nobody can see from outside.
+HIDDEN = ("getattr", "eval", "exec", "globals", "locals", "vars", "open", "__import__")
 
 
 class UnfitFunctionError(TypeError):
@@ -26,7 +29,7 @@ class UnfitFunctionError(TypeError):
 
 def fingerprint(function: Callable[..., Any]) -> str:
     """A digest of the function's code and of everything that it refers to."""
-    description = _described(function, getattr(function, "__name__", "function"), [])
+    description = _described_function(function, [function])
     return hashlib.sha256(repr(description).encode()).hexdigest()[:32]
 
 
@@ -60,11 +63,11 @@ def _described(value: Any, name: str, path: list[Any]) -> Any:
         value = value.py_func
     if isinstance(value, LITERALS):
         return repr(value)
-    if isinstance(value, (set, frozenset)):
+    if type(value) in (set, frozenset):
         return "set", *sorted(map(repr, value))
-    if isinstance(value, (tuple, list)):
+    if type(value) in (tuple, list):
         return type(value).__name__, *(_described(x, name, path) for x in value)
-    if isinstance(value, dict):
+    if type(value) is dict:
         return "dict", *(_described(item, name, path) for item in value.items())
     if isinstance(value, (np.ndarray, np.generic)) and value.dtype != object:
         array = np.ascontiguousarray(value)
@@ -88,19 +91,33 @@ def _described(value: Any, name: str, path: list[Any]) -> Any:
 def _described_function(function: Any, path: list[Any]) -> Any:
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     named = [*references(function), *((name, cell.cell_contents) for name, cell in cells)]
-    attributes = {n for code in _codes(function.__code__) for n in code.co_names}
-    members = [
-        (f"{name}.{member}", getattr(value, member))
-        for name, value in named
-        if isinstance(value, types.ModuleType) and value.__name__.split(".")[0] not in FOREIGN
-        for member in sorted(attributes & set(vars(value)))
-    ]
+    codes = list(_codes(function.__code__))
+    if any(i.opname == "IMPORT_NAME" for code in codes for i in dis.get_instructions(code)):
+        raise UnfitFunctionError("it imports something itself; import that before the function")
+    for name, value in named:
+        if name in HIDDEN and value is getattr(builtins, name):
+            raise UnfitFunctionError(f"it uses {name}, behind which lierb cannot look")
+    attributes = {n for code in codes for n in code.co_names}
+    modules = [(name, value) for name, value in named if isinstance(value, types.ModuleType)]
+    members = [member for name, value in modules for member in _members(name, value, attributes)]
     return (
         _described_code(function.__code__, path),
         _described(function.__defaults__, "a default", path),
         _described(function.__kwdefaults__, "a default", path),
         *((name, _described(value, name, path)) for name, value in named + members),
     )
+
+
+def _members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterator[Any]:
+    """What a function may mean by `module.attribute`, and by what is in modules that it names."""
+    if module.__name__.split(".")[0] in KNOWN:
+        return
+    for attribute in sorted(attributes & set(vars(module))):
+        value = getattr(module, attribute)
+        inner = f"{name}.{attribute}"
+        yield inner, value
+        if isinstance(value, types.ModuleType) and value.__name__.startswith(module.__name__):
+            yield from _members(inner, value, attributes)
 
 
 def _described_code(code: types.CodeType, path: list[Any]) -> Any:
@@ -111,8 +128,13 @@ def _described_code(code: types.CodeType, path: list[Any]) -> Any:
 
 
 def is_foreign(value: Any) -> bool:
-    """Whether it belongs to a package that is known by its name."""
+    """Whether it is what a known package has under its name, so that the name says it all."""
     if isinstance(value, np.ufunc):
-        return True
-    module = getattr(value, "__module__", None) or ""
-    return callable(value) and module.split(".")[0] in FOREIGN
+        return getattr(np, value.__name__, None) is value
+    package, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    if not callable(value) or not package or not name or package.split(".")[0] not in KNOWN:
+        return False
+    found: Any = sys.modules.get(package)
+    for part in name.split("."):
+        found = getattr(found, part, None)
+    return found is value

@@ -208,6 +208,9 @@ class Mask:
 
     __rand__, __ror__ = __and__, __or__
 
+    def __invert__(self) -> Mask:
+        return Mask(self.builder, self.builder.not_(self.value))
+
     def __bool__(self) -> bool:
         raise TypeError(
             "a condition on many bodies has no single truth value: use lierb.where(condition, a, "
