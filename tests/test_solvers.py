@@ -10,7 +10,7 @@ import pytest
 from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, slow_but, tilted
 
 import lierb
-from lierb import api, run
+from lierb import api, engine
 
 JOINTS = [name for name in SUBGROUP_JOINTS if name != "free"]
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -84,8 +84,8 @@ def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monke
     np.testing.assert_array_equal(end(slice(4, 7)), expected[4:7])
     monkeypatch.setattr(api, "DEFAULT_LANES", 1)
     np.testing.assert_array_equal(end(), expected)
-    monkeypatch.setattr(run, "FIRST_CALL_BLOCK_STEPS", 1)
-    monkeypatch.setattr(run, "CALL_SECONDS", 0.0)
+    monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
+    monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
     np.testing.assert_array_equal(end(), expected)
 
 
