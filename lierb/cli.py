@@ -86,7 +86,6 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
     Every joint in both c-spaces, RK4 with three step sizes over 10 s: how well does each keep its
     constraints, and does that agree with the paper's claims? (A. Müller, BIT 56, 2016)
     """
-    from rich.console import Console
 
     from lierb.paper import T_END, run_paper
 
@@ -99,12 +98,8 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
             figures=not no_figures,
             progress=progress,
         )
-    table = _findings_table(report)
-    console = Console(highlight=False)
-    # In a window that is too narrow the lines wrap, but no number is cut.
-    console.width = max(console.width, Console(width=1000).measure(table).maximum)
     click.echo(f"Section 5 of the paper over {T_END:g} s: {report.setting}\n")
-    console.print(table)
+    _print_whole(_findings_table(report))
     for line in _closing_lines(report, out):
         click.echo(line)
 
@@ -280,15 +275,19 @@ def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
                 click.echo(f"  {name:28}{value!r}")
 
 
-def _show(dataset: Dataset) -> None:
+def _print_whole(table: Table) -> None:
+    """In a window that is too narrow the lines wrap, but no number is cut."""
     from rich.console import Console
 
+    console = Console(highlight=False)
+    console.width = max(console.width, Console(width=1000).measure(table).maximum)
+    console.print(table)
+
+
+def _show(dataset: Dataset) -> None:
     from lierb.findings import findings, table_of
 
-    console = Console(highlight=False)
-    shown = table_of(findings(dataset))
-    console.width = max(console.width, Console(width=1000).measure(shown).maximum)
-    console.print(shown)
+    _print_whole(table_of(findings(dataset)))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
     state = "" if done == asked else "; the rest with: lierb run STUDY --resume"
     click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")

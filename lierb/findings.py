@@ -19,8 +19,10 @@ from lierb.study import Setting, Study
 if TYPE_CHECKING:
     from rich.table import Table
 
-ERRORS = {"position": "position_error_max", "rotation": "rotation_error_max"} | {
-    "energy": "energy_drift_max"
+ERRORS = {
+    "position": "position_error_max",
+    "rotation": "rotation_error_max",
+    "energy": "energy_drift_max",
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
@@ -48,6 +50,15 @@ def study_of(dataset: Dataset) -> Study:
         raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
 
 
+def rows_of(setting: Setting) -> pc.Expression:
+    """The filter for a setting's rows."""
+    return (
+        (pc.field("cspace") == setting.cspace)
+        & (pc.field("method") == setting.method)
+        & (pc.field("dt") == setting.dt)
+    )
+
+
 def findings(dataset: Dataset) -> list[Found]:
     """What the finished parts say, setting by setting."""
     study = study_of(dataset)
@@ -56,12 +67,7 @@ def findings(dataset: Dataset) -> list[Found]:
 
 def _found(dataset: Dataset, setting: Setting) -> Found:
     names = ["status", *ERRORS.values()]
-    wanted = (
-        (pc.field("cspace") == setting.cspace)
-        & (pc.field("method") == setting.method)
-        & (pc.field("dt") == setting.dt)
-    )
-    rows: pa.Table = dataset.table("summary").to_table(columns=names, filter=wanted)
+    rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
     quantiles = {
         kind: np.quantile(rows[name].to_numpy()[ok], QUANTILES, method="inverted_cdf")

@@ -267,8 +267,7 @@ class Problem:
             for name, shape in element.kind.shapes.items()
             for x in components(element.parameters[name], len(shape))
         ]
-        placed = kinds.all_placed(self.kinds, numbers, space.frames(parameters))
-        return space.body(parameters)._replace(elements=placed)
+        return kinds.body_with(space, parameters, self.kinds, numbers)
 
     def close(self, pose: Any) -> Array:
         """A pose that closes the joint, from one near by, by Newton's method on its constraints.

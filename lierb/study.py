@@ -83,9 +83,8 @@ class BodySection(Section):
 
     def make(self, sampled: dict[str, Array]) -> Body:
         values = self.given() | sampled
-        if (
-            "inertia" in sampled and sampled["inertia"].ndim == 2
-        ):  # principal moments; of three bodies no matrix
+        if "inertia" in sampled and sampled["inertia"].ndim == 2:
+            # principal moments: those of three bodies are no matrix
             values["inertia"] = sampled["inertia"][:, :, None] * np.eye(3)
         if "second_moments" in values:
             if "inertia" in values:

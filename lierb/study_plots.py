@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 from lierb.arrays import Array
 from lierb.dataset import Dataset
 from lierb.extras import require
-from lierb.findings import ERRORS, QUANTILES, findings, study_of
+from lierb.findings import ERRORS, QUANTILES, findings, rows_of, study_of
 from lierb.study import Setting, Study
 
 require("plot")
@@ -97,7 +97,7 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
             panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
             panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
         panel.set_yscale("log")
-        panel.set_ylabel(f"{AXES[kind]}")
+        panel.set_ylabel(AXES[kind])
         panel.set_xlabel("time [s]")
     _legend(figure, panels)
     return figure
@@ -171,25 +171,15 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
 
 def _ok(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(columns=names, filter=_of(setting) & (_status() == "ok"))
+    table = dataset.table().to_table(
+        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
+    )
     return {
         name: np.stack(column.to_numpy(zero_copy_only=False))
         if table.num_rows and hasattr(column.type, "list_size")
         else column.to_numpy()
         for name, column in ((name, table[name].combine_chunks()) for name in names)
     }
-
-
-def _of(setting: Setting) -> Any:
-    return (
-        (pc.field("cspace") == setting.cspace)
-        & (pc.field("method") == setting.method)
-        & (pc.field("dt") == setting.dt)
-    )
-
-
-def _status() -> Any:
-    return pc.field("status")
 
 
 def _seen(dataset: Dataset, study: Study) -> dict[str, str]:
@@ -204,7 +194,7 @@ def _seen(dataset: Dataset, study: Study) -> dict[str, str]:
 
 def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]:
     """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
-    table = dataset.table("errors").to_table(columns=["step", "t", name], filter=_of(setting))
+    table = dataset.table("errors").to_table(columns=["step", "t", name], filter=rows_of(setting))
     steps, values = table["step"].to_numpy(), np.abs(table[name].to_numpy())
     order = np.argsort(steps, kind="stable")
     whole, starts = np.unique(steps[order], return_index=True)

@@ -56,7 +56,7 @@ def floor(x: Any) -> Any:
 
 def minimum(a: Any, b: Any) -> Any:
     """The smaller one; the other one if one is NaN."""
-    a, b = _number(a), _number(b)
+    a, b = plain(a), plain(b)
     return lanes.call_intrinsic("minnum", a, b) if _traced(a, b) else np.fmin(a, b)
 
 
@@ -64,11 +64,12 @@ def maximum(a: Any, b: Any) -> Any:
     """The larger one; the other one if one is NaN."""
     if is_zero(a, b):
         return ZERO
-    a, b = _number(a), _number(b)
+    a, b = plain(a), plain(b)
     return lanes.call_intrinsic("maxnum", a, b) if _traced(a, b) else np.fmax(a, b)
 
 
-def _number(x: Any) -> Any:
+def plain(x: Any) -> Any:
+    """A structural zero as a number."""
     return 0.0 if is_zero(x) else x
 
 
@@ -79,9 +80,9 @@ def where(mask: Any, a: Any, b: Any) -> Any:
     if _same_constant(a, b):
         return a
     if isinstance(mask, Mask):
-        return lanes.select(mask, _number(a), _number(b))
+        return lanes.select(mask, plain(a), plain(b))
     if isinstance(mask, np.ndarray):
-        return np.where(mask, _number(a), _number(b))
+        return np.where(mask, plain(a), plain(b))
     return a if mask else b
 
 
@@ -112,7 +113,7 @@ def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]
     def flat(side: Callable[[], Any]) -> Callable[[], list[Any]]:
         def run() -> list[Any]:
             results.append(side())
-            return [_number(x) for x in flatten(results[-1])]
+            return [plain(x) for x in flatten(results[-1])]
 
         return run
 
@@ -149,9 +150,9 @@ def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
 def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
     """Write a pack to `width` consecutive places from `index` on."""
     if isinstance(array, ArrayRef):
-        array.store(index, _number(number), width)
+        array.store(index, plain(number), width)
     else:
-        array[index] = _number(number)
+        array[index] = plain(number)
 
 
 def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
@@ -163,7 +164,7 @@ def scatter(
     array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
 ) -> None:
     """Write lane i of each pack at its place moved by i along `axis`, while inside the array."""
-    numbers = [_number(x) for x in numbers]
+    numbers = [plain(x) for x in numbers]
     if isinstance(array, ArrayRef):
         array.scatter(axis, places, numbers, width)
     else:

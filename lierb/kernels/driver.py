@@ -25,7 +25,7 @@ from lierb.kernels.arithmetic import (
     store,
     where,
 )
-from lierb.kernels.elements import Element, all_placed, parameter_count
+from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3
 from lierb.kernels.plan import Plan
@@ -119,8 +119,7 @@ def body_of(
 ) -> Body:
     """The body, with its elements, from the numbers of all input columns."""
     parameters, _, _ = parameters_of(numbers)
-    placed = all_placed(elements, numbers[INPUT_COLUMNS:], space.frames(parameters))
-    return space.body(parameters)._replace(elements=placed)
+    return body_with(space, parameters, elements, numbers[INPUT_COLUMNS:])
 
 
 def load_body(plan: Plan, inputs: Any, first: Any) -> Body:

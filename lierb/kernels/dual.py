@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels import lanes
-from lierb.kernels.arithmetic import absolute, all_lanes, branch, fma
+from lierb.kernels.arithmetic import absolute, all_lanes, branch, fma, plain
 from lierb.kernels.arithmetic import sqrt as root
 from lierb.kernels.arithmetic import where as select
 from lierb.kernels.coefficients import atan2, sincos
@@ -236,9 +236,9 @@ def absolute_value(x: Any) -> Any:
 def _library(name: str, *operands: Any) -> Any:
     """The C library's function, number by number."""
     if any(isinstance(x, Lane) for x in operands):
-        return lanes.call_library(name, *(0.0 if is_zero(x) else x for x in operands))
+        return lanes.call_library(name, *map(plain, operands))
     numpy_name = {"pow": "power", "asin": "arcsin", "acos": "arccos", "fmod": "fmod"}
-    return getattr(np, numpy_name.get(name, name))(*(0.0 if is_zero(x) else x for x in operands))
+    return getattr(np, numpy_name.get(name, name))(*map(plain, operands))
 
 
 def _sine_or_cosine(name: str, x: Any) -> Any:

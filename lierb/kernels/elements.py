@@ -12,11 +12,20 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
-from lierb.kernels.arithmetic import PI, fma, rint, sqrt, where
+from lierb.kernels.arithmetic import PI, fma, plain, rint, sqrt, where
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.dual import Dual
 from lierb.kernels.functions import Function
-from lierb.kernels.newton_euler import Body, Frames, Kinematics, Motion, Pose
+from lierb.kernels.newton_euler import (
+    SE3,
+    Body,
+    Frames,
+    Kinematics,
+    Motion,
+    Parameters,
+    Pose,
+    SO3xR3,
+)
 from lierb.kernels.vec import (
     UNIT,
     ZERO3,
@@ -37,7 +46,7 @@ from lierb.kernels.vec import (
     scale,
     sub,
 )
-from lierb.kernels.zero import ZERO, is_zero
+from lierb.kernels.zero import ZERO
 
 Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the body frame's origin
 Shape = tuple[int, ...]
@@ -277,7 +286,7 @@ class SpeedMotor(Element):
         """ẇ, exactly."""
         if self.function is None:
             return ZERO
-        rate = self.function(placed, Dual(_plain(x.time), (1.0,)))
+        rate = self.function(placed, Dual(plain(x.time), (1.0,)))
         return rate.parts[0] if isinstance(rate, Dual) else ZERO
 
     def rate(self, placed: Any, x: Kinematics) -> Any:
@@ -347,11 +356,7 @@ class UserConstraint(Element):
 
 def _second(value: Any, rate: Any, bend: Any) -> Dual:
     """A number with its first and second derivative."""
-    return Dual(Dual(_plain(value), (rate,)), (Dual(_plain(rate), (bend,)),))
-
-
-def _plain(x: Any) -> Any:
-    return 0.0 if is_zero(x) else x
+    return Dual(Dual(plain(value), (rate,)), (Dual(plain(rate), (bend,)),))
 
 
 def _place(x: Kinematics) -> Vec:
@@ -396,6 +401,17 @@ def all_placed(
         }
         placed.append(element.placed(given, frames))
     return tuple(placed)
+
+
+def body_with(
+    space: type[SE3] | type[SO3xR3],
+    parameters: Parameters,
+    elements: tuple[Element, ...],
+    numbers: list[Any],
+) -> Body:
+    """The body in that c-space, with its elements made of `numbers`, as in `all_placed`."""
+    placed = all_placed(elements, numbers, space.frames(parameters))
+    return space.body(parameters)._replace(elements=placed)
 
 
 def total_wrench(elements: tuple[Element, ...], body: Body, x: Motion) -> Vec:

@@ -22,11 +22,10 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
 from lierb.kernels import _jit
-from lierb.kernels.arithmetic import flatten
+from lierb.kernels.arithmetic import flatten, plain
 from lierb.kernels.dual import REPLACEMENTS, Dual, where
 from lierb.kernels.fingerprint import UnfitFunctionError, is_foreign, references
 from lierb.kernels.lanes import Lane
-from lierb.kernels.zero import is_zero
 
 Shape = tuple[int, ...]
 Shapes = tuple[tuple[str, Shape], ...]
@@ -51,7 +50,7 @@ class Function:
 
     def __call__(self, parameters: tuple[Any, ...], *arguments: Any) -> Any:
         """Its results; numbers and vectors as formulas have them, matrices row by row."""
-        members = [0.0 if is_zero(x) else x for x in flatten((*arguments, *parameters))]
+        members = [plain(x) for x in flatten((*arguments, *parameters))]
         if not self.is_traced:
             return self._of_one_body(members)
         duals = (x if isinstance(x, Dual) else Dual(x) for x in members)

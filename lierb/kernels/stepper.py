@@ -85,7 +85,7 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZE
 
 def applied_wrench(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Vec:
     """(torque, force) of all applied forces but gravity, about the body frame's origin."""
-    if not plan.elements:  # and no pose either, where nothing else asks for it
+    if not plan.elements:
         return ZERO6
     return total_wrench(plan.elements, body, plan.space.motion(pose, velocity, time))
 
@@ -102,7 +102,9 @@ def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State
         velocity = _advanced(plan, body, state.velocity, h, weights, v_rates)
         k = group.angle_coefficients(x)
         now = fma(h, node, time)
-        pose = group.compose(state.chart, group.exp(x, k))
+        pose = state.chart
+        if plan.slots is None or plan.elements:  # a gain by itself asks for no pose
+            pose = group.compose(pose, group.exp(x, k))
         if plan.slots is None:
             found = accelerate(plan, body, pose, velocity, now)
             v_rate = found.rate
