@@ -6,25 +6,22 @@ Each command imports what it runs inside its function, so that `lierb --help` st
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from lierb import study_cli
 from lierb.errors import LierbError
 from lierb.extras import MissingExtraError, require
+from lierb.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lierb.dataset import Dataset
     from lierb.paper import Finding, PaperReport
-
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 class Commands(click.Group):
@@ -46,6 +43,10 @@ class Commands(click.Group):
 @click.version_option(package_name="lierb")
 def cli() -> None:
     """Constrained rigid bodies on Lie groups, many at once."""
+
+
+for command in study_cli.COMMANDS:
+    cli.add_command(command)
 
 
 def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
@@ -89,7 +90,7 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
 
     from lierb.paper import T_END, run_paper
 
-    with _progress() as progress:
+    with progress_of_cases() as progress:
         report = run_paper(
             out,
             gravity=gravity,
@@ -99,7 +100,7 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
             progress=progress,
         )
     click.echo(f"Section 5 of the paper over {T_END:g} s: {report.setting}\n")
-    _print_whole(_findings_table(report))
+    print_whole(_findings_table(report))
     for line in _closing_lines(report, out):
         click.echo(line)
 
@@ -167,7 +168,7 @@ def warmup(
         for setting, seconds in compile_for(joint[0]):
             click.echo(f"{setting.label:40}{seconds:6.2f} s")
         return
-    with _progress() as progress:
+    with progress_of_cases() as progress:
         kernels = lierb.warmup(
             joint or ("spherical",), methods=method, cspaces=cspace, updates=update,
             solver=solver, multipliers=multipliers, progress=progress,
@@ -176,185 +177,6 @@ def warmup(
         name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
         click.echo(f"{name:40}{kernel.seconds:6.2f} s")
     click.echo(f"{len(kernels)} kernels are ready in {lierb.info()['cache']['folder']}")
-
-
-STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-
-
-@cli.command()
-@STUDY
-@click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for the results.  [default: results/NAME]",
-)  # fmt: skip
-@click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
-@click.option("--threads", type=click.IntRange(min=1), help="Threads to use.  [default: all]")
-@click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
-def run(study: Path, out: Path | None, resume: bool, threads: int | None, only: int | None) -> None:
-    """Run a Monte Carlo STUDY, a TOML file, into a folder of Parquet parts.
-
-    A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
-    """
-    require("study")
-    from lierb.running import run as run_study
-
-    folder = out or Path("results") / study.stem
-    if only is not None:
-        _replay(study, folder, only, threads)
-        return
-    try:
-        with _body_steps() as progress:
-            dataset = run_study(study, folder, resume=resume, threads=threads, progress=progress)
-    except KeyboardInterrupt:
-        click.echo(
-            f"\nStopped. Finished parts are kept; go on with:  lierb run {study} --resume", err=True
-        )
-        raise click.exceptions.Exit(INTERRUPTED) from None
-    _show(dataset)
-
-
-@cli.command()
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-def show(folder: Path) -> None:
-    """The summary of a study's results in FOLDER, finished or not."""
-    require("study")
-    from lierb.dataset import Dataset
-
-    dataset = Dataset(folder)
-    dataset.read()
-    _show(dataset)
-
-
-@cli.command()
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
-def plot(folder: Path) -> None:
-    """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
-    require("study")
-    require("plot")
-    from lierb.dataset import Dataset
-    from lierb.study_plots import draw_all
-
-    dataset = Dataset(folder)
-    dataset.read()
-    for path in draw_all(dataset, folder / "figures"):
-        click.echo(str(path))
-
-
-@cli.command()
-@STUDY
-def predict(study: Path) -> None:
-    """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
-
-    Of its first body: where the joint is on the body can make a difference.
-    """
-    require("study")
-    import lierb
-    from lierb.study import Study
-
-    batch = Study.load(study).batch(0, 1)
-    found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
-    click.echo(str(found))
-    for prediction in found.values():
-        click.echo(_wrapped(f"{prediction.cspace}: {prediction.reason}"))
-
-
-def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
-    """One body's history in files of its own, and its row of the summary."""
-    import pyarrow.parquet as pq
-
-    from lierb.running import replay
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, (setting, tables) in enumerate(replay(study, body, threads=threads)):
-        path = folder / f"body-{body}-{number:02d}.parquet"
-        pq.write_table(tables["errors"], path)
-        (row,) = tables["summary"].to_pylist()
-        click.echo(f"{setting.label}: {row['status']}, history in {path}")
-        for name, value in row.items():
-            if isinstance(value, float):
-                click.echo(f"  {name:28}{value!r}")
-
-
-def _print_whole(table: Table) -> None:
-    """In a window that is too narrow the lines wrap, but no number is cut."""
-    from rich.console import Console
-
-    console = Console(highlight=False)
-    console.width = max(console.width, Console(width=1000).measure(table).maximum)
-    console.print(table)
-
-
-def _show(dataset: Dataset) -> None:
-    from lierb.findings import findings, table_of
-
-    _print_whole(table_of(findings(dataset)))
-    done, asked = len(dataset.parts), dataset.manifest["asked"]
-    state = "" if done == asked else "; the rest with: lierb run STUDY --resume"
-    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
-
-
-@contextmanager
-def _body_steps() -> Iterator[Callable[[int, int], None] | None]:
-    """A bar of body-steps on standard error, with their rate and the time left."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield None
-        return
-    columns = (
-        BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None, rate="")
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-            speed = bar.tasks[0].speed
-            if speed:
-                bar.update(task, rate=f"{speed / 1e6:.1f} M body-steps/s")
-
-        yield show
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on standard error; where that is no terminal, a line for each joint or figure."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _progress_lines()
-        return
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=what)
-
-        yield show
-
-
-def _progress_lines() -> Callable[[int, int, str], None]:
-    shown = ""
-
-    def show(done: int, total: int, what: str) -> None:
-        nonlocal shown
-        topic = what.split(":")[0]
-        if topic and topic != shown:
-            click.echo(f"[{done}/{total}] {topic}", err=True)
-        shown = topic
-
-    return show
 
 
 def _findings_table(report: PaperReport) -> Table:
@@ -438,16 +260,12 @@ def _closing_lines(report: PaperReport, out: Path) -> Iterator[str]:
     yield ""
     noted = dict.fromkeys(f.example for f in report.findings if f.example.note)
     for example in noted:
-        yield _wrapped(f"{example.title} ({example.reading}): {example.note}.")
+        yield wrapped(f"{example.title} ({example.reading}): {example.note}.")
     for warning in report.warnings:
-        yield _wrapped(f"warning: {warning}")
+        yield wrapped(f"warning: {warning}")
     yield ""
     claims = [finding.agrees for finding in report.findings if finding.agrees is not None]
     yield f"{sum(claims)} of {len(claims)} claims of the paper agree."
     yield f"Written to {out}:"
     for stem, files in groupby(report.files, key=lambda path: path.stem):
         yield f"  {stem}{', '.join(path.suffix for path in files)}"
-
-
-def _wrapped(text: str) -> str:
-    return textwrap.fill(text, width=80, subsequent_indent="  ")

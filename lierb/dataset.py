@@ -15,8 +15,10 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pyarrow as pa
 import pyarrow.dataset as ds
@@ -32,6 +34,28 @@ TABLES = ("summary", "errors")
 FORMAT = 1
 KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
 TEMPORARY = ".unfinished"
+Entry = dict[str, dict[str, Any]]  # of a part in the manifest: rows and checksum of its files
+
+
+@dataclass(frozen=True)
+class File:
+    """A part's table as it will be in the folder."""
+
+    path: str
+    rows: int
+    content: pa.Buffer
+
+
+def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> list[File]:
+    """A part's tables as Parquet files, the same bytes wherever they are made."""
+    files = []
+    for name, table in tables.items():
+        # No two doubles are alike: looking for a dictionary of them takes most of the time.
+        repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
+        files.append(File(f"{name}/part-{part}.parquet", table.num_rows, sink.getvalue()))
+    return files
 
 
 class Dataset:
@@ -86,20 +110,18 @@ class Dataset:
         }  # fmt: skip
         self._enter()
 
-    def add(self, part: str, tables: dict[str, pa.Table], compression: str) -> None:
-        """Write a part's tables and enter them."""
-        files = {}
-        for name, table in tables.items():
-            path = f"{name}/part-{part}.parquet"
-            # No two doubles are alike: looking for a dictionary of them takes most of the time.
-            repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
-            sink = pa.BufferOutputStream()
-            pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
-            content = sink.getvalue()
-            self.write(path, content)
-            digest = hashlib.sha256(content).hexdigest()
-            files[path] = {"rows": table.num_rows, "sha256": digest}
-        self.parts[part] = files
+    def store(self, files: list[File]) -> Entry:
+        """Write a part's files; what `enter` wants to know of them."""
+        for file in files:
+            self.write(file.path, file.content)
+        return {
+            file.path: {"rows": file.rows, "sha256": hashlib.sha256(file.content).hexdigest()}
+            for file in files
+        }
+
+    def enter(self, part: str, entry: Entry) -> None:
+        """Count a part among the finished ones: its files are safe."""
+        self.parts[part] = entry
         self._enter()
 
     def _enter(self) -> None:
@@ -110,7 +132,8 @@ class Dataset:
         """A file with that content, or none: never half of it."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_name(f".{path.name}{TEMPORARY}")  # readers of the folder skip it
+        # Readers of the folder skip the dot; two processes may be at the same part.
+        unfinished = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
         try:
             with unfinished.open("wb") as file:
                 file.write(content)

@@ -6,57 +6,23 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pyarrow as pa
 
 from lierb.api import integrate
-from lierb.arrays import Array
-from lierb.dataset import Dataset
+from lierb.cluster import spread
+from lierb.dataset import Dataset, Entry, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.parts import Part, Progress, parts_of
 from lierb.provenance import machine
-from lierb.sampling import Design
-from lierb.study import Batch, Setting, Study, tables_of
+from lierb.study import Setting, Study, tables_of
 
-Progress = Callable[[int, int], None]
-HISTORY_BYTES = 64e6  # of a part's history, at most
-HISTORY_ROW_BYTES = 100  # about, without what `record` adds
-STATE_BYTES = 144
-
-
-@dataclass(frozen=True)
-class Part:
-    """Some bodies in one setting of a study."""
-
-    name: str
-    setting: Setting
-    first: int
-    count: int
-
-
-def parts_of(study: Study) -> list[Part]:
-    """All parts, setting by setting."""
-    bodies, size = len(study.design), part_size(study)
-    return [
-        Part(f"{s:02d}-{first:010d}", setting, first, min(size, bodies - first))
-        for s, setting in enumerate(study.settings)
-        for first in range(0, bodies, size)
-    ]
-
-
-def part_size(study: Study) -> int:
-    """Bodies in a part: as the study says, fewer if their history would not fit the memory."""
-    run = study.integrate
-    if run.save_every is None:
-        return study.output.part
-    row = HISTORY_ROW_BYTES + STATE_BYTES * ("state" in run.record)
-    rows = run.t_end / min(run.dt) / run.save_every + 2
-    return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
+if TYPE_CHECKING:
+    from distributed import Client
 
 
 def run(
@@ -66,43 +32,70 @@ def run(
     resume: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
+    client: Client | None = None,
+    gather: bool = False,
 ) -> Dataset:
     """Run a study into a folder, part by part; memory does not grow with the study.
 
     study : a Study, or the path of its TOML file.   out : a folder; made if need be.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
         that are missing or damaged are done (again). The results are the same, bit for bit.
-    threads : as in `lierb.integrate`.
+    threads : as in `lierb.integrate`; with `client`, of each worker, its own number if None.
     progress : a function of (body-steps done, body-steps in all).
+    client : a dask.distributed.Client; its workers run the parts, one task a part, and write them
+        into `out`, which they must see under the same path. The files are the same, bit for bit.
+    gather : the workers send their parts back, and this process writes them.
 
     Raises StudyError for a study that is wrong, for a folder that has results already (without
-    `resume`), those of another study, or another run that writes to it. After Ctrl-C the part
-    under way is finished first; a second Ctrl-C loses it.
+    `resume`), those of another study, or another run that writes to it; with `client`, for a
+    cluster without workers, one that is lost, or a part whose workers die again and again. After
+    Ctrl-C the parts under way are finished first; a second Ctrl-C loses them.
     """
+    if gather and client is None:
+        raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     given, text = _loaded(study)
     dataset = Dataset(out)
     with dataset.locked():
         _opened(dataset, given, text, resume)
         parts = parts_of(given)
-        steps = {part.name: part.count * _steps(given, part.setting) for part in parts}
-        left = [part for part in parts if part.name not in dataset.parts]
+        steps = {part.name: part.body_steps(given) for part in parts}
         done, total = sum(steps[name] for name in dataset.parts), sum(steps.values())
-        design = given.design
+
+        def tell(within: int) -> None:
+            if progress is not None:
+                progress(done + within, total)
+
+        left = [part for part in parts if part.name not in dataset.parts]
         with _interruptible() as stopping:
-            for part in left:
-                if stopping.is_set():
-                    raise KeyboardInterrupt
-                before = done
-
-                def told(now: int, _all: int, before: int = before) -> None:
-                    if progress is not None:
-                        progress(before + now, total)
-
-                tables = _tables(given, part, design, threads, told)
-                dataset.add(part.name, tables, given.output.compression)
-                done += steps[part.name]
-                told(steps[part.name], 0)
+            if client is None:
+                finished = _here(given, left, dataset, threads, stopping, tell)
+            else:
+                finished = spread(client, given, left, dataset, threads, gather, stopping)
+            with closing(finished):
+                for name, entry in finished:
+                    dataset.enter(name, entry)
+                    done += steps[name]
+                    tell(0)
+            if len(dataset.parts) < len(parts):
+                raise KeyboardInterrupt
     return dataset
+
+
+def _here(
+    study: Study,
+    parts: list[Part],
+    dataset: Dataset,
+    threads: int | None,
+    stopping: threading.Event,
+    tell: Callable[[int], None],
+) -> Generator[tuple[str, Entry]]:
+    """Run parts in this process, until it is stopping."""
+    design = study.design
+    for part in parts:
+        if stopping.is_set():
+            return
+        tables = part.tables(study, design, threads, lambda within, _: tell(within))
+        yield part.name, dataset.store(parquet_files(part.name, tables, study.output.compression))
 
 
 def integrate_batches(
@@ -117,7 +110,7 @@ def integrate_batches(
     if table not in ("summary", "errors") or (table == "errors" and not given.integrate.save_every):
         raise ArgumentError(f'table={table!r}; expected "summary", or "errors" with save_every')
     design = given.design
-    made = (_tables(given, part, design, threads, None)[table] for part in parts_of(given))
+    made = (part.tables(given, design, threads)[table] for part in parts_of(given))
     first = next(made)
 
     def batches() -> Iterator[pa.RecordBatch]:
@@ -154,7 +147,7 @@ def replay(
         raise StudyError(f"body {body} is not in the study; it has bodies 0 … {bodies - 1}")
     fixed = replace_integrate(given, save_every)
     return [
-        (setting, _tables(fixed, Part("", setting, body, 1), given.design, threads, None))
+        (setting, Part("", setting, body, 1).tables(fixed, given.design, threads))
         for setting in fixed.settings
     ]
 
@@ -202,51 +195,6 @@ def _differences(dataset: Dataset, study: Study) -> str:
     there, here = dict(tables_of(dataset.manifest["study"])), dict(tables_of(study.model_dump()))
     keys = [key for key in there | here if there.get(key) != here.get(key)]
     return ", ".join(f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:5])
-
-
-def _steps(study: Study, setting: Setting) -> int:
-    return round(study.integrate.t_end / setting.dt)
-
-
-def _tables(
-    study: Study, part: Part, design: Design, threads: int | None, progress: Progress | None
-) -> dict[str, pa.Table]:
-    """A part's tables, its bodies by their numbers in the study."""
-    batch = study.batch(part.first, part.count, design)
-    result = integrate(
-        batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
-        progress=progress or False, **study.options(part.setting),
-    )  # fmt: skip
-    tables = {"summary": _labelled(result.summary, part, batch)}
-    if result.errors is not None:
-        tables["errors"] = _labelled(result.errors, part, None)
-    return tables
-
-
-def _labelled(table: pa.Table, part: Part, batch: Batch | None) -> pa.Table:
-    """With its setting before, and what was sampled behind."""
-    rows = table.num_rows
-    bodies = pa.array(table["body"].to_numpy() + part.first)
-    table = table.set_column(0, table.schema.field("body"), bodies)
-    setting = part.setting
-    dt = pa.array(np.full(rows, setting.dt))
-    table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)
-    table = table.add_column(0, "method", _repeated(setting.method, rows))
-    table = table.add_column(0, "cspace", _repeated(setting.cspace, rows))
-    for name, values in (batch.draws if batch else {}).items():
-        table = table.append_column(f"sample.{name}", _column(values))
-    return table
-
-
-def _repeated(value: str, rows: int) -> pa.Array:
-    return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), [value])
-
-
-def _column(values: Array) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
-    if values.ndim == 1:
-        return flat
-    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import errno
-import hashlib
 import json
 import os
 import random
@@ -23,6 +22,7 @@ import pytest
 from cases import column
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from studies import PARTS, TEXT, bits, hashes, sorted_rows, start, study
 
 import lierb
 from lierb import dataset as dataset_module
@@ -33,80 +33,6 @@ from lierb.running import parts_of, replay
 from lierb.study import Study, line_of
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
-TEXT = """\
-[body]
-mass = 6.075
-inertia = [0.0126563, 0.0468281, 0.0569531]
-
-[joint]
-type = "spherical"
-body_point = [-0.15, 0.0375, 0.0]
-
-[problem]
-gravity = [0.0, 0.0, -9.81]
-
-[[problem.forces]]
-type = "drag"
-linear = 0.1
-
-[sample]
-n = 50
-seed = 3
-
-[sample.initial.omega]
-distribution = "normal"
-mean = [6.28, 3.14, 0.63]
-std = 0.5
-
-[sample.body.mass]
-distribution = "uniform"
-low = 5.0
-high = 7.0
-
-[sample.forces.drag.linear]
-distribution = "uniform"
-low = 0.0
-high = 0.2
-
-[integrate]
-cspace = ["SE3", "SO3xR3"]
-dt = [1e-3, 2e-3]
-t_end = 0.05
-
-[output]
-part = 8
-"""
-PARTS = 2 * 2 * 7
-
-
-def study(**changes) -> Study:
-    """The study of TEXT with some tables changed: `sample={"seed": 4}`."""
-    tables = tomllib.loads(TEXT)
-    for name, values in changes.items():
-        tables[name] = tables.get(name, {}) | values
-    return Study.of(tables)
-
-
-def sorted_rows(folder, name="summary") -> list[dict]:
-    """A table's rows, by setting and body."""
-    found = Dataset(folder)
-    found.read()
-    rows = found.table(name).to_table().to_pylist()
-    return sorted(rows, key=lambda row: (row["cspace"], row["dt"], row["body"]))
-
-
-def bits(folder, name="summary") -> dict:
-    """Every column of a table, sorted by setting and body, as bytes."""
-    rows = sorted_rows(folder, name)
-    return {column: np.array([row[column] for row in rows]).tobytes() for column in rows[0]}
-
-
-def hashes(folder) -> dict:
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(Path(folder).rglob("*"))
-        if path.is_file() and path.name != ".lock"
-    }
 
 
 @pytest.fixture(scope="module")
@@ -233,7 +159,7 @@ def test_any_file_is_a_study_or_an_error_that_says_so(data):
             place = inner
         action = data.draw(st.sampled_from(["set", "set", "delete"]))
         if action == "set":
-            place[key] = data.draw(VALUES)
+            place[key] = copy.deepcopy(data.draw(VALUES))  # it may be changed in its turn
         else:
             place.pop(key, None)
     with contextlib.suppress(StudyError):  # and nothing else
@@ -433,15 +359,6 @@ def test_full_disk_leaves_what_is_there(whole, tmp_path, monkeypatch):
     assert not list(tmp_path.rglob("*.unfinished"))
     lierb.run(study(), tmp_path, resume=True)
     assert hashes(tmp_path) == hashes(whole)
-
-
-def start(tmp_path, *options) -> subprocess.Popen:
-    file = tmp_path / "study.toml"
-    file.write_text(TEXT)
-    return subprocess.Popen(
-        [sys.executable, "-m", "lierb", "run", str(file), "--out", str(tmp_path / "out"), *options],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
 
 
 @pytest.mark.slow

@@ -1,0 +1,199 @@
+"""A study's parts on the workers of a Dask cluster. Needs `pip install "lierb[cluster]"`."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Generator, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numba
+
+from lierb.dataset import STUDY, Dataset, Entry, File, parquet_files
+from lierb.errors import StudyError, StudyWarning
+from lierb.extras import require
+from lierb.parts import Part
+from lierb.provenance import machine
+from lierb.study import Study
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+AHEAD = 2  # parts given out for each thread of the workers: one under way, one waiting
+CONNECT_SECONDS = 30
+KEPT = "finished parts are kept, --resume (resume=True) does the rest"
+LOST_SECONDS = 60  # without any worker: they do not come back
+
+
+def spread(
+    client: Client,
+    study: Study,
+    parts: list[Part],
+    dataset: Dataset,
+    threads: int | None,
+    gather: bool,
+    stopping: threading.Event,
+) -> Generator[tuple[str, Entry]]:
+    """Run parts on a cluster, until it is stopping; their names and entries as they finish.
+
+    A part whose worker dies is given to another one. Only so many parts are given out at a time
+    that neither they nor, with `gather`, their files fill the memory of this process.
+    """
+    _require_workers(client)
+    place = None if gather else (dataset.folder.resolve(), (dataset.folder / STUDY).read_bytes())
+    waiting = iter(parts)
+    under_way: dict[Future, Part] = {}
+    elsewhere: set[str] = set()
+
+    def give() -> None:
+        most = max(1, AHEAD * sum(client.nthreads().values()))
+        while len(under_way) < most and not stopping.is_set():
+            part = next(waiting, None)
+            if part is None:
+                return
+            # pure=False: a key of its own, since a part of the same name may be another study's
+            future = client.submit(_run_part, study, part, place, threads, pure=False)
+            under_way[future] = part
+
+    try:
+        give()
+        while under_way:
+            for future in _finished(client, list(under_way)):
+                part = under_way.pop(future)
+                made, where = _result(future, part)
+                if where != machine():
+                    elsewhere.add(_differences(where))
+                yield part.name, dataset.store(made) if gather else made
+            give()
+    except Exception as error:
+        if client.status == "running" and not isinstance(error, CancelledError):
+            raise
+        raise StudyError(f"the connection to the cluster was lost; {KEPT}") from error
+    finally:
+        if client.status == "running":
+            client.cancel(list(under_way))
+        for differences in elsewhere:
+            warnings.warn(
+                f"a worker differs from this machine ({differences}); its parts may differ in the "
+                "last bits",
+                StudyWarning,
+                stacklevel=2,
+            )
+
+
+@contextmanager
+def local_client(workers: int) -> Iterator[Client]:
+    """A cluster of so many processes on this machine, which share its cores, and its client."""
+    require("cluster")
+    from distributed import Client, LocalCluster
+
+    threads = max(1, numba.config.NUMBA_NUM_THREADS // workers)
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=True,
+            dashboard_address="127.0.0.1:0",
+            preload=__name__,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+@contextmanager
+def client_of(scheduler: str) -> Iterator[Client]:
+    """A client of the scheduler at an address such as tcp://10.0.0.1:8786."""
+    require("cluster")
+    from distributed import Client
+
+    try:
+        client = Client(scheduler, timeout=CONNECT_SECONDS)
+    except (OSError, ValueError) as error:
+        raise StudyError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+    with client:
+        yield client
+
+
+# ---- in a worker -------------------------------------------------------------------------------
+
+
+def dask_setup(_worker: Any) -> None:
+    """As a worker of `local_client` starts: a terminal's Ctrl-C is for the main process alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_part(
+    study: Study, part: Part, place: tuple[Path, bytes] | None, threads: int | None
+) -> tuple[list[File] | Entry, dict[str, Any]]:
+    """A part's files, or its entry if they are written at `place`; and what they were made with."""
+    if place is not None:
+        _require_same_folder(*place)
+    tables = part.tables(study, study.design, threads or _own_threads())
+    files = parquet_files(part.name, tables, study.output.compression)
+    return files if place is None else Dataset(place[0]).store(files), machine()
+
+
+def _own_threads() -> int:
+    """Threads of this worker. Its tasks take turns in the kernel, so all are for the one there."""
+    from distributed import get_worker
+
+    return int(min(get_worker().state.nthreads, numba.config.NUMBA_NUM_THREADS))
+
+
+def _require_same_folder(folder: Path, study: bytes) -> None:
+    try:
+        seen = (folder / STUDY).read_bytes()
+    except OSError:
+        seen = b""
+    if seen != study:
+        raise StudyError(f"a worker does not see {folder}; let it send its parts: --gather")
+
+
+# ---- at home -----------------------------------------------------------------------------------
+
+
+def _require_workers(client: Client) -> None:
+    try:
+        client.wait_for_workers(1, timeout=CONNECT_SECONDS)
+    except TimeoutError:
+        address = client.scheduler_info()["address"]
+        raise StudyError(f"the Dask scheduler at {address} has no workers; start some") from None
+
+
+def _finished(client: Client, futures: list[Future]) -> list[Future]:
+    """Those that are, as soon as there are any."""
+    from distributed import wait
+
+    seen = time.monotonic()
+    while True:
+        with suppress(TimeoutError, CancelledError):
+            wait(futures, timeout=1, return_when="FIRST_COMPLETED")
+        if done := [future for future in futures if future.done()]:
+            return done
+        if client.nthreads():
+            seen = time.monotonic()
+        elif time.monotonic() - seen > LOST_SECONDS:
+            raise StudyError(f"all workers of the cluster are gone; {KEPT}")
+
+
+def _result(future: Future, part: Part) -> Any:
+    from distributed import KilledWorker
+
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise StudyError(
+            f"part {part.name}: its worker died {error.allowed_failures + 1} times in a row; if it "
+            "was for memory, fewer bodies in a part take less: [output] part"
+        ) from None
+
+
+def _differences(where: dict[str, Any]) -> str:
+    here = machine()
+    return ", ".join(f"{k} {where[k]} there, {here[k]} here" for k in here if where[k] != here[k])

@@ -1,0 +1,90 @@
+"""A study's parts: which bodies in which setting, and the tables that come of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from lierb.api import integrate
+from lierb.arrays import Array
+from lierb.sampling import Design
+from lierb.study import Batch, Setting, Study
+
+Progress = Callable[[int, int], None]
+HISTORY_BYTES = 64e6  # of a part's history, at most
+HISTORY_ROW_BYTES = 100  # about, without what `record` adds
+STATE_BYTES = 144
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some bodies in one setting of a study."""
+
+    name: str
+    setting: Setting
+    first: int
+    count: int
+
+    def body_steps(self, study: Study) -> int:
+        return self.count * round(study.integrate.t_end / self.setting.dt)
+
+    def tables(
+        self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
+    ) -> dict[str, pa.Table]:
+        """What its bodies do: `summary`, and `errors` if there is a history."""
+        batch = study.batch(self.first, self.count, design)
+        result = integrate(
+            batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
+            progress=progress or False, **study.options(self.setting),
+        )  # fmt: skip
+        tables = {"summary": self._labelled(result.summary, batch)}
+        if result.errors is not None:
+            tables["errors"] = self._labelled(result.errors, None)
+        return tables
+
+    def _labelled(self, table: pa.Table, batch: Batch | None) -> pa.Table:
+        """With the bodies' numbers in the study, the setting before, and the draws behind."""
+        rows = table.num_rows
+        bodies = pa.array(table["body"].to_numpy() + self.first)
+        table = table.set_column(0, table.schema.field("body"), bodies)
+        dt = pa.array(np.full(rows, self.setting.dt))
+        table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)
+        table = table.add_column(0, "method", _repeated(self.setting.method, rows))
+        table = table.add_column(0, "cspace", _repeated(self.setting.cspace, rows))
+        for name, values in (batch.draws if batch else {}).items():
+            table = table.append_column(f"sample.{name}", _column(values))
+        return table
+
+
+def parts_of(study: Study) -> list[Part]:
+    """All parts, setting by setting."""
+    bodies, size = len(study.design), part_size(study)
+    return [
+        Part(f"{s:02d}-{first:010d}", setting, first, min(size, bodies - first))
+        for s, setting in enumerate(study.settings)
+        for first in range(0, bodies, size)
+    ]
+
+
+def part_size(study: Study) -> int:
+    """Bodies in a part: as the study says, fewer if their history would not fit the memory."""
+    run = study.integrate
+    if run.save_every is None:
+        return study.output.part
+    row = HISTORY_ROW_BYTES + STATE_BYTES * ("state" in run.record)
+    rows = run.t_end / min(run.dt) / run.save_every + 2
+    return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
+
+
+def _repeated(value: str, rows: int) -> pa.Array:
+    return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), [value])
+
+
+def _column(values: Array) -> pa.Array:
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    if values.ndim == 1:
+        return flat
+    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))

@@ -1,0 +1,177 @@
+"""The commands of `lierb` that run and look at studies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from lierb.extras import require
+from lierb.terminal import INTERRUPTED, body_steps, print_whole, wrapped
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from lierb.dataset import Dataset
+
+STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+
+
+@click.command()
+@STUDY
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for the results.  [default: results/NAME]",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
+@click.option(
+    "--threads", type=click.IntRange(min=1),
+    help="Threads to use, in each worker of a cluster.  [default: all that it has]",
+)  # fmt: skip
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N",
+    help="Spread the parts over N processes of this machine.",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS",
+    help="Spread them over the workers of a Dask cluster, such as tcp://10.0.0.1:8786.",
+)  # fmt: skip
+@click.option(
+    "--gather", is_flag=True, help="Workers send their parts here; they do not see the folder."
+)
+@click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
+def run(
+    study: Path,
+    out: Path | None,
+    resume: bool,
+    threads: int | None,
+    workers: int | None,
+    scheduler: str | None,
+    gather: bool,
+    only: int | None,
+) -> None:
+    """Run a Monte Carlo STUDY, a TOML file, into a folder of Parquet parts.
+
+    A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
+    """
+    require("study")
+    from lierb.running import run as run_study
+
+    folder = out or Path("results") / study.stem
+    _require_one_way(workers, scheduler, gather, only)
+    if only is not None:
+        _replay(study, folder, only, threads)
+        return
+    try:
+        with _client(workers, scheduler) as client, body_steps() as progress:
+            dataset = run_study(
+                study, folder, resume=resume, threads=threads, progress=progress,
+                client=client, gather=gather,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        again = f"lierb run {study}{f' --out {out}' if out else ''} --resume"
+        click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
+        raise click.exceptions.Exit(INTERRUPTED) from None
+    _show(dataset)
+
+
+def _require_one_way(
+    workers: int | None, scheduler: str | None, gather: bool, only: int | None
+) -> None:
+    spread = workers is not None or scheduler is not None
+    if workers is not None and scheduler is not None:
+        raise click.UsageError("--workers starts a cluster, --scheduler joins one; choose")
+    if gather and not spread:
+        raise click.UsageError("--gather is for a cluster: --scheduler or --workers")
+    if only is not None and spread:
+        raise click.UsageError("--only runs one body here: without --scheduler and --workers")
+
+
+@contextmanager
+def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
+    """A client of the cluster that was asked for, if one was."""
+    if workers is None and scheduler is None:
+        yield None
+        return
+    from lierb.cluster import client_of, local_client
+
+    click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)
+    with local_client(workers) if workers else client_of(str(scheduler)) as client:
+        yield client
+
+
+@click.command()
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def show(folder: Path) -> None:
+    """The summary of a study's results in FOLDER, finished or not."""
+    require("study")
+    from lierb.dataset import Dataset
+
+    dataset = Dataset(folder)
+    dataset.read()
+    _show(dataset)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+def plot(folder: Path) -> None:
+    """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
+    require("study")
+    require("plot")
+    from lierb.dataset import Dataset
+    from lierb.study_plots import draw_all
+
+    dataset = Dataset(folder)
+    dataset.read()
+    for path in draw_all(dataset, folder / "figures"):
+        click.echo(str(path))
+
+
+@click.command()
+@STUDY
+def predict(study: Path) -> None:
+    """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
+
+    Of its first body: where the joint is on the body can make a difference.
+    """
+    require("study")
+    import lierb
+    from lierb.study import Study
+
+    batch = Study.load(study).batch(0, 1)
+    found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
+    click.echo(str(found))
+    for prediction in found.values():
+        click.echo(wrapped(f"{prediction.cspace}: {prediction.reason}"))
+
+
+def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
+    """One body's history in files of its own, and its row of the summary."""
+    import pyarrow.parquet as pq
+
+    from lierb.running import replay
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (setting, tables) in enumerate(replay(study, body, threads=threads)):
+        path = folder / f"body-{body}-{number:02d}.parquet"
+        pq.write_table(tables["errors"], path)
+        (row,) = tables["summary"].to_pylist()
+        click.echo(f"{setting.label}: {row['status']}, history in {path}")
+        for name, value in row.items():
+            if isinstance(value, float):
+                click.echo(f"  {name:28}{value!r}")
+
+
+def _show(dataset: Dataset) -> None:
+    from lierb.findings import findings, table_of
+
+    print_whole(table_of(findings(dataset)))
+    done, asked = len(dataset.parts), dataset.manifest["asked"]
+    state = "" if done == asked else "; the rest with: lierb run STUDY --resume"
+    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+
+
+COMMANDS = (run, show, plot, predict)

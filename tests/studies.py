@@ -1,0 +1,114 @@
+"""A small study, and what its results are compared by."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pyarrow as pa
+
+from lierb.dataset import Dataset
+from lierb.study import Study
+
+TEXT = """\
+[body]
+mass = 6.075
+inertia = [0.0126563, 0.0468281, 0.0569531]
+
+[joint]
+type = "spherical"
+body_point = [-0.15, 0.0375, 0.0]
+
+[problem]
+gravity = [0.0, 0.0, -9.81]
+
+[[problem.forces]]
+type = "drag"
+linear = 0.1
+
+[sample]
+n = 50
+seed = 3
+
+[sample.initial.omega]
+distribution = "normal"
+mean = [6.28, 3.14, 0.63]
+std = 0.5
+
+[sample.body.mass]
+distribution = "uniform"
+low = 5.0
+high = 7.0
+
+[sample.forces.drag.linear]
+distribution = "uniform"
+low = 0.0
+high = 0.2
+
+[integrate]
+cspace = ["SE3", "SO3xR3"]
+dt = [1e-3, 2e-3]
+t_end = 0.05
+
+[output]
+part = 8
+"""
+PARTS = 2 * 2 * 7
+
+
+def study(**changes) -> Study:
+    """The study of TEXT with some tables changed: `sample={"seed": 4}`."""
+    tables = tomllib.loads(TEXT)
+    for name, values in changes.items():
+        tables[name] = tables.get(name, {}) | values
+    return Study.of(tables)
+
+
+def sorted_rows(folder, name="summary") -> list[dict]:
+    """A table's rows, by setting and body."""
+    found = Dataset(folder)
+    found.read()
+    rows = found.table(name).to_table().to_pylist()
+    return sorted(rows, key=lambda row: (row["cspace"], row["dt"], row["body"]))
+
+
+def bits(folder, name="summary") -> dict:
+    """Every column of a table, sorted by setting, body and step, as bytes."""
+    found = Dataset(folder)
+    found.read()
+    table = found.table(name).to_table()
+    for column in ("cspace", "method", "status"):
+        if column in table.column_names:
+            text = table[column].cast(pa.string())
+            table = table.set_column(table.column_names.index(column), column, text)
+    keys = [key for key in ("cspace", "dt", "body", "step") if key in table.column_names]
+    table = table.sort_by([(key, "ascending") for key in keys]).combine_chunks()
+    return {column: _bytes(table[column].combine_chunks()) for column in table.column_names}
+
+
+def _bytes(column: pa.Array) -> bytes | list:
+    if pa.types.is_string(column.type):
+        return column.to_pylist()
+    if pa.types.is_fixed_size_list(column.type):
+        column = column.flatten()
+    return column.to_numpy(zero_copy_only=False).tobytes()
+
+
+def hashes(folder) -> dict:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.is_file() and path.name != ".lock"
+    }
+
+
+def start(tmp_path, *options) -> subprocess.Popen:
+    file = tmp_path / "study.toml"
+    file.write_text(TEXT)
+    return subprocess.Popen(
+        [sys.executable, "-m", "lierb", "run", str(file), "--out", str(tmp_path / "out"), *options],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip

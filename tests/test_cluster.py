@@ -1,0 +1,265 @@
+"""Studies on Dask workers: the same bits as in one process, whatever happens to the workers."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from studies import TEXT, bits, hashes, study
+
+import lierb
+from lierb import cluster
+from lierb.cli import cli
+from lierb.dataset import Dataset
+from lierb.errors import ArgumentError, StudyError, StudyWarning
+
+pytest.importorskip("distributed")
+import dask
+
+BODIES = 12_000
+SHORT = {
+    "sample": {"n": BODIES},
+    "integrate": {"dt": [1e-3], "t_end": 0.02, "save_every": 10},
+    "output": {"part": 4096},
+}
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The study in one process."""
+    folder = tmp_path_factory.mktemp("alone") / "out"
+    lierb.run(study(**SHORT), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def client():
+    with cluster.local_client(2) as client:
+        yield client
+
+
+# ---- the same bits -----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_bits_do_not_depend_on_workers_or_parts(workers, alone, tmp_path):
+    with cluster.local_client(workers) as client:
+        for part in (1000, 4096, 10_000):
+            folder = tmp_path / str(part)
+            given = study(**SHORT | {"output": {"part": part}})
+            lierb.run(given, folder, client=client, gather=part == 1000)
+            for table in ("summary", "errors"):
+                assert bits(folder, table) == bits(alone, table)
+        assert hashes(tmp_path / "4096") == hashes(alone)
+
+
+def test_sent_or_written_the_files_are_those_of_one_process(client, alone, tmp_path):
+    told = []
+    lierb.run(study(**SHORT), tmp_path / "sent", client=client, gather=True)
+    lierb.run(
+        study(**SHORT), tmp_path / "written", client=client,
+        progress=lambda done, total: told.append((done, total)),
+    )  # fmt: skip
+    assert hashes(tmp_path / "sent") == hashes(tmp_path / "written") == hashes(alone)
+    assert told[-1] == (2 * BODIES * 20, 2 * BODIES * 20)
+    assert told == sorted(told)
+
+
+def test_only_what_is_missing_is_done(client, alone, tmp_path):
+    lierb.run(study(**SHORT), tmp_path, client=client)
+    lost, *kept = sorted(tmp_path.rglob("part-*.parquet"))
+    written = {path: path.stat().st_mtime_ns for path in kept}
+    lost.unlink()
+    lierb.run(study(**SHORT), tmp_path, client=client, resume=True)
+    again = {path for path in kept if path.stat().st_mtime_ns != written[path]}
+    part = lost.name
+    assert {path.name for path in again} == {part}  # its other table
+    assert hashes(tmp_path) == hashes(alone)
+
+
+def test_a_worker_uses_its_own_threads(client):
+    threads = max(1, (os.cpu_count() or 1) // 2)
+    assert list(client.nthreads().values()) == [threads] * 2
+    assert client.submit(cluster._own_threads).result() == threads
+
+
+# ---- what may happen ---------------------------------------------------------------------------
+
+
+@contextmanager
+def killing(client, folder: Path, after: list[int]):
+    """Kill a worker, at random, when so many parts are finished; yields the ids of the killed."""
+    killed: list[int] = []
+    done = threading.Event()
+
+    def kill() -> None:
+        rng = random.Random(2)
+        for parts in after:
+            while len(list(folder.glob("summary/*.parquet"))) < parts and not done.is_set():
+                time.sleep(0.02)
+            running = [pid for pid in client.run(os.getpid).values() if pid not in killed]
+            killed.append(rng.choice(running))
+            os.kill(killed[-1], signal.SIGKILL)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    try:
+        yield killed
+    finally:
+        done.set()
+        thread.join()
+
+
+@pytest.mark.slow
+def test_killed_workers_cost_their_parts_only(tmp_path):
+    given = study(sample={"n": 40_000}, integrate={"t_end": 0.4}, output={"part": 4096})
+    lierb.run(given, tmp_path / "alone")
+    out = tmp_path / "out"
+    with cluster.local_client(2) as client, killing(client, out, [3, 12]) as killed:
+        lierb.run(given, out, client=client)
+    assert len(set(killed)) == 2
+    assert hashes(out) == hashes(tmp_path / "alone")
+
+
+@pytest.mark.slow
+def test_a_part_that_kills_its_workers_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "_run_part", _dies)
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        cluster.local_client(1) as client,
+        pytest.raises(StudyError, match=r"part 00-0000000000: its worker died 1 time"),
+    ):
+        lierb.run(study(), tmp_path, client=client)
+
+
+def _dies(*_args: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
+    with cluster.local_client(1) as client:
+
+        def stop(done: int, total: int) -> None:
+            client.cluster.close()
+
+        with pytest.raises(StudyError, match=r"cluster.*--resume"):
+            lierb.run(study(**SHORT), tmp_path, client=client, progress=stop)
+    done = Dataset(tmp_path)
+    done.read()
+    assert done.parts
+    assert done.drop_damaged() == []
+    lierb.run(study(**SHORT), tmp_path, resume=True)
+    assert hashes(tmp_path) == hashes(alone)
+
+
+def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
+    with cluster.local_client(1) as client:
+
+        def dismiss(done: int, total: int) -> None:
+            client.cluster.scale(0)
+
+        with pytest.raises(StudyError, match=r"all workers of the cluster are gone; .*--resume"):
+            lierb.run(study(**SHORT), tmp_path, client=client, progress=dismiss)
+
+
+def test_workers_that_do_not_see_the_folder_say_so(client, tmp_path):
+    def hide(done: int, total: int) -> None:
+        (tmp_path / "study.toml").unlink(missing_ok=True)
+
+    with pytest.raises(StudyError, match=r"does not see .*--gather"):
+        lierb.run(
+            study(**SHORT | {"output": {"part": 500}}), tmp_path, client=client, progress=hide
+        )
+
+
+def test_another_kind_of_worker_warns(client, tmp_path, monkeypatch):
+    here = cluster.machine()
+    monkeypatch.setattr(cluster, "machine", lambda: here | {"cpu": "abacus"})
+    with pytest.warns(StudyWarning, match="a worker differs .*cpu .* there, abacus here"):
+        lierb.run(study(**SHORT), tmp_path, client=client)
+
+
+def test_a_scheduler_without_workers_is_named(tmp_path, monkeypatch):
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    with (
+        LocalCluster(n_workers=0, dashboard_address="127.0.0.1:0") as empty,
+        Client(empty) as client,
+        pytest.raises(StudyError, match=r"scheduler at tcp://.* has no workers"),
+    ):
+        lierb.run(study(), tmp_path, client=client)
+
+
+def test_gather_wants_a_cluster(tmp_path):
+    with pytest.raises(ArgumentError, match="client"):
+        lierb.run(study(), tmp_path, gather=True)
+
+
+# ---- the command -------------------------------------------------------------------------------
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(cli, ["run", *map(str, arguments)])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--workers", 2, "--scheduler", "tcp://127.0.0.1:1"), "choose"),
+        (("--gather",), "--gather is for a cluster"),
+        (("--only", 3, "--workers", 2), "--only runs one body here"),
+        (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
+        (("--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),
+    ],
+)
+def test_command_says_what_is_wrong(options, said, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
+    file = tmp_path / "study.toml"
+    file.write_text(TEXT)
+    result = invoke(file, "--out", tmp_path / "out", *options)
+    assert result.exit_code in (1, 2)
+    assert said in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_command_joins_a_scheduler(client, tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text(TEXT)
+    lierb.run(file, tmp_path / "alone")
+    result = invoke(file, "--out", tmp_path / "out", "--scheduler", client.scheduler.address)
+    assert result.exit_code == 0, result.output
+    assert hashes(tmp_path / "out") == hashes(tmp_path / "alone")
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_terminal_reaches_no_worker(tmp_path, interruptible):
+    text = TEXT.replace("n = 50", "n = 200_000").replace("part = 8", "part = 2048")
+    (tmp_path / "study.toml").write_text(text.replace("t_end = 0.05", "t_end = 1.0"))
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "lierb", "run", tmp_path / "study.toml", "--out", out,
+         "--workers", "2"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    while not (out / "summary").exists() and process.poll() is None:
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all of them
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    assert f"go on with:  lierb run {tmp_path / 'study.toml'} --out {out} --resume" in errors
+    stopped = Dataset(out)
+    stopped.read()
+    assert stopped.parts
+    assert stopped.drop_damaged() == []
