@@ -29,6 +29,7 @@ from lierb.kernels.driver import (
     START_COLUMNS,
     SUMMARY_COLUMNS,
     input_columns,
+    integrate_block,
     integrate_blocks,
 )
 from lierb.kernels.plan import Plan
@@ -46,6 +47,7 @@ STATE_WIDTHS = {"R": 9, "r": 3, "omega": 3, "v": 3}
 CHUNK_BODIES = 4096
 # One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
 # enough that the 30 µs of a call do not show.
+SOURCES = _jit.Sources()
 CALL_SECONDS = 0.15
 FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast this problem runs
 
@@ -266,13 +268,16 @@ def _call_driver(
 ) -> float:
     """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
     arguments = (
-        chunk.inputs, chunk.carried, chunk.summary, *output.histories, plan.lanes, threads,
+        chunk.inputs, chunk.carried, chunk.summary, *output.histories,
         chunk.start, begin, end, grid.steps, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
-    _jit.ensure_compiled(integrate_blocks, plan, *arguments)
+    entry = _jit.entry_of(integrate_block, plan, 0, *arguments)
+    counter = np.zeros(1, dtype=np.int64)
+    loop = (SOURCES, entry, counter, plan.lanes, threads, *arguments)
+    _jit.ensure_compiled(integrate_blocks, *loop)
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         began = time.perf_counter()
-        integrate_blocks(plan, *arguments)
+        integrate_blocks(*loop)
         return max(time.perf_counter() - began, 1e-6)
 
 

@@ -18,7 +18,7 @@ from lierb.errors import unknown_name
 from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels._jit import cached_kernels
 from lierb.kernels.batch import apply
-from lierb.kernels.driver import integrate_blocks
+from lierb.kernels.driver import integrate_block
 from lierb.kernels.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.model import Body, Problem
 from lierb.provenance import machine
@@ -53,9 +53,9 @@ def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, and those of this version of lierb that are there."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0}
-    kernels = [*cached_kernels(integrate_blocks), *cached_kernels(apply)]
+    kernels = [*cached_kernels(integrate_block), *cached_kernels(apply)]
     return {
-        "folder": integrate_blocks.stats.cache_path,
+        "folder": integrate_block.stats.cache_path,
         "kernels": len(kernels),
         "bytes": sum(path.stat().st_size for path in kernels),
     }

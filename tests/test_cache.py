@@ -22,14 +22,14 @@ pytestmark = pytest.mark.skipif(
 FALL = """
 import json, sys
 import lierb
-from lierb.kernels.driver import integrate_blocks
+from lierb.kernels.driver import integrate_block
 
 def fall(method="Euler"):
     body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
     problem = lierb.Problem(body, lierb.joints.free(), gravity=(0.0, 0.0, -8.0))
     still = [0.0] * 6
     summary = lierb.integrate(problem, twist0=still, dt=0.25, t_end=1.0, method=method).summary
-    stats = integrate_blocks.stats
+    stats = integrate_block.stats
     print(json.dumps({
         "v": summary["v"][0].as_py()[2],
         "r": summary["r"][0].as_py()[2],
@@ -80,7 +80,7 @@ class Copy:
         return finished(self.start(script, *arguments, **environment))
 
     def entries(self):
-        return len(list((self.folder / "cache").rglob("*integrate_blocks*.nbc")))
+        return len(list((self.folder / "cache").rglob("*integrate_block-*.nbc")))
 
 
 def finished(process):
@@ -222,7 +222,7 @@ def test_lierb_lanes_out_of_range_is_told_clearly(copy, lanes):
 PUSH = """
 import json
 import lierb
-from lierb.kernels.driver import integrate_blocks
+from lierb.kernels.driver import integrate_block
 
 scale = {scale}
 
@@ -237,7 +237,7 @@ def push(t, R, r, omega, v, params):
 body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
 problem = lierb.Problem(body, lierb.joints.free(), forces=push(size=4.0))
 result = lierb.integrate(problem, twist0=[0.0] * 6, dt=0.25, t_end=1.0, method="Euler")
-stats = integrate_blocks.stats
+stats = integrate_block.stats
 print(json.dumps({{
     "v": result.summary["v"][0].as_py(),
     "loaded": sum(stats.cache_hits.values()),

@@ -17,7 +17,7 @@ from lierb.cli import cli  # noqa: E402
 
 # Says how many kernels the process has compiled, and how many it has found in the disk cache.
 COUNT = """
-from lierb.kernels.driver import integrate_blocks as driver
+from lierb.kernels.driver import integrate_block as driver
 print(sum(driver.stats.cache_misses.values()), sum(driver.stats.cache_hits.values()))
 """
 WARM_UP = "import lierb; lierb.warmup(['revolute'], methods=['Euler'], cspaces=['SO3xR3'])" + COUNT
@@ -96,7 +96,7 @@ def test_info_counts_the_kernels_of_this_version(tmp_path):
     assert run(count, tmp_path) == ["0"]
     run(WARM_UP, tmp_path)
     assert run(count, tmp_path) == ["1"]
-    (stamp,) = tmp_path.rglob("driver.integrate_blocks.stamp")
+    (stamp,) = tmp_path.rglob("driver.integrate_block.stamp")
     stamp.write_text("another version")
     assert run(count, tmp_path) == ["0"]
 

@@ -13,7 +13,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,11 @@ register_model(TagType)(models.OpaqueModel)
 INT64 = ir.IntType(64)
 
 
+@dataclass(frozen=True)
+class Sources(Tag):
+    """The tag of code that depends on nothing but the sources."""
+
+
 @cache
 def _tag_type(tag: Tag) -> TagType:
     return TagType(tag)
@@ -125,6 +131,54 @@ def ensure_compiled(dispatcher: Any, tag: Tag, *args: Any) -> None:
             with _cache_lock(dispatcher):
                 dispatcher.compile(tuple(numba.typeof(a) for a in (tag, *args)))
             _ready.add((dispatcher, tag))
+
+
+_entries: dict[tuple[Any, Tag], Any] = {}
+
+
+def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
+    """What `call` takes to run dispatcher(tag, *args): the address of its code.
+
+    Code called by its address is compiled once; what calls it is compiled once for all tags. A
+    caller that Numba links it to would optimise and translate all of it again, and so would each of
+    a parallel loop's wrappers: five times in all.
+    """
+    if (dispatcher, tag) not in _entries:
+        if not hasattr(dispatcher, "compile"):  # the JIT is off
+            return partial(dispatcher, tag)
+        ensure_compiled(dispatcher, tag, *args)
+        compiled = dispatcher.overloads[tuple(numba.typeof(a) for a in (tag, *args))]
+        address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        _entries[dispatcher, tag] = address
+    return _entries[dispatcher, tag]
+
+
+def call(entry: Any, *args: Any) -> None:
+    """Run the code at an entry, for @njit code; the types are those that it was compiled for."""
+    entry(*args)
+
+
+@overload(call)
+def _call(entry, *args):  # no annotations: Numba compares signatures
+    return lambda entry, *args: _call_entry(entry, args)
+
+
+@intrinsic
+def _call_entry(context: Any, entry: Any, args: Any) -> Any:
+    operands = (types.voidptr, *args)  # the tag's value, which is nothing, goes first
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        convention = context.call_conv
+        pointer = convention.get_function_type(types.none, operands).as_pointer()
+        code = builder.inttoptr(values[0], pointer)
+        tag = context.get_constant_null(types.voidptr)
+        members = cgutils.unpack_tuple(builder, values[1])
+        status, _ = convention.call_function(builder, code, types.none, operands, [tag, *members])
+        with cgutils.if_unlikely(builder, status.is_error):
+            convention.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return types.none(entry, args), generate
 
 
 @contextmanager

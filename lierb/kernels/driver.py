@@ -11,7 +11,6 @@ from __future__ import annotations
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba import njit, prange
 
 from lierb.kernels import _jit
@@ -328,12 +327,16 @@ def _until(k: int, every: int, end: int) -> int:
     return min(every - k % every, end - k)
 
 
-@njit(**_jit.OPTIONS)
+@njit(cache=True, **_jit.OPTIONS)
 def integrate_block(
-    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
-    reactions, first, offset, begin, stop, last, h, measure_every, save_every,
+    plan, first, inputs, carried, summary, errors, rotations, places, omegas, velocities,
+    multipliers, reactions, offset, begin, stop, last, h, measure_every, save_every,
 ):  # fmt: skip
-    """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories)."""
+    """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories).
+
+    `last` is the run's last step. With stop = 0 nothing is integrated: `summary` gets
+    START_COLUMNS.
+    """
     if stop == 0:
         store_start(plan, inputs, summary, first)
         return
@@ -376,22 +379,22 @@ def integrate_block(
 
 @njit(parallel=True, cache=True, **_jit.OPTIONS)
 def integrate_blocks(
-    plan, inputs, carried, summary, errors, rotations, places, omegas, velocities, multipliers,
-    reactions, lanes, threads, offset, begin, stop, last, h, measure_every, save_every,
+    sources, integrate, counter, lanes, threads, inputs, carried, summary, errors, rotations,
+    places, omegas, velocities, multipliers, reactions, offset, begin, stop, last, h, measure_every,
+    save_every,
 ):  # fmt: skip
-    """Steps begin … stop of every body; `last` is the run's last step.
+    """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
 
-    With stop = 0 nothing is integrated: `summary` gets START_COLUMNS.
+    counter : [0], of blocks that some thread has taken.
     """
     blocks = inputs.shape[1] // lanes
-    counter = np.zeros(1, np.int64)
     for _ in prange(threads):  # each takes what comes next: cores need not be equally fast
         while True:
             block = _jit.take_turn(counter)
             if block >= blocks:
                 break
-            integrate_block(
-                plan, inputs, carried, summary, errors, rotations, places, omegas, velocities,
-                multipliers, reactions, block * lanes, offset, begin, stop, last, h, measure_every,
-                save_every,
+            _jit.call(
+                integrate, block * lanes, inputs, carried, summary, errors, rotations, places,
+                omegas, velocities, multipliers, reactions, offset, begin, stop, last, h,
+                measure_every, save_every,
             )  # fmt: skip

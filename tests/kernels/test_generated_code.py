@@ -58,7 +58,7 @@ def hot_loop(request) -> SimpleNamespace:
         JOINTS[joint].rows, cspace, "local", method.A, method.b, multipliers=False, solver=solver,
     )  # fmt: skip
     arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3, 3)]
-    signature = (numba.typeof(plan), *arrays, *[int64] * 5, float64, int64, int64)
+    signature = (numba.typeof(plan), int64, *arrays, *[int64] * 4, float64, int64, int64)
     integrate_block.compile(signature)
     assembly = integrate_block.inspect_asm(signature)
     loops = map(Counter, innermost_loops(assembly))
