@@ -7,6 +7,7 @@ EXTRAS = {
     "scipy": ("Drawing from normal distributions, or by Sobol points,", ("scipy",)),
     "plot": ("Drawing figures", ("matplotlib",)),
     "study": ("Running studies", ("pydantic", "scipy", "tomli_w")),
+    "report": ("Writing reports", ("jinja2", "plotly", "matplotlib", "pydantic")),
     "cluster": ("Running studies on a cluster", ("distributed",)),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,15 @@ ERRORS = {
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
+NEGLIGIBLE = 1e-18  # an error below this is none
+SAMPLED_UNITS = {
+    "omega": "rad/s", "point_velocity": "m/s", "place": "m", "mass": "kg", "com": "m",
+    "second_moments": "kg m²", "inertia": "kg m²", "size": "m", "radius": "m", "length": "m",
+    "density": "kg/m³", "body_point": "m", "ground_point": "m", "pitch": "m/rad",
+    "gravity": "m/s²", "stiffness": "N/m or N m/rad", "damping": "N s/m or N m s/rad",
+    "linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "torque": "N m", "force": "N",
+    "angle": "rad", "speed": "rad/s", "coordinates": "rad or m", "velocities": "rad/s or m/s",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -88,6 +98,68 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
     if len(set(dts)) < 2:
         return dict.fromkeys(ERRORS)
     return {kind: observed_order(dts, [f.quantiles[kind][0] for f in same]) for kind in ERRORS}
+
+
+# ---- columns -----------------------------------------------------------------------------------
+
+
+def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
+    """Columns of the bodies that are ok in a setting; lists as (n, k)."""
+    table = dataset.table().to_table(
+        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
+    )
+    found = {}
+    for name in names:
+        column = table[name].combine_chunks()
+        if pa.types.is_fixed_size_list(column.type):
+            found[name] = column.flatten().to_numpy().reshape(-1, column.type.list_size)
+        else:
+            found[name] = column.to_numpy()
+    return found
+
+
+def drawn_columns(dataset: Dataset) -> list[str]:
+    """The columns of what was sampled."""
+    return [name for name in dataset.table().schema.names if name.startswith("sample.")]
+
+
+def some_rows(rows: int, most: int) -> Array:
+    """Which rows to draw if there are too many: at random, since Sobol points have a rhythm."""
+    chosen = np.random.default_rng(0).permutation(rows)[:most]
+    return np.sort(chosen)
+
+
+def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
+    """The errors of which there are any, and their columns."""
+    seen = {
+        kind: name
+        for kind, name in ERRORS.items()
+        if any(
+            ok_columns(dataset, s, [name])[name].max(initial=0.0) > NEGLIGIBLE
+            for s in study.settings
+        )
+    }
+    return seen or {"energy": ERRORS["energy"]}
+
+
+def components(names: list[str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+    """Sampled numbers one by one, but for matrices."""
+    for name in names:
+        values, title = rows[name], name.removeprefix("sample.")
+        unit = SAMPLED_UNITS.get(title.rpartition(".")[2])
+        if values.ndim == 1:
+            yield _with_unit(title, unit), values
+        elif values.shape[1] <= 6:
+            for i in range(values.shape[1]):
+                own = unit if title != "initial.twist" else ("rad/s", "m/s")[i // 3]
+                yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
+
+
+def _with_unit(title: str, unit: str | None) -> str:
+    return f"{title} [{unit}]" if unit else title
+
+
+# ---- for a terminal ----------------------------------------------------------------------------
 
 
 def table_of(found: list[Found]) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
@@ -69,8 +69,8 @@ def error_figure(
     return figure
 
 
-def save(figure: Figure, path: str | os.PathLike[str], kind: str) -> None:
-    """Write `figure` to `path` as "png" or "svg"."""
+def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) -> None:
+    """Write `figure` to `path`, a file's name or an open one, as "png" or "svg"."""
     metadata = {"Date": None} if kind == "svg" else {}
     with matplotlib.rc_context(STYLE):
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)

@@ -42,6 +42,7 @@ STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, pat
 @click.option(
     "--gather", is_flag=True, help="Workers send their parts here; they do not see the folder."
 )
+@click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
 @click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
 def run(
     study: Path,
@@ -51,6 +52,7 @@ def run(
     workers: int | None,
     scheduler: str | None,
     gather: bool,
+    report: bool,
     only: int | None,
 ) -> None:
     """Run a Monte Carlo STUDY, a TOML file, into a folder of Parquet parts.
@@ -58,6 +60,8 @@ def run(
     A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
     """
     require("study")
+    if report:
+        require("report")  # now, rather than after the run
     from lierb.running import run as run_study
 
     folder = out or Path("results") / study.stem
@@ -76,6 +80,8 @@ def run(
         click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
         raise click.exceptions.Exit(INTERRUPTED) from None
     _show(dataset)
+    if report:
+        _report(dataset, folder / "report.html")
 
 
 def _require_one_way(
@@ -130,6 +136,22 @@ def plot(folder: Path) -> None:
         click.echo(str(path))
 
 
+@click.command("report")
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path),
+    help="The file to write.  [default: FOLDER/report.html]",
+)  # fmt: skip
+def report_page(folder: Path, out: Path | None) -> None:
+    """One HTML page on a study's results in FOLDER, which opens without a network."""
+    require("study")
+    from lierb.dataset import Dataset
+
+    dataset = Dataset(folder)
+    dataset.read()
+    _report(dataset, out or folder / "report.html")
+
+
 @click.command()
 @STUDY
 def predict(study: Path) -> None:
@@ -165,6 +187,14 @@ def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
                 click.echo(f"  {name:28}{value!r}")
 
 
+def _report(dataset: Dataset, path: Path) -> None:
+    require("report")
+    from lierb.report import write_report
+
+    click.echo("Writing the report ...", err=True)
+    click.echo(str(write_report(dataset, path)))
+
+
 def _show(dataset: Dataset) -> None:
     from lierb.findings import findings, table_of
 
@@ -174,4 +204,4 @@ def _show(dataset: Dataset) -> None:
     click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
 
 
-COMMANDS = (run, show, plot, predict)
+COMMANDS = (run, show, plot, report_page, predict)

@@ -7,12 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.compute as pc
 
 from lierb.arrays import Array
 from lierb.dataset import Dataset
 from lierb.extras import require
-from lierb.findings import ERRORS, QUANTILES, findings, rows_of, study_of
+from lierb.findings import (
+    ERRORS,
+    QUANTILES,
+    components,
+    drawn_columns,
+    errors_seen,
+    findings,
+    ok_columns,
+    rows_of,
+    some_rows,
+    study_of,
+)
 from lierb.study import Setting, Study
 
 require("plot")
@@ -27,35 +37,33 @@ AXES = {
     "rotation": "rotation error",
     "energy": "energy drift [J]",
 }
+FINAL = {"position": "position_error_final", "rotation": "rotation_error_final"}
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
 DASHES = ("-", "--", ":", "-.")
-SAMPLED_UNITS = {
-    "omega": "rad/s", "point_velocity": "m/s", "place": "m", "mass": "kg", "com": "m",
-    "second_moments": "kg m²", "inertia": "kg m²", "size": "m", "radius": "m", "length": "m",
-    "density": "kg/m³", "body_point": "m", "ground_point": "m", "pitch": "m/rad",
-    "gravity": "m/s²", "stiffness": "N/m or N m/rad", "damping": "N s/m or N m s/rad",
-    "linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "torque": "N m", "force": "N",
-    "angle": "rad", "speed": "rad/s", "coordinates": "rad or m", "velocities": "rad/s or m/s",
-}  # fmt: skip
 POINTS = 4000  # of a scatter plot, at most
 
 
-def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
-    """Every figure that the results have the data for, as PNG and SVG in `folder`."""
+def figures(dataset: Dataset) -> Iterator[tuple[str, Figure]]:
+    """Every figure that the results have the data for, by name."""
     study = study_of(dataset)
-    figures: dict[str, Callable[[Dataset, Study], Figure | None]] = {
+    kinds: dict[str, Callable[[Dataset, Study], Figure | None]] = {
         "distribution": distribution_figure,
         "time": time_figure,
         "order": order_figure,
         "parameters": parameter_figure,
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, draw in figures.items():
+    for name, draw in kinds.items():
         with matplotlib.rc_context(STYLE):
             figure = draw(dataset, study)
-        if figure is None:
-            continue
+        if figure is not None:
+            yield name, figure
+
+
+def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
+    """Every figure that the results have the data for, as PNG and SVG in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, figure in figures(dataset):
         for kind in ("png", "svg"):
             path = folder / f"{name}.{kind}"
             save(figure, path, kind)
@@ -64,27 +72,54 @@ def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
 
 
 def distribution_figure(dataset: Dataset, study: Study) -> Figure:
-    """Empirical distribution functions of the largest errors, a line for each setting."""
-    shown = _seen(dataset, study)
-    figure, panels = _panels(study, "How large the errors get, over all bodies", len(shown))
-    for panel, (kind, name) in zip(panels, shown.items()):
+    """How the errors are distributed over the bodies: shares at or below, and histograms.
+
+    Of the largest errors thick, of those at the end of the run thin; a colour for each c-space and
+    method, a dash for each dt.
+    """
+    shown = errors_seen(dataset, study)
+    across = len(shown)
+    figure, panels = _panels(
+        study, "Errors over the bodies: largest (thick), at the end (thin)", across, 2
+    )
+    for n, (kind, largest) in enumerate(shown.items()):
+        below, histogram = panels[n], panels[n + across]
         for setting, style in _styles(study):
-            values = np.sort(_ok(dataset, setting, [name])[name])
-            if values.size:
+            for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
+                if name is None:
+                    continue
+                values = np.sort(np.maximum(ok_columns(dataset, setting, [name])[name], LEAST))
+                if not values.size:
+                    continue
                 share = np.arange(1, values.size + 1) / values.size
-                panel.step(np.maximum(values, LEAST), share, where="post", **style)
-        panel.set_xscale("log")
-        panel.set_xlabel(f"largest {AXES[kind]}")
+                below.step(values, share, where="post", linewidth=width, **style)
+                counts, edges = np.histogram(np.log10(values), _decades(values))
+                histogram.stairs(
+                    counts / values.size, 10.0**edges, color=style["color"],
+                    linestyle=style["linestyle"], linewidth=width,
+                )  # fmt: skip
+        histogram.sharex(below)
+        for panel in (below, histogram):
+            panel.set_xscale("log")
+            panel.set_xlabel(AXES[kind])
     panels[0].set_ylabel("share of the bodies at or below")
+    panels[across].set_ylabel("share of the bodies in a bin")
     _legend(figure, panels)
     return figure
+
+
+def _decades(values: Array) -> Array:
+    """Edges of a histogram's bins: ten to a decade, fewer than a hundred in all."""
+    low, high = np.log10(values[0]), np.log10(values[-1])
+    bins = int(np.clip(10 * (high - low), 10, 100))
+    return np.linspace(low - 0.01, high + 0.01, bins + 1)
 
 
 def time_figure(dataset: Dataset, study: Study) -> Figure | None:
     """Errors over time: median, 5 to 95 %, and extremes over the bodies; None without a history."""
     if study.integrate.save_every is None:
         return None
-    shown = _seen(dataset, study)
+    shown = errors_seen(dataset, study)
     figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
     for panel, kind in zip(panels, shown):
         for setting, style in _styles(study):
@@ -107,7 +142,7 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
     """Quantiles of the errors over dt, with a line of order 4; None for a single dt."""
     if len(set(study.integrate.dt)) < 2:
         return None
-    shown = _seen(dataset, study)
+    shown = errors_seen(dataset, study)
     figure, panels = _panels(study, "Errors over the step: median, 95 % and largest", len(shown))
     found = findings(dataset)
     for panel, kind in zip(panels, shown):
@@ -134,14 +169,14 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
 
 def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
-    drawn = [name for name in dataset.table().schema.names if name.startswith("sample.")]
+    drawn = drawn_columns(dataset)
     if not drawn:
         return None
-    rows = _ok(dataset, study.settings[0], [*ERRORS.values(), *drawn])
-    columns = list(_components(drawn, rows))
+    rows = ok_columns(dataset, study.settings[0], [*ERRORS.values(), *drawn])
+    columns = list(components(drawn, rows))
     if not columns:
         return None
-    kind = next(iter(_seen(dataset, study)))
+    kind = next(iter(errors_seen(dataset, study)))
     across = min(len(columns), 4)
     figure, panels = _panels(
         study, "The largest error against what was sampled", across, -(-len(columns) // across)
@@ -149,13 +184,13 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
     for setting, style in _styles(study):
         if setting.dt != max(study.integrate.dt):
             continue
-        rows = _ok(dataset, setting, [ERRORS[kind], *drawn])
-        some = slice(None, None, max(1, len(rows[ERRORS[kind]]) // POINTS))
+        rows = ok_columns(dataset, setting, [ERRORS[kind], *drawn])
+        some = some_rows(len(rows[ERRORS[kind]]), POINTS)
         errors = np.maximum(rows[ERRORS[kind]][some], LEAST)
-        for panel, (name, values) in zip(panels, _components(drawn, rows)):
+        for panel, (name, values) in zip(panels, components(drawn, rows)):
             panel.plot(
                 values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
-                label=style["label"],
+                label=style["label"], rasterized=True,
             )  # fmt: skip
             panel.set_yscale("log")
             panel.set_xlabel(name)
@@ -169,29 +204,6 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
 # ---- data --------------------------------------------------------------------------------------
 
 
-def _ok(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
-    """Columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(
-        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
-    )
-    return {
-        name: np.stack(column.to_numpy(zero_copy_only=False))
-        if table.num_rows and hasattr(column.type, "list_size")
-        else column.to_numpy()
-        for name, column in ((name, table[name].combine_chunks()) for name in names)
-    }
-
-
-def _seen(dataset: Dataset, study: Study) -> dict[str, str]:
-    """The errors of which there are any, and their columns."""
-    seen = {
-        kind: name
-        for kind, name in ERRORS.items()
-        if any(_ok(dataset, s, [name])[name].max(initial=0.0) > LEAST for s in study.settings)
-    }
-    return seen or {"energy": ERRORS["energy"]}
-
-
 def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]:
     """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
     table = dataset.table("errors").to_table(columns=["step", "t", name], filter=rows_of(setting))
@@ -202,23 +214,6 @@ def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]
     times = table["t"].to_numpy()[order][starts]
     bands = [np.nanquantile(group, (0.05, 0.5, 0.95, 1.0)) for group in groups]
     return times, np.array(bands).T.reshape(4, len(whole))
-
-
-def _components(names: list[str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
-    """Sampled numbers one by one, but for matrices."""
-    for name in names:
-        values, title = rows[name], name.removeprefix("sample.")
-        unit = SAMPLED_UNITS.get(title.rpartition(".")[2])
-        if values.ndim == 1:
-            yield _with_unit(title, unit), values
-        elif values.shape[1] <= 6:
-            for i in range(values.shape[1]):
-                own = unit if title != "initial.twist" else ("rad/s", "m/s")[i // 3]
-                yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
-
-
-def _with_unit(title: str, unit: str | None) -> str:
-    return f"{title} [{unit}]" if unit else title
 
 
 # ---- looks -------------------------------------------------------------------------------------
@@ -252,5 +247,7 @@ def _panels(study: Study, title: str, across: int, down: int = 1) -> tuple[Figur
 
 def _legend(figure: Figure, panels: list[Axes]) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
+    first = {label: handle for handle, label in reversed([*zip(handles, labels)])}
+    labels, handles = [*reversed(first)], [*reversed(first.values())]
     dots = bool(handles) and getattr(handles[0], "get_linestyle", str)() == "None"
     figure.legend(handles, labels, loc="outside lower left", ncols=4, markerscale=4 if dots else 1)

@@ -1,0 +1,211 @@
+"""The HTML page on a study: complete, self-contained, and true to the tables."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import pytest
+from click.testing import CliRunner
+from studies import PARTS, TEXT, sorted_rows, study
+
+import lierb
+from lierb.cli import cli
+from lierb.dataset import Dataset
+
+pytest.importorskip("plotly")
+from lierb.report import POINTS, write_report
+
+BODIES = 50
+
+
+class Page(HTMLParser):
+    """What a page shows and what it refers to."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.references: list[str] = []
+        self.pictures: dict[str, bytes] = {}
+        self.cells: list[list[str]] = []
+        self.texts: dict[str, list[str]] = {"h2": [], "pre": [], "p": []}
+        self._open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        self.references += [given[key] for key in ("src", "href") if key in given]
+        if tag == "img":
+            kind, _, content = given["src"].partition(";base64,")
+            assert kind == "data:image/svg+xml"
+            assert given["alt"]
+            self.pictures[self._figure] = base64.b64decode(content)
+        if tag == "figure":
+            self._figure = given["id"]
+        if tag == "tr":
+            self.cells.append([])
+        if tag in ("td", "th"):
+            self.cells[-1].append("")
+        if tag in self.texts:
+            self.texts[tag].append("")
+        self._open = [tag]
+
+    def handle_endtag(self, tag):
+        self._open = []
+
+    def handle_data(self, data):
+        for tag in self._open:
+            if tag in ("td", "th"):
+                self.cells[-1][-1] += data.strip()
+            elif tag in self.texts:
+                self.texts[tag][-1] += data
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    given = study(integrate={"save_every": 10})
+    return lierb.run(given, tmp_path_factory.mktemp("report") / "out")
+
+
+@pytest.fixture(scope="module")
+def text(dataset):
+    return write_report(dataset, dataset.folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_page_is_complete(text):
+    page = Page(text)
+    assert page.texts["h2"] == [
+        "How large the errors get", "What the theory says", "Figures", "Body by body",
+        "The worst bodies", "How to reproduce it",
+    ]  # fmt: skip
+    assert list(page.pictures) == ["distribution", "time", "order", "parameters"]
+    for picture in page.pictures.values():
+        assert b"<svg" in picture
+        assert b"</svg>" in picture
+    assert "50 bodies over 0.05 s" in text
+    assert "No body failed." in text
+    assert "Unfinished" not in text
+
+
+def test_page_needs_no_network(text):
+    assert [x for x in Page(text).references if not x.startswith("data:")] == []
+    assert not re.search(r"@import|url\((?!['\"]?(data:|#))", text.split("<script")[0])
+
+
+def test_page_shows_what_was_found(dataset, text):
+    cells = Page(text).cells
+    rows = sorted_rows(dataset.folder)
+    for cspace in ("SE3", "SO3xR3"):
+        for dt in (1e-3, 2e-3):
+            errors = [
+                row["position_error_max"]
+                for row in rows
+                if (row["cspace"], row["dt"]) == (cspace, dt)
+            ]
+            (shown,) = [c for c in cells if c[:3] == [cspace, "RK4", f"{dt:g}"]]
+            largest = f"{max(errors):.1e}" if max(errors) else "0"
+            assert shown[3:5] == [str(BODIES), "0"]
+            assert shown[5] == "position, m"
+            assert shown[8] == largest
+    worst = max(rows, key=lambda row: row["energy_drift_max"])
+    listed = next(c for c in cells if c[0] == "energy, J" and len(c) > 5)
+    assert listed[1] == f"{worst['energy_drift_max']:.1e}"
+    assert listed[3] == str(worst["body"])
+
+
+def drawn(text: str) -> tuple[list, dict]:
+    """Traces and layout of the interactive figure."""
+    start = text.index("[", re.search(r'Plotly\.newPlot\(\s*"explorer"', text).end())
+    traces, end = json.JSONDecoder().raw_decode(text, start)
+    layout, _ = json.JSONDecoder().raw_decode(text, text.index("{", end))
+    return traces, layout
+
+
+def test_every_body_is_in_the_interactive_figure(dataset, text):
+    traces, layout = drawn(text)
+    assert BODIES < POINTS
+    assert [trace["name"] for trace in traces] == [
+        setting.label for setting in study(integrate={"save_every": 10}).settings
+    ]
+    for trace in traces:
+        assert len(base64.b64decode(trace["x"]["bdata"])) == 8 * BODIES
+    menus = [[button["label"] for button in menu["buttons"]] for menu in layout["updatemenus"]]
+    assert menus == [
+        ["x: body.mass [kg]", "x: forces.drag.linear [N s/m]"]
+        + [f"x: initial.omega, {i} [rad/s]" for i in (1, 2, 3)],
+        ["y: position error [m]", "y: energy drift [J]"],
+    ]
+
+
+def test_page_says_how_to_do_it_again(dataset, text):
+    commands = " ".join(Page(text).texts["pre"])
+    assert "lierb run study.toml --report" in commands
+    assert (dataset.folder / "study.toml").read_text() in commands
+    assert dataset.manifest["digest"][:16] in text
+    assert dataset.manifest["machine"]["cpu"] in text
+
+
+def test_unfinished_and_failed_bodies_are_told(tmp_path):
+    spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
+    given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"dt": [1e-3, 2e-3]})
+    done = lierb.run(given, tmp_path / "out")
+    lost = sorted(done.parts)[-1]
+    (tmp_path / "out" / "summary" / f"part-{lost}.parquet").unlink()
+    done.drop_damaged()
+    page = Page(write_report(done, tmp_path / "page.html").read_text(encoding="utf-8"))
+    assert f"Unfinished: {PARTS - 1} of {PARTS} parts." in " ".join(page.texts["p"])
+    assert "Bodies that failed" in page.texts["h2"]
+
+
+def test_texts_are_escaped(tmp_path):
+    given = study(sample={"n": 3}).model_copy(update={"name": "<b>&"})
+    page = write_report(lierb.run(given, tmp_path / "out"), tmp_path / "page.html")
+    assert "<h1>&lt;b&gt;&amp;</h1>" in page.read_text(encoding="utf-8")
+
+
+def test_a_study_without_samples_has_a_page(tmp_path):
+    tables = study().model_dump(exclude={"sample"})
+    given = type(study()).of(tables)
+    text = write_report(lierb.run(given, tmp_path / "out"), tmp_path / "page.html").read_text()
+    assert "Body by body" not in text
+    assert "The worst bodies" in text
+
+
+def test_commands(dataset, tmp_path):
+    result = CliRunner().invoke(cli, ["report", str(dataset.folder)])
+    assert result.exit_code == 0, result.output
+    assert str(dataset.folder / "report.html") in result.output
+    (tmp_path / "study.toml").write_text(TEXT)
+    out = tmp_path / "out"
+    result = CliRunner().invoke(
+        cli, ["run", str(tmp_path / "study.toml"), "--out", str(out), "--report"]
+    )
+    assert result.exit_code == 0, result.output
+    assert (out / "report.html").exists()
+    result = CliRunner().invoke(cli, ["report", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "holds no results" in result.output
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("chromium"), reason="no Chromium here")
+def test_a_browser_without_a_network_draws_it(dataset, tmp_path):
+    page = write_report(dataset, tmp_path / "page.html")
+    shown = subprocess.run(
+        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
+         "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",
+         f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--dump-dom",
+         page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=True,
+    ).stdout  # fmt: skip
+    assert shown.count('<path class="point') == BODIES * 4
+    assert "updatemenu-header" in shown
+
+
+def test_read_from_the_disk_it_is_the_same_page(dataset, text, tmp_path):
+    again = Dataset(dataset.folder)
+    again.read()
+    assert write_report(again, tmp_path / "page.html").read_text(encoding="utf-8") == text
