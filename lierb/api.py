@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
+from lierb.columns import numbers, texts, vectors
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -37,7 +38,7 @@ RECORDS = ("state", "energy", "multipliers", "reaction")
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
 STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
-STATUS_DICTIONARY = pa.array([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
+STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 SUMMARY_ORDER = (
     "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
@@ -316,11 +317,6 @@ def _schema(columns: dict[str, pa.Array], covers: str, units: str) -> pa.Schema:
     return pa.schema(fields)
 
 
-def _vectors(array: Array) -> pa.Array:
-    """fixed_size_list over the last axis, without a copy."""
-    return pa.FixedSizeListArray.from_arrays(pa.array(array.reshape(-1)), array.shape[-1])
-
-
 def _energy_of(problem: Problem) -> str:
     """What the energy is made of, and what else does work and so shows as drift."""
     stored = [force.name for force in problem.forces if force.kind.is_conservative]
@@ -337,14 +333,12 @@ def _energy_of(problem: Problem) -> str:
 def _summary_table(output: engine.Output, metadata: dict[str, Any], covers: str) -> pa.Table:
     scalars = dict(zip(engine.SUMMARY_SCALARS, output.scalars, strict=True))
     columns = {
-        "body": pa.array(np.arange(len(output.status), dtype=np.int64)),
-        "status": pa.DictionaryArray.from_arrays(output.status, STATUS_DICTIONARY),
-        "t": pa.array(output.t),
+        "body": numbers(np.arange(len(output.status), dtype=np.int64)),
+        "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
+        "t": numbers(output.t),
     }
-    columns |= {name: pa.array(scalars[name]) for name in SUMMARY_ORDER}
-    columns |= {
-        name: _vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)
-    }
+    columns |= {name: numbers(scalars[name]) for name in SUMMARY_ORDER}
+    columns |= {name: vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)}
     return _table(columns, metadata, covers)
 
 
@@ -359,22 +353,22 @@ def _errors_table(
     saved = grid.saved_steps()
     count = output.errors.shape[2]
     columns = {
-        "body": pa.array(np.tile(np.arange(count, dtype=np.int64), len(saved))),
-        "step": pa.array(np.repeat(saved, count)),
-        "t": pa.array(np.repeat(saved * grid.dt, count)),
+        "body": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
+        "step": numbers(np.repeat(saved, count)),
+        "t": numbers(np.repeat(saved * grid.dt, count)),
     }
     scalars = dict(zip(ERROR_COLUMNS, output.errors, strict=True))
     energy = scalars.pop("energy")
-    columns |= {name: pa.array(array.reshape(-1)) for name, array in scalars.items()}
+    columns |= {name: numbers(array) for name, array in scalars.items()}
     if "state" in recorded:
         for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
-            columns[name] = _vectors(array)
+            columns[name] = vectors(array)
     if "energy" in recorded:
-        columns["energy"] = pa.array(energy.reshape(-1))
+        columns["energy"] = numbers(energy)
     units = ""
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
-        columns["lambda"] = _vectors(output.multipliers)
+        columns["lambda"] = vectors(output.multipliers)
         units = ", ".join(row.unit for row in plan.rows)
     if "reaction" in recorded:
-        columns["reaction"] = _vectors(output.reactions)
+        columns["reaction"] = vectors(output.reactions)
     return _table(columns, metadata, covers, units)

@@ -24,6 +24,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from lierb import Body, Problem, extras, integrate, joints
+from lierb.columns import numbers, repeated
 from lierb.convergence import Order, observed_order, verdict
 
 if TYPE_CHECKING:
@@ -390,11 +391,9 @@ def _labelled(table: pa.Table, run: _Run) -> pa.Table:
     rows = table.num_rows
     labels = {"example": run.example.key, "reading": run.example.reading, "cspace": run.cspace}
     for place, (name, value) in enumerate(labels.items()):
-        index = pa.array(np.zeros(rows, dtype=np.int8))
-        column = pa.DictionaryArray.from_arrays(index, pa.array([value]))
-        table = table.add_column(place, name, column)
+        table = table.add_column(place, name, repeated(value, rows))
     dt_field = pa.field("dt", pa.float64(), metadata={"unit": "s"})
-    return table.add_column(len(labels), dt_field, pa.array(np.full(rows, run.dt)))
+    return table.add_column(len(labels), dt_field, numbers(np.full(rows, run.dt)))
 
 
 def _concatenate(tables: Sequence[pa.Table]) -> pa.Table:

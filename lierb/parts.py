@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.arrays import Array
+from lierb.columns import numbers, repeated, vectors
 from lierb.sampling import Design
 from lierb.study import Batch, Setting, Study
 
@@ -48,14 +49,14 @@ class Part:
     def _labelled(self, table: pa.Table, batch: Batch | None) -> pa.Table:
         """With the bodies' numbers in the study, the setting before, and the draws behind."""
         rows = table.num_rows
-        bodies = pa.array(table["body"].to_numpy() + self.first)
+        bodies = numbers(table["body"].to_numpy() + self.first)
         table = table.set_column(0, table.schema.field("body"), bodies)
-        dt = pa.array(np.full(rows, self.setting.dt))
+        dt = numbers(np.full(rows, self.setting.dt))
         table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)
-        table = table.add_column(0, "method", _repeated(self.setting.method, rows))
-        table = table.add_column(0, "cspace", _repeated(self.setting.cspace, rows))
+        table = table.add_column(0, "method", repeated(self.setting.method, rows))
+        table = table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
         for name, values in (batch.draws if batch else {}).items():
-            table = table.append_column(f"sample.{name}", _column(values))
+            table = table.append_column(f"sample.{name}", _column(np.ascontiguousarray(values)))
         return table
 
 
@@ -79,12 +80,6 @@ def part_size(study: Study) -> int:
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
 
 
-def _repeated(value: str, rows: int) -> pa.Array:
-    return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), [value])
-
-
 def _column(values: Array) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
-    if values.ndim == 1:
-        return flat
-    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
+    """Numbers, or flat lists of a body's numbers."""
+    return numbers(values) if values.ndim == 1 else vectors(values.reshape(len(values), -1))
