@@ -217,6 +217,27 @@ def test_lierb_lanes_out_of_range_is_told_clearly(copy, lanes):
     assert f"LIERB_LANES must be 1, 2, 4 or 8, got '{lanes}'" in err.splitlines()[-1]
 
 
+# ---------------------------------------------------------------- how quickly it loads
+
+IMPORTED = (
+    NOW
+    + """
+print(json.dumps(sorted({"pandas", "scipy.linalg"} & sys.modules.keys())))
+import numba
+assert numba.njit(lambda x: x + 1)(1) == 2  # what was left out is there when something compiles
+"""
+)
+
+
+@pytest.mark.slow  # two processes, one of which compiles
+def test_warm_process_imports_no_package_that_it_does_not_use(copy):
+    copy.run()
+    out, err = copy.start(IMPORTED).communicate(timeout=60)
+    told, imported = map(json.loads, out.splitlines())
+    assert told["loaded"] == 1, err
+    assert imported == []
+
+
 # ---------------------------------------------------------------- functions of the user's
 
 PUSH = """

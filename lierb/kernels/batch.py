@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
-from numba import njit
-
 from lierb.kernels import _jit, se3, so3, so3xr3
 from lierb.kernels.arithmetic import gather, scatter
 
@@ -76,7 +74,7 @@ for _group in GROUPS.values():
 _jit.kernel(apply_block)
 
 
-@njit(cache=True, **_jit.OPTIONS)
+@_jit.cached()
 def apply(tag, a, b, out, lanes):
     """out[i] = f(a[i], b[i]); `b` is not read where f takes one operand."""
     for first in range(0, out.shape[0], lanes):

@@ -327,7 +327,7 @@ def _until(k: int, every: int, end: int) -> int:
     return min(every - k % every, end - k)
 
 
-@njit(cache=True, **_jit.OPTIONS)
+@_jit.cached()
 def integrate_block(
     plan, first, inputs, carried, summary, errors, rotations, places, omegas, velocities,
     multipliers, reactions, offset, begin, stop, last, h, measure_every, save_every,
@@ -377,7 +377,7 @@ def integrate_block(
     store_summary(plan, inputs, state, record, summary, first)
 
 
-@njit(parallel=True, cache=True, **_jit.OPTIONS)
+@_jit.cached(parallel=True)
 def integrate_blocks(
     sources, integrate, counter, lanes, threads, inputs, carried, summary, errors, rotations,
     places, omegas, velocities, multipliers, reactions, offset, begin, stop, last, h, measure_every,
