@@ -155,6 +155,12 @@ def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
         array[index] = plain(number)
 
 
+def prefetch(array: Any, index: tuple[Any, ...], count: int) -> None:
+    """Have the memory of `count` consecutive places from `index` on at hand, to write there."""
+    if isinstance(array, ArrayRef):
+        array.prefetch(index, count)
+
+
 def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
     """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
     return array.gather(axis, place, width) if isinstance(array, ArrayRef) else array[place]

@@ -322,6 +322,9 @@ def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:
 # ---- traced integers and arrays ----------------------------------------------------------------
 
 
+LINE = 8  # doubles in a cache line
+
+
 class Index:
     """A traced integer (intp), for array positions."""
 
@@ -330,6 +333,9 @@ class Index:
     def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
         self.builder = builder
         self.value = value
+
+    def __add__(self, other: int) -> Index:
+        return Index(self.builder, self.builder.add(self.value, self.value.type(other)))
 
     def real(self) -> Lane:
         return Lane(self.builder, self.builder.sitofp(self.value, DOUBLE))
@@ -374,6 +380,17 @@ class ArrayRef:
             pointer = self.builder.bitcast(pointer, ty.as_pointer())
         self.builder.store(value, pointer, align=8)
 
+    def prefetch(self, index: Sequence[Any], count: int) -> None:
+        """Have the cache lines of `count` consecutive doubles from `index` on at hand."""
+        builder, byte = self.builder, ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        start = self._pointer(index)
+        to_write, everywhere, data = INT32(1), INT32(3), INT32(1)
+        for place in (*range(0, count, LINE), count - 1):
+            line = builder.gep(start, [ir.Constant(self.index_type, place)])
+            builder.call(fetch, [builder.bitcast(line, byte), to_write, everywhere, data])
+
     def gather(self, axis: int, place: Sequence[Any], lanes: int) -> Lane:
         """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
         builder = self.builder
@@ -396,6 +413,30 @@ class ArrayRef:
     ) -> None:
         """Write lane i of each pack at its place moved by i along `axis`, while inside."""
         builder = self.builder
+        start = self._as_value(places[0][axis])
+        room = builder.sub(self.shape[axis], start)
+        width = ir.Constant(self.index_type, lanes)
+        if axis < len(self.shape) - 1:
+            count = builder.select(builder.icmp_signed("<", room, width), room, width)
+            self._scatter_lanes(axis, places, numbers, lanes, count)
+            return
+        with builder.if_else(builder.icmp_signed(">=", room, width), likely=True) as (whole, part):
+            with whole:
+                for place, number in zip(places, numbers, strict=True):
+                    self.store(place, number, lanes)
+            with part:
+                self._scatter_lanes(axis, places, numbers, lanes, room)
+
+    def _scatter_lanes(
+        self,
+        axis: int,
+        places: Sequence[Sequence[Any]],
+        numbers: Sequence[Any],
+        lanes: int,
+        count: ir.Value,
+    ) -> None:
+        """Lane by lane, `count` of them."""
+        builder = self.builder
         packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
         buffer = cgutils.alloca_once(builder, packs)
         zero = ir.Constant(INT32, 0)
@@ -407,9 +448,6 @@ class ArrayRef:
             pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), zero])
             builder.store(value, builder.bitcast(pointer, ty.as_pointer()), align=8)
         start = self._as_value(places[0][axis])
-        room = builder.sub(self.shape[axis], start)
-        width = ir.Constant(self.index_type, lanes)
-        count = builder.select(builder.icmp_signed("<", room, width), room, width)
         with cgutils.for_range(builder, count) as loop:
             moved = Index(builder, builder.add(start, loop.index))
             for n, place in enumerate(places):
