@@ -13,7 +13,7 @@ import numpy as np
 
 from lierb.kernels import lanes
 from lierb.kernels.lanes import ArrayRef, Index, Lane, Mask, Predicate
-from lierb.kernels.zero import ZERO, is_zero
+from lierb.kernels.zero import ZERO, Zero, is_zero
 
 PI = 3.141592653589793
 
@@ -24,11 +24,12 @@ def _traced(*numbers: Any) -> bool:
 
 def fma(a: Any, b: Any, c: Any) -> Any:
     """a·b + c, rounded once where traced for a CPU that can; rounded twice in plain Python."""
-    if is_zero(a) or is_zero(b):
+    # Most of the time of a formula in Python goes by here.
+    if isinstance(a, Zero) or isinstance(b, Zero):
         return c
-    if is_zero(c):
+    if isinstance(c, Zero):
         return a * b
-    if _traced(a, b, c) and lanes.HAS_FMA:
+    if lanes.HAS_FMA and (isinstance(a, Lane) or isinstance(b, Lane) or isinstance(c, Lane)):
         return lanes.call_intrinsic("fma", a, b, c)
     return a * b + c
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -81,9 +82,17 @@ def _splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
 
 
 def _constant(like: ir.Type, value: float) -> ir.Constant:
-    if isinstance(like, ir.VectorType):
-        return ir.Constant(like, [float(value)] * like.count)
-    return ir.Constant(like, float(value))
+    lanes = like.count if isinstance(like, ir.VectorType) else 1
+    return _constant_pack(lanes, float(value).hex())
+
+
+@cache
+def _constant_pack(lanes: int, digits: str) -> ir.Constant:
+    """By its hexadecimal digits: as numbers, 0 and −0 would be the same."""
+    value = float.fromhex(digits)
+    if lanes == 1:
+        return ir.Constant(DOUBLE, value)
+    return ir.Constant(ir.VectorType(DOUBLE, lanes), [value] * lanes)
 
 
 def _same_type(builder: ir.IRBuilder, operands: Sequence[Any]) -> list[ir.Value]:
@@ -94,7 +103,7 @@ def _same_type(builder: ir.IRBuilder, operands: Sequence[Any]) -> list[ir.Value]
     def convert(x: Any) -> ir.Value:
         if not isinstance(x, Lane):
             return _constant(widest, x)
-        if x.value.type == widest:
+        if x.value.type is widest or x.value.type == widest:
             return x.value
         return _splat(builder, x.value, widest.count)
 

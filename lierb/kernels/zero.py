@@ -50,6 +50,6 @@ class Zero:
 ZERO = Zero()
 
 
-def is_zero(*numbers: Any) -> bool:
-    """Whether every one of `numbers` is a structural zero."""
-    return all(isinstance(x, Zero) for x in numbers)
+def is_zero(number: Any, *others: Any) -> bool:
+    """Whether every one of these numbers is a structural zero."""
+    return isinstance(number, Zero) and all(isinstance(x, Zero) for x in others)
