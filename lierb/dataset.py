@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,7 @@ TABLES = ("summary", "errors")
 FORMAT = 1
 KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
 TEMPORARY = ".unfinished"
+MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing the manifest
 Entry = dict[str, dict[str, Any]]  # of a part in the manifest: rows and checksum of its files
 
 
@@ -64,6 +66,7 @@ class Dataset:
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
         self.manifest: dict[str, Any] = {}
+        self._written, self._next_writing = True, 0.0
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -83,7 +86,11 @@ class Dataset:
         try:
             yield
         finally:
-            lock.release()
+            try:
+                if not self._written:
+                    self._enter()
+            finally:
+                lock.release()
 
     def exists(self) -> bool:
         return (self.folder / MANIFEST).exists()
@@ -120,13 +127,23 @@ class Dataset:
         }
 
     def enter(self, part: str, entry: Entry) -> None:
-        """Count a part among the finished ones: its files are safe."""
+        """Count a part among the finished ones: its files are safe.
+
+        The manifest is written at once, unless it has grown so large that this would take more than
+        a share of the time; then a killed run does the last parts again.
+        """
         self.parts[part] = entry
-        self._enter()
+        self._written = False
+        if time.monotonic() >= self._next_writing:
+            self._enter()
 
     def _enter(self) -> None:
+        began = time.monotonic()
         self.manifest["parts"] = dict(sorted(self.parts.items()))
         self.write(MANIFEST, (json.dumps(self.manifest, indent=1) + "\n").encode())
+        self._written = True
+        ended = time.monotonic()
+        self._next_writing = ended + (ended - began) / MANIFEST_SHARE
 
     def write(self, name: str, content: Any) -> None:
         """A file with that content, or none: never half of it."""

@@ -343,6 +343,18 @@ def test_two_runs_into_one_folder_are_refused(tmp_path):
         lierb.run(study(), tmp_path)
 
 
+def test_a_large_manifest_is_not_written_for_every_part(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset_module, "MANIFEST_SHARE", 1e-9)
+    written = []
+    write = Dataset.write
+    monkeypatch.setattr(
+        Dataset, "write", lambda self, name, *rest: (written.append(name), write(self, name, *rest))
+    )
+    lierb.run(study(), tmp_path)
+    assert written.count("manifest.json") == 2  # at the beginning and at the end
+    assert hashes(tmp_path) == hashes(whole)
+
+
 def test_full_disk_leaves_what_is_there(whole, tmp_path, monkeypatch):
     sync, left = os.fsync, [9]
 
