@@ -148,6 +148,7 @@ def test_page_says_how_to_do_it_again(dataset, text):
     assert dataset.manifest["machine"]["cpu"] in text
 
 
+@pytest.mark.slow
 def test_unfinished_and_failed_bodies_are_told(tmp_path):
     spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
     given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"dt": [1e-3, 2e-3]})
@@ -174,6 +175,7 @@ def test_a_study_without_samples_has_a_page(tmp_path):
     assert "The worst bodies" in text
 
 
+@pytest.mark.slow
 def test_commands(dataset, tmp_path):
     result = CliRunner().invoke(cli, ["report", str(dataset.folder)])
     assert result.exit_code == 0, result.output
@@ -205,6 +207,7 @@ def test_a_browser_without_a_network_draws_it(dataset, tmp_path):
     assert "updatemenu-header" in shown
 
 
+@pytest.mark.slow
 def test_read_from_the_disk_it_is_the_same_page(dataset, text, tmp_path):
     again = Dataset(dataset.folder)
     again.read()

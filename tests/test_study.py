@@ -432,6 +432,7 @@ def test_summary_of_a_study(whole):
     assert order is None or order.slope == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_figures_of_a_study_are_complete(tmp_path):
     study_plots = pytest.importorskip("lierb.study_plots")
     history = {"save_every": 10}
