@@ -53,6 +53,8 @@ def run(
     """
     if gather and client is None:
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
+    if client is not None and client.asynchronous:
+        raise ArgumentError("client= is asynchronous; run takes a Client that waits")
     given, text = _loaded(study)
     dataset = Dataset(out)
     with dataset.locked():

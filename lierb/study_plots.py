@@ -41,6 +41,7 @@ FINAL = {"position": "position_error_final", "rotation": "rotation_error_final"}
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
 DASHES = ("-", "--", ":", "-.")
 POINTS = 4000  # of a scatter plot, at most
+RANKS = 2000  # points of a distribution function, at most
 
 
 def figures(dataset: Dataset) -> Iterator[tuple[str, Figure]]:
@@ -91,8 +92,9 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
                 values = np.sort(np.maximum(ok_columns(dataset, setting, [name])[name], LEAST))
                 if not values.size:
                     continue
-                share = np.arange(1, values.size + 1) / values.size
-                below.step(values, share, where="post", linewidth=width, **style)
+                ranks = np.unique(np.linspace(0, values.size - 1, RANKS).astype(int))
+                share = (ranks + 1) / values.size
+                below.step(values[ranks], share, where="post", linewidth=width, **style)
                 counts, edges = np.histogram(np.log10(values), _decades(values))
                 histogram.stairs(
                     counts / values.size, 10.0**edges, color=style["color"],

@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -205,6 +206,12 @@ def test_a_scheduler_without_workers_is_named(tmp_path, monkeypatch):
 def test_gather_wants_a_cluster(tmp_path):
     with pytest.raises(ArgumentError, match="client"):
         lierb.run(study(), tmp_path, gather=True)
+
+
+def test_an_asynchronous_client_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="asynchronous"):
+        lierb.run(study(), tmp_path / "out", client=SimpleNamespace(asynchronous=True))
+    assert not (tmp_path / "out").exists()
 
 
 # ---- the command -------------------------------------------------------------------------------
