@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numba
 
-from lierb.dataset import STUDY, Dataset, Entry, File, parquet_files
+from lierb.dataset import STUDY, Dataset, File, Stored, parquet_files
 from lierb.errors import StudyError, StudyWarning
 from lierb.extras import require
 from lierb.parts import Part
@@ -24,7 +24,7 @@ from lierb.study import Study
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-AHEAD = 2  # parts given out for each thread of the workers: one under way, one waiting
+AHEAD = 2  # parts given to each worker: they take turns in the kernel, with all its threads
 CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 LOST_SECONDS = 60  # without any worker: they do not come back
@@ -38,11 +38,11 @@ def spread(
     threads: int | None,
     gather: bool,
     stopping: threading.Event,
-) -> Generator[tuple[str, Entry]]:
-    """Run parts on a cluster, until it is stopping; their names and entries as they finish.
+) -> Generator[tuple[str, list[Stored]]]:
+    """Run parts on a cluster, until it is stopping; their names and files as they finish.
 
     A part whose worker dies is given to another one. Only so many parts are given out at a time
-    that neither they nor, with `gather`, their files fill the memory of this process.
+    that neither they nor, with `gather`, their files fill anybody's memory.
     """
     _require_workers(client)
     place = None if gather else (dataset.folder.resolve(), (dataset.folder / STUDY).read_bytes())
@@ -51,7 +51,7 @@ def spread(
     elsewhere: set[str] = set()
 
     def give() -> None:
-        most = max(1, AHEAD * sum(client.nthreads().values()))
+        most = max(1, AHEAD * len(client.nthreads()))
         while len(under_way) < most and not stopping.is_set():
             part = next(waiting, None)
             if part is None:
@@ -130,8 +130,8 @@ def dask_setup(_worker: Any) -> None:
 
 def _run_part(
     study: Study, part: Part, place: tuple[Path, bytes] | None, threads: int | None
-) -> tuple[list[File] | Entry, dict[str, Any]]:
-    """A part's files, or its entry if they are written at `place`; and what they were made with."""
+) -> tuple[list[File] | list[Stored], dict[str, Any]]:
+    """A part's files, stored already if there is a `place`; and what they were made with."""
     if place is not None:
         _require_same_folder(*place)
     tables = part.tables(study, study.design, threads or _own_threads())
@@ -164,6 +164,14 @@ def _require_workers(client: Client) -> None:
     except TimeoutError:
         address = client.scheduler_info()["address"]
         raise StudyError(f"the Dask scheduler at {address} has no workers; start some") from None
+    try:
+        client.run_on_scheduler(machine)
+        client.run(machine)
+    except Exception as error:  # what cannot be imported there comes back in many guises
+        raise StudyError(
+            "the scheduler or a worker cannot load lierb, which it needs as this process does "
+            f"(pip install 'lierb[cluster]'): {error}"
+        ) from None
 
 
 def _finished(client: Client, futures: list[Future]) -> list[Future]:
@@ -189,8 +197,9 @@ def _result(future: Future, part: Part) -> Any:
         return future.result()
     except KilledWorker as error:
         raise StudyError(
-            f"part {part.name}: its worker died {error.allowed_failures + 1} times in a row; if it "
-            "was for memory, fewer bodies in a part take less: [output] part"
+            f"workers died {error.allowed_failures + 1} times in a row that had part {part.name}, "
+            "perhaps beside others; if it was for memory, fewer bodies in a part take less: "
+            "[output] part"
         ) from None
 
 

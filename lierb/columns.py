@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 
 def numbers(array: NDArray) -> pa.Array:
-    """A column of a contiguous array's numbers, all of them, without a copy."""
+    """A column of all of an array's numbers, without a copy if they lie in order."""
+    array = np.ascontiguousarray(array)
     return pa.Array.from_buffers(
         pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(array)]
     )
 
 
 def vectors(array: NDArray) -> pa.Array:
-    """A column of fixed-size lists over a contiguous array's last axis, without a copy."""
+    """A column of fixed-size lists over an array's last axis, without a copy as above."""
     return pa.FixedSizeListArray.from_arrays(numbers(array), array.shape[-1])
 
 

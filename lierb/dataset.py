@@ -35,8 +35,8 @@ TABLES = ("summary", "errors")
 FORMAT = 1
 KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
 TEMPORARY = ".unfinished"
-MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing the manifest
-Entry = dict[str, dict[str, Any]]  # of a part in the manifest: rows and checksum of its files
+MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing a large manifest
+QUICK_SECONDS = 0.05  # to write one that is not large
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,16 @@ class File:
     path: str
     rows: int
     content: pa.Buffer
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A file that is safe in the folder under a name that no reader sees."""
+
+    path: str
+    aside: str
+    rows: int
+    sha256: str
 
 
 def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> list[File]:
@@ -117,22 +127,29 @@ class Dataset:
         }  # fmt: skip
         self._enter()
 
-    def store(self, files: list[File]) -> Entry:
-        """Write a part's files; what `enter` wants to know of them."""
-        for file in files:
-            self.write(file.path, file.content)
-        return {
-            file.path: {"rows": file.rows, "sha256": hashlib.sha256(file.content).hexdigest()}
-            for file in files
-        }
+    def store(self, files: list[File]) -> list[Stored]:
+        """Write a part's files, each under a name of its own that `enter` replaces.
 
-    def enter(self, part: str, entry: Entry) -> None:
-        """Count a part among the finished ones: its files are safe.
+        Any process may do this, the one with the lock alone enters: a worker that another run has
+        left behind overwrites nothing.
+        """
+        return [
+            Stored(
+                file.path, self._write_aside(file.path, file.content), file.rows,
+                hashlib.sha256(file.content).hexdigest(),
+            )
+            for file in files
+        ]  # fmt: skip
+
+    def enter(self, part: str, files: list[Stored]) -> None:
+        """Give a part's files their names, and count it among the finished ones.
 
         The manifest is written at once, unless it has grown so large that this would take more than
         a share of the time; then a killed run does the last parts again.
         """
-        self.parts[part] = entry
+        for file in files:
+            self._rename(file.aside, file.path)
+        self.parts[part] = {file.path: {"rows": file.rows, "sha256": file.sha256} for file in files}
         self._written = False
         if time.monotonic() >= self._next_writing:
             self._enter()
@@ -142,24 +159,31 @@ class Dataset:
         self.manifest["parts"] = dict(sorted(self.parts.items()))
         self.write(MANIFEST, (json.dumps(self.manifest, indent=1) + "\n").encode())
         self._written = True
-        ended = time.monotonic()
-        self._next_writing = ended + (ended - began) / MANIFEST_SHARE
+        took = time.monotonic() - began
+        self._next_writing = began + (took / MANIFEST_SHARE if took > QUICK_SECONDS else 0.0)
 
     def write(self, name: str, content: Any) -> None:
         """A file with that content, or none: never half of it."""
+        self._rename(self._write_aside(name, content), name)
+
+    def _write_aside(self, name: str, content: Any) -> str:
+        """Write a file beside its place; its name there, which readers of the folder skip."""
         path = self.folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Readers of the folder skip the dot; two processes may be at the same part.
-        unfinished = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
+        aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
         try:
-            with unfinished.open("wb") as file:
+            with aside.open("wb") as file:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            unfinished.replace(path)
         except BaseException:
-            unfinished.unlink(missing_ok=True)
+            aside.unlink(missing_ok=True)
             raise
+        return str(aside.relative_to(self.folder))
+
+    def _rename(self, aside: str, name: str) -> None:
+        path = self.folder / name
+        (self.folder / aside).replace(path)
         _sync(path.parent)
 
     def drop_damaged(self) -> list[str]:
@@ -167,11 +191,15 @@ class Dataset:
         damaged = [part for part, files in self.parts.items() if not self._is_whole(files)]
         for part in damaged:
             del self.parts[part]
-        for leftover in self.folder.rglob(f"*{TEMPORARY}"):
-            leftover.unlink(missing_ok=True)
+        self.drop_unfinished()
         if damaged:
             self._enter()
         return damaged
+
+    def drop_unfinished(self) -> None:
+        """Delete what processes that died have left unfinished."""
+        for leftover in self.folder.rglob(f"*{TEMPORARY}"):
+            leftover.unlink(missing_ok=True)
 
     def _is_whole(self, files: dict[str, Any]) -> bool:
         for name, entry in files.items():

@@ -43,11 +43,12 @@ SUMMARY_SCALARS = (
 )  # fmt: skip
 STATE_WIDTHS = {"R": 9, "r": 3, "omega": 3, "v": 3}
 
+SOURCES = _jit.Sources()
+
 # Bodies in one chunk: about 1 kB each, so that a chunk stays in the cache beside the state.
 CHUNK_BODIES = 4096
 # One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
 # enough that the 30 µs of a call do not show.
-SOURCES = _jit.Sources()
 CALL_SECONDS = 0.15
 FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast this problem runs
 

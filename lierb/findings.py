@@ -162,6 +162,13 @@ def _with_unit(title: str, unit: str | None) -> str:
 # ---- for a terminal ----------------------------------------------------------------------------
 
 
+def shown(error: float) -> str:
+    """With two digits; a dash where there is none."""
+    if np.isnan(error):
+        return "–"
+    return f"{error:.1e}" if error else "0"
+
+
 def table_of(found: list[Found]) -> Table:
     """For a terminal."""
     from rich import box
@@ -182,7 +189,7 @@ def table_of(found: list[Found]) -> Table:
             str(each.failed),
         ]
         for kind, label in LABELS.items():
-            quantiles = [f"{x:.1e}" if x else "0" for x in each.quantiles[kind]]
+            quantiles = [shown(x) for x in each.quantiles[kind]]
             order = "" if seen[kind] is None else str(seen[kind])
             table.add_row(*heads, label, *quantiles, order)
             heads = [""] * len(heads)

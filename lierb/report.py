@@ -24,6 +24,7 @@ from lierb.findings import (
     findings,
     ok_columns,
     orders,
+    shown,
     some_rows,
     study_of,
 )
@@ -36,10 +37,11 @@ import jinja2  # noqa: E402
 import plotly.graph_objects as go  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.plots import COLOURS, LEAST, save  # noqa: E402
-from lierb.study_plots import AXES, figures  # noqa: E402
+from lierb.plots import LEAST, save  # noqa: E402
+from lierb.study_plots import AXES, figures, styles  # noqa: E402
 
 TEMPLATE = "report.html"
+SYMBOLS = ("circle", "diamond", "square", "x")  # from the largest dt to the smallest
 POINTS = 3000  # of a setting in the interactive figure, beside its worst bodies
 WORST = 5  # bodies that are listed for each error
 FAILED = 20  # bodies that are listed
@@ -75,6 +77,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         asked=dataset.manifest["asked"],
         bodies=len(study.design),
         body_steps=sum(p.body_steps(study) for p in parts_of(study) if p.name in dataset.parts),
+        runs=sum(each.bodies for each in found),
         failed=sum(each.failed for each in found),
         predictions=_predictions(study),
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
@@ -105,13 +108,9 @@ def _error_rows(found: list[Found], each: Found) -> tuple[Found, dict[str, list[
     """A setting, and for each error its quantiles and its observed order."""
     seen = orders(found, each)
     return each, {
-        label: [*map(_number, each.quantiles[kind]), str(seen[kind] or "–")]
+        label: [*map(shown, each.quantiles[kind]), str(seen[kind] or "–")]
         for kind, label in LABELS.items()
     }
-
-
-def _number(value: float) -> str:
-    return f"{value:.1e}" if value else "0"
 
 
 def _data_url(figure: Figure) -> str:
@@ -132,19 +131,19 @@ def _worst(dataset: Dataset, study: Study) -> list[dict[str, Any]]:
         for setting in study.settings:
             rows = ok_columns(dataset, setting, ["body", name, *drawn])
             for i in np.argsort(-rows[name], kind="stable")[:WORST]:
-                draws = {each.removeprefix("sample."): _shown(rows[each][i]) for each in drawn}
+                draws = {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}
                 error, body = float(rows[name][i]), int(rows["body"][i])
                 largest.append((error, setting, body, draws))
         largest.sort(key=lambda each: -each[0])
         listed += [
-            {"kind": LABELS[kind], "error": _number(error), "setting": setting.label, "body": body,
+            {"kind": LABELS[kind], "error": shown(error), "setting": setting.label, "body": body,
              "draws": draws}
             for error, setting, body, draws in largest[:WORST]
         ]  # fmt: skip
     return listed
 
 
-def _shown(draw: Any) -> str:
+def _drawn(draw: Any) -> str:
     numbers = ", ".join(f"{x:.4g}" for x in np.atleast_1d(draw))
     return f"({numbers})" if np.ndim(draw) else numbers
 
@@ -171,14 +170,16 @@ def _explorer(dataset: Dataset, study: Study) -> str:
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()
-    for number, setting in enumerate(study.settings):
+    dts = sorted(set(study.integrate.dt), reverse=True)
+    for setting, style in styles(study):
         rows = ok_columns(dataset, setting, ["body", *seen.values(), *drawn])
         some = _chosen([rows[name] for name in seen.values()])
         across.append({title: values[some] for title, values in components(drawn, rows)})
         up.append({AXES[k]: np.maximum(rows[name][some], LEAST) for k, name in seen.items()})
         figure.add_scatter(
             mode="markers", name=setting.label, customdata=rows["body"][some],
-            marker={"size": 5, "opacity": 0.5, "color": COLOURS[number % len(COLOURS)]},
+            marker={"size": 5, "opacity": 0.5, "color": style["color"],
+                    "symbol": SYMBOLS[dts.index(setting.dt) % len(SYMBOLS)]},
             hovertemplate="body %{customdata}<br>%{x:.4g}, %{y:.2e}",
         )  # fmt: skip
     if not across[0]:

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.cluster import spread
-from lierb.dataset import Dataset, Entry, parquet_files
+from lierb.dataset import Dataset, Stored, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyWarning
 from lierb.parts import Part, Progress, parts_of
 from lierb.provenance import machine
@@ -74,12 +74,13 @@ def run(
             else:
                 finished = spread(client, given, left, dataset, threads, gather, stopping)
             with closing(finished):
-                for name, entry in finished:
-                    dataset.enter(name, entry)
+                for name, files in finished:
+                    dataset.enter(name, files)
                     done += steps[name]
                     tell(0)
-            if len(dataset.parts) < len(parts):
-                raise KeyboardInterrupt
+        if len(dataset.parts) < len(parts):
+            raise KeyboardInterrupt
+        dataset.drop_unfinished()
     return dataset
 
 
@@ -90,7 +91,7 @@ def _here(
     threads: int | None,
     stopping: threading.Event,
     tell: Callable[[int], None],
-) -> Generator[tuple[str, Entry]]:
+) -> Generator[tuple[str, list[Stored]]]:
     """Run parts in this process, until it is stopping."""
     design = study.design
     for part in parts:

@@ -63,12 +63,14 @@ def run(
     if report:
         require("report")  # now, rather than after the run
     from lierb.running import run as run_study
+    from lierb.study import Study
 
     folder = out or Path("results") / study.stem
-    _require_one_way(workers, scheduler, gather, only)
+    _require_one_way(workers, scheduler, gather, report, only)
     if only is not None:
         _replay(study, folder, only, threads)
         return
+    Study.load(study)  # what is wrong with it is said before any worker starts
     try:
         with _client(workers, scheduler) as client, body_steps() as progress:
             dataset = run_study(
@@ -85,7 +87,7 @@ def run(
 
 
 def _require_one_way(
-    workers: int | None, scheduler: str | None, gather: bool, only: int | None
+    workers: int | None, scheduler: str | None, gather: bool, report: bool, only: int | None
 ) -> None:
     spread = workers is not None or scheduler is not None
     if workers is not None and scheduler is not None:
@@ -94,6 +96,8 @@ def _require_one_way(
         raise click.UsageError("--gather is for a cluster: --scheduler or --workers")
     if only is not None and spread:
         raise click.UsageError("--only runs one body here: without --scheduler and --workers")
+    if only is not None and report:
+        raise click.UsageError("--report is on a study, --only on one body of it; choose")
 
 
 @contextmanager
@@ -102,6 +106,7 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | Non
     if workers is None and scheduler is None:
         yield None
         return
+    require("cluster")
     from lierb.cluster import client_of, local_client
 
     click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)

@@ -85,7 +85,7 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
     )
     for n, (kind, largest) in enumerate(shown.items()):
         below, histogram = panels[n], panels[n + across]
-        for setting, style in _styles(study):
+        for setting, style in styles(study):
             for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
                 if name is None:
                     continue
@@ -124,7 +124,7 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
     shown = errors_seen(dataset, study)
     figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
     for panel, kind in zip(panels, shown):
-        for setting, style in _styles(study):
+        for setting, style in styles(study):
             times, bands = _bands(dataset, setting, HISTORY[kind])
             if times.size < 2:
                 continue
@@ -183,7 +183,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
     figure, panels = _panels(
         study, "The largest error against what was sampled", across, -(-len(columns) // across)
     )
-    for setting, style in _styles(study):
+    for setting, style in styles(study):
         if setting.dt != max(study.integrate.dt):
             continue
         rows = ok_columns(dataset, setting, [ERRORS[kind], *drawn])
@@ -195,7 +195,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
                 label=style["label"], rasterized=True,
             )  # fmt: skip
             panel.set_yscale("log")
-            panel.set_xlabel(name)
+            panel.set_xlabel(name, parse_math=False)
     panels[0].set_ylabel(f"largest {AXES[kind]}")
     for panel in panels[len(columns) :]:
         panel.set_visible(False)
@@ -210,12 +210,18 @@ def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]
     """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
     table = dataset.table("errors").to_table(columns=["step", "t", name], filter=rows_of(setting))
     steps, values = table["step"].to_numpy(), np.abs(table[name].to_numpy())
+    if not len(steps):
+        return np.empty(0), np.empty((4, 0))
     order = np.argsort(steps, kind="stable")
     whole, starts = np.unique(steps[order], return_index=True)
     groups = np.split(values[order], starts[1:])
     times = table["t"].to_numpy()[order][starts]
-    bands = [np.nanquantile(group, (0.05, 0.5, 0.95, 1.0)) for group in groups]
-    return times, np.array(bands).T.reshape(4, len(whole))
+    bands = np.full((4, len(whole)), np.nan)
+    for n, group in enumerate(groups):
+        alive = group[~np.isnan(group)]
+        if alive.size:
+            bands[:, n] = np.quantile(alive, (0.05, 0.5, 0.95, 1.0))
+    return times, bands
 
 
 # ---- looks -------------------------------------------------------------------------------------
@@ -229,7 +235,7 @@ def _label(cspace: str, method: str) -> str:
     return f"{CSPACE_NAMES.get(cspace, cspace)}, {method}"
 
 
-def _styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
+def styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
     """A colour for each c-space and method, a dash for each dt."""
     spaces, dts = _spaces(study), sorted(set(study.integrate.dt), reverse=True)
     for setting in study.settings:
@@ -243,7 +249,14 @@ def _styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
 def _panels(study: Study, title: str, across: int, down: int = 1) -> tuple[Figure, list[Axes]]:
     width = max(7.5, 3.6 * across + 0.8)  # room for the title
     figure = Figure(figsize=(width, 3.4 * down + 1.0), layout="constrained")
-    figure.suptitle(f"{study.name}: {title}", x=0.01, ha="left", fontsize=12, fontweight="bold")
+    figure.suptitle(
+        f"{study.name}: {title}",
+        x=0.01,
+        ha="left",
+        fontsize=12,
+        fontweight="bold",
+        parse_math=False,
+    )
     return figure, list(figure.subplots(down, across, squeeze=False).ravel())
 
 

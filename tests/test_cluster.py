@@ -22,6 +22,7 @@ from lierb import cluster
 from lierb.cli import cli
 from lierb.dataset import Dataset
 from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.parts import parts_of
 
 pytest.importorskip("distributed")
 import dask
@@ -138,13 +139,34 @@ def test_a_part_that_kills_its_workers_is_named(tmp_path, monkeypatch):
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         cluster.local_client(1) as client,
-        pytest.raises(StudyError, match=r"part 00-0000000000: its worker died 1 time"),
+        pytest.raises(StudyError, match=r"workers died 1 times .* had part 00-0000000000"),
     ):
         lierb.run(study(), tmp_path, client=client)
 
 
 def _dies(*_args: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_worker_left_behind_by_another_run_overwrites_nothing(tmp_path):
+    """Its run is over, and a corrected study is in the folder before it has finished its part."""
+    lierb.run(study(), tmp_path)
+    before = hashes(tmp_path)
+    other = study(sample={"seed": 4})
+    place = tmp_path, (tmp_path / "study.toml").read_bytes()
+    cluster._run_part(other, parts_of(other)[0], place, 1)
+    now = hashes(tmp_path)
+    assert {name: now[name] for name in before} == before
+    assert all(name.endswith(".unfinished") for name in now.keys() - before.keys())
+
+
+def test_workers_without_lierb_are_told(client, tmp_path, monkeypatch):
+    def missing():
+        raise ImportError("No module named 'lierb'")
+
+    monkeypatch.setattr(cluster, "machine", missing)
+    with pytest.raises(StudyError, match=r"cannot load lierb.*No module named 'lierb'"):
+        lierb.run(study(), tmp_path, client=client)
 
 
 def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
@@ -227,6 +249,7 @@ def invoke(*arguments):
         (("--workers", 2, "--scheduler", "tcp://127.0.0.1:1"), "choose"),
         (("--gather",), "--gather is for a cluster"),
         (("--only", 3, "--workers", 2), "--only runs one body here"),
+        (("--only", 3, "--report"), "choose"),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
         (("--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),
     ],

@@ -345,6 +345,7 @@ def test_two_runs_into_one_folder_are_refused(tmp_path):
 
 def test_a_large_manifest_is_not_written_for_every_part(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(dataset_module, "MANIFEST_SHARE", 1e-9)
+    monkeypatch.setattr(dataset_module, "QUICK_SECONDS", 0.0)
     written = []
     write = Dataset.write
     monkeypatch.setattr(

@@ -162,6 +162,7 @@ def ensure_compiled(dispatcher: Any, tag: Tag, *args: Any) -> None:
 
 
 _entries: dict[tuple[Any, Tag], Any] = {}
+_callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
@@ -175,7 +176,9 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return partial(dispatcher, tag)
         ensure_compiled(dispatcher, tag, *args)
-        compiled = dispatcher.overloads[tuple(numba.typeof(a) for a in (tag, *args))]
+        operands = tuple(numba.typeof(a) for a in (tag, *args))
+        compiled = dispatcher.overloads[operands]
+        _callable.add(operands[1:])
         address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
         _entries[dispatcher, tag] = address
     return _entries[dispatcher, tag]
@@ -193,6 +196,8 @@ def _call(entry, *args):  # no annotations: Numba compares signatures
 
 @intrinsic
 def _call_entry(context: Any, entry: Any, args: Any) -> Any:
+    if tuple(args) not in _callable:
+        raise numba.errors.TypingError(f"no code was compiled for {tuple(args)}")
     operands = (types.voidptr, *args)  # the tag's value, which is nothing, goes first
 
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
