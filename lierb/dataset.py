@@ -98,7 +98,7 @@ class Dataset:
         finally:
             try:
                 if not self._written:
-                    self._enter()
+                    self._write_manifest()
             finally:
                 lock.release()
 
@@ -125,7 +125,7 @@ class Dataset:
             "format": FORMAT, "digest": digest, "study": study, "machine": machine(),
             "asked": asked, "parts": {},
         }  # fmt: skip
-        self._enter()
+        self._write_manifest()
 
     def store(self, files: list[File]) -> list[Stored]:
         """Write a part's files, each under a name of its own that `enter` replaces.
@@ -152,9 +152,9 @@ class Dataset:
         self.parts[part] = {file.path: {"rows": file.rows, "sha256": file.sha256} for file in files}
         self._written = False
         if time.monotonic() >= self._next_writing:
-            self._enter()
+            self._write_manifest()
 
-    def _enter(self) -> None:
+    def _write_manifest(self) -> None:
         began = time.monotonic()
         self.manifest["parts"] = dict(sorted(self.parts.items()))
         self.write(MANIFEST, (json.dumps(self.manifest, indent=1) + "\n").encode())
@@ -193,7 +193,7 @@ class Dataset:
             del self.parts[part]
         self.drop_unfinished()
         if damaged:
-            self._enter()
+            self._write_manifest()
         return damaged
 
     def drop_unfinished(self) -> None:
