@@ -87,7 +87,6 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
     Every joint in both c-spaces, RK4 with three step sizes over 10 s: how well does each keep its
     constraints, and does that agree with the paper's claims? (A. Müller, BIT 56, 2016)
     """
-
     from lierb.paper import T_END, run_paper
 
     with progress_of_cases() as progress:

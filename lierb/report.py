@@ -60,6 +60,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
     dataset : as `lierb.run` returns it, or read; finished or not.   path : of the HTML file.
     """
     study, found = study_of(dataset), findings(dataset)
+    seen = errors_seen(dataset, study)
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("lierb", ""),
         autoescape=True,
@@ -84,8 +85,8 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],
         figures=[(name, CAPTIONS[name], _data_url(figure)) for name, figure in figures(dataset)],
-        explorer=_explorer(dataset, study),
-        worst=_worst(dataset, study),
+        explorer=_explorer(dataset, study, seen),
+        worst=_worst(dataset, study, seen),
         failures=_failures(dataset),
     )
     path = Path(path)
@@ -122,11 +123,11 @@ def _data_url(figure: Figure) -> str:
 # ---- bodies ------------------------------------------------------------------------------------
 
 
-def _worst(dataset: Dataset, study: Study) -> list[dict[str, Any]]:
+def _worst(dataset: Dataset, study: Study, seen: dict[str, str]) -> list[dict[str, Any]]:
     """The bodies with the largest errors of each kind, and what they drew."""
     listed = []
     drawn = drawn_columns(dataset)
-    for kind, name in errors_seen(dataset, study).items():
+    for kind, name in seen.items():
         largest = []
         for setting in study.settings:
             rows = ok_columns(dataset, setting, ["body", name, *drawn])
@@ -164,9 +165,9 @@ def _failures(dataset: Dataset) -> list[dict[str, Any]]:
 # ---- the interactive figure --------------------------------------------------------------------
 
 
-def _explorer(dataset: Dataset, study: Study) -> str:
+def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     """Any error against any sampled number, body by body; "" where nothing was sampled."""
-    drawn, seen = drawn_columns(dataset), errors_seen(dataset, study)
+    drawn = drawn_columns(dataset)
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -105,10 +106,31 @@ def hashes(folder) -> dict:
     }
 
 
-def start(tmp_path, *options) -> subprocess.Popen:
+def start(tmp_path, *options, text=TEXT) -> subprocess.Popen:
+    """`lierb run` on a study of that text, in a session of its own as in a terminal."""
     file = tmp_path / "study.toml"
-    file.write_text(TEXT)
+    file.write_text(text)
     return subprocess.Popen(
         [sys.executable, "-m", "lierb", "run", str(file), "--out", str(tmp_path / "out"), *options],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
+
+
+def start_long(tmp_path, *options) -> subprocess.Popen:
+    """A run of many seconds, its first part finished."""
+    text = TEXT.replace("n = 50", "n = 200_000").replace("part = 8", "part = 2048")
+    process = start(tmp_path, *options, text=text.replace("t_end = 0.05", "t_end = 1.0"))
+    while not (tmp_path / "out" / "summary").exists() and process.poll() is None:
+        time.sleep(0.1)
+    return process
+
+
+def errors_when_stopped(process, out) -> str:
+    """What a run says that was interrupted, its finished parts being whole."""
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 130, errors
+    stopped = Dataset(out)
+    stopped.read()
+    assert stopped.parts
+    assert stopped.drop_damaged() == []
+    return errors

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
-import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -15,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
-from studies import TEXT, bits, hashes, study
+from studies import TEXT, bits, errors_when_stopped, hashes, start_long, study
 
 import lierb
 from lierb import cluster
@@ -275,21 +273,7 @@ def test_command_joins_a_scheduler(client, tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_in_a_terminal_reaches_no_worker(tmp_path, interruptible):
-    text = TEXT.replace("n = 50", "n = 200_000").replace("part = 8", "part = 2048")
-    (tmp_path / "study.toml").write_text(text.replace("t_end = 0.05", "t_end = 1.0"))
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "lierb", "run", tmp_path / "study.toml", "--out", out,
-         "--workers", "2"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
-    while not (out / "summary").exists() and process.poll() is None:
-        time.sleep(0.1)
+    process, out = start_long(tmp_path, "--workers", "2"), tmp_path / "out"
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all of them
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == 130, errors
+    errors = errors_when_stopped(process, out)
     assert f"go on with:  lierb run {tmp_path / 'study.toml'} --out {out} --resume" in errors
-    stopped = Dataset(out)
-    stopped.read()
-    assert stopped.parts
-    assert stopped.drop_damaged() == []

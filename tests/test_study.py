@@ -10,8 +10,6 @@ import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
 import time
 import tomllib
 from pathlib import Path
@@ -22,7 +20,17 @@ import pytest
 from cases import column
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from studies import PARTS, TEXT, bits, hashes, sorted_rows, start, study
+from studies import (
+    PARTS,
+    TEXT,
+    bits,
+    errors_when_stopped,
+    hashes,
+    sorted_rows,
+    start,
+    start_long,
+    study,
+)
 
 import lierb
 from lierb import dataset as dataset_module
@@ -400,23 +408,9 @@ def test_killed_at_any_moment_it_resumes_bit_for_bit(whole, tmp_path):
 
 @pytest.mark.slow
 def test_ctrl_c_finishes_the_part_and_says_how_to_go_on(tmp_path, interruptible):
-    text = TEXT.replace("n = 50", "n = 200_000").replace("part = 8", "part = 2048")
-    (tmp_path / "study.toml").write_text(text.replace("t_end = 0.05", "t_end = 1.0"))
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "lierb", "run", str(tmp_path / "study.toml"), "--out", str(out)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while not (out / "summary").exists() and process.poll() is None:
-        time.sleep(0.1)
+    process = start_long(tmp_path)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=120)
-    assert process.returncode == 130, errors
-    assert "go on with:  lierb run" in errors
-    stopped = Dataset(out)
-    stopped.read()
-    assert stopped.parts
-    assert stopped.drop_damaged() == []
+    assert "go on with:  lierb run" in errors_when_stopped(process, tmp_path / "out")
 
 
 def test_summary_of_a_study(whole):
