@@ -101,11 +101,15 @@ def any_lanes(mask: Any) -> Any:
     return mask.reduced("or") if isinstance(mask, Mask) else bool(np.any(mask))
 
 
-def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+def branch(
+    predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
+) -> Any:
     """`then()` or `otherwise()`, of which only one is computed; both give tuples of one shape.
 
     For speed alone: a lane's bits must be the same on either side, or they would depend on the
     neighbours that share its pack.
+
+    likely : whether `then` is the side that nearly always runs.
     """
     if not isinstance(predicate, Predicate):
         return then() if predicate else otherwise()
@@ -118,7 +122,7 @@ def branch(predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any]
 
         return run
 
-    merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise)))
+    merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise), likely))
     left, right = results
     return _merged(left, right, merged)
 

@@ -293,10 +293,15 @@ def branch_on(
     predicate: Predicate,
     then: Callable[[], Sequence[Any]],
     otherwise: Callable[[], Sequence[Any]],
+    likely: bool,
 ) -> list[Lane]:
-    """Emit both sides as blocks, of which one runs; each returns the same number of numbers."""
+    """Emit both sides as blocks, of which one runs; each returns the same number of numbers.
+
+    likely : whether the first one does, nearly always. LLVM then keeps the other side out of the
+        way, and what it needs out of the registers.
+    """
     builder = predicate.builder
-    with builder.if_else(predicate.value) as (first, second):
+    with builder.if_else(predicate.value, likely=likely) as (first, second):
         with first:
             left = list(then())
             left_block = builder.block

@@ -98,4 +98,4 @@ def _contradicts(
             found = where(mask & (absolute(y[i]) > CONSISTENCY_TOLERANCE * size), 1.0, found)
         return found
 
-    return branch(any_lanes(some), look, lambda: 0.0)
+    return branch(any_lanes(some), look, lambda: 0.0, likely=False)
