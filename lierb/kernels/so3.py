@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from lierb.kernels.arithmetic import fma, where
 from lierb.kernels.coefficients import Coefficients, atan2, coefficients
 from lierb.kernels.vec import (
     IDENTITY,
     Mat,
     Vec,
+    add,
     axpy,
     cross,
     dot,
@@ -23,9 +27,11 @@ from lierb.kernels.vec import (
 identity: Mat = IDENTITY
 
 
-def angle_coefficients(xi: Vec) -> Coefficients:
+def angle_coefficients(
+    xi: Vec, functions: Callable[[Any], Coefficients] = coefficients
+) -> Coefficients:
     """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
-    return coefficients(dot(xi, xi))
+    return functions(dot(xi, xi))
 
 
 def compose(r1: Mat, r2: Mat) -> Mat:
@@ -40,15 +46,29 @@ def inverse(r: Mat) -> Mat:
 
 def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
     """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues)."""
-    k = k or angle_coefficients(xi)
+    return add(IDENTITY, _exp_minus_identity(xi, k or angle_coefficients(xi)))
+
+
+def compose_exp(r: Mat, xi: Vec, k: Coefficients | None = None) -> Mat:
+    """R exp ξ, as R + R (exp ξ − I): where ξ is small, so is what is rounded."""
+    change = _exp_minus_identity(xi, k or angle_coefficients(xi))
+    return tuple(
+        fma(r[i], change[j], fma(r[i + 1], change[j + 3], fma(r[i + 2], change[j + 6], r[i + j])))
+        for i in (0, 3, 6)
+        for j in range(3)
+    )
+
+
+def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
+    """sinc ξ̂ + a ξ̂²."""
     x, y, z = xi
-    ax, ay, az = k.a * x, k.a * y, k.a * z
-    sx, sy, sz = k.sinc * x, k.sinc * y, k.sinc * z
-    xx, yy, zz = ax * x, ay * y, az * z
+    ax, ay, az = scale(k.a, xi)
+    sx, sy, sz = scale(k.sinc, xi)
+    yy, zz = ay * y, az * z
     return (
-        1.0 - (yy + zz), fma(ax, y, -sz), fma(ax, z, sy),
-        fma(ax, y, sz), 1.0 - (xx + zz), fma(ay, z, -sx),
-        fma(ax, z, -sy), fma(ay, z, sx), 1.0 - (xx + yy),
+        -fma(ay, y, zz), fma(ax, y, -sz), fma(ax, z, sy),
+        fma(ax, y, sz), -fma(ax, x, zz), fma(ay, z, -sx),
+        fma(ax, z, -sy), fma(ay, z, sx), -fma(ax, x, yy),
     )  # fmt: skip
 
 
