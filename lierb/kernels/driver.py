@@ -16,6 +16,8 @@ from numba import njit, prange
 from lierb.kernels import _jit
 from lierb.kernels.arithmetic import (
     absolute,
+    all_lanes,
+    branch,
     load,
     maximum,
     prefetch,
@@ -29,8 +31,23 @@ from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3
 from lierb.kernels.plan import Plan
-from lierb.kernels.stepper import TIDY_EVERY, State, accelerate, pose_of, step, tidied
-from lierb.kernels.subgroup import in_subalgebra, inverse, on_subgroup, reduced_inertia
+from lierb.kernels.stepper import (
+    TIDY_EVERY,
+    State,
+    accelerate,
+    pose_of,
+    step,
+    tidied,
+    velocity_of,
+)
+from lierb.kernels.subgroup import (
+    in_subalgebra,
+    inverse,
+    momentum_of,
+    on_subgroup,
+    projected,
+    reduced_inertia,
+)
 from lierb.kernels.vec import ZERO6, dot
 from lierb.kernels.zero import ZERO, is_zero
 
@@ -59,7 +76,7 @@ OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 START_COLUMNS = (
     "position", "rotation", "velocity", "rotation_rate", "cosine_1", "cosine_2", "cosine_3",
 )  # fmt: skip
-CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V, Record
+CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V or μ, Record
 SUMMARY_COLUMNS = 11 + 18  # Record, R, r, ω, v
 ERROR_COLUMNS = (
     "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
@@ -133,26 +150,30 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
     parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    start = State(chart, tuple(0.0 * v for v in velocity), velocity)
-    start = _structured(plan, start, parameters.pitch)
-    return start if plan.slots is None else tidied(plan, Body(*body), start)
+    still = tuple(0.0 * v for v in velocity)
+    if plan.slots is None:
+        return _structured(plan, State(chart, still, velocity), parameters.pitch)
+    velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
+    momentum = momentum_of(plan.slots, Body(*body), velocity)
+    start = _structured(plan, State(chart, still, momentum), parameters.pitch)
+    return tidied(plan, Body(*body), start)
 
 
 def _structured(plan: Plan, state: State, pitch: Any) -> State:
     """The state with the structural zeros of its plan."""
-    chart, x, velocity = state
+    chart, x, v_or_mu = state
     if plan.slots is not None:
         x = in_subalgebra(plan.slots, x, pitch)
-        velocity = in_subalgebra(plan.slots, velocity, pitch)
+        v_or_mu = projected(plan.slots, v_or_mu, pitch)
         if plan.solver == "reduced":
             chart = on_subgroup(plan.slots, chart)
-    return State(chart, ZERO6 if plan.is_local else x, velocity)
+    return State(chart, ZERO6 if plan.is_local else x, v_or_mu)
 
 
 def initial_record(plan: Plan, body: Body, state: State) -> Record:
     """Maxima so far: nothing, as numbers of the state's own type."""
     nothing = 0.0 * body[0]
-    start = measure(plan, Body(*body), pose_of(plan, State(*state)), state[2], ZERO)
+    start = _measured(plan, Body(*body), State(*state), ZERO)
     return Record(*(nothing,) * 8, start.energy, nothing, nothing)
 
 
@@ -176,19 +197,26 @@ def advance(
     moved, singular = step(plan, Body(*body), state, h * (real(k) - 1.0), h)
     q, d = moved.chart
     total = q[0] + q[4] + q[8]  # an angle that is not finite spoils all of Q
-    for number in (*moved.velocity, *moved.x, *d):
+    for number in (*moved.v_or_mu, *moved.x, *d):
         total = total + number
-    finite = absolute(total) <= LARGEST  # false for NaN
-    now = where(singular > 0.5, float(SINGULAR), where(finite, float(OK), float(NON_FINITE)))
-    fresh = (now > 0.0) & (record.status == OK)
-    status = where(fresh, now, record.status)
-    failed_step = where(fresh, real(k), record.failed_step)
-    # NaN from the next step on, and from there into the pose: no step waits for its own status.
-    velocity = tuple(
-        v if is_zero(v) else where(record.status == OK, v, NAN) for v in moved.velocity
+    fine = (absolute(total) <= LARGEST) & (singular <= 0.5)  # false for NaN
+
+    def marked() -> Any:
+        now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
+        alive = record.status == OK
+        fresh = (now > 0.0) & alive
+        return (
+            # NaN from the next step on, and from there into the pose.
+            tuple(x if is_zero(x) else where(alive, x, NAN) for x in moved.v_or_mu),
+            where(fresh, now, record.status),
+            where(fresh, real(k), record.failed_step),
+        )
+
+    v_or_mu, status, failed_step = branch(
+        all_lanes(fine), lambda: (moved.v_or_mu, record.status, record.failed_step), marked
     )
     return (
-        moved._replace(velocity=velocity),
+        moved._replace(v_or_mu=v_or_mu),
         record._replace(status=status, failed_step=failed_step),
     )
 
@@ -197,12 +225,16 @@ def tidy(plan: Plan, body: Body, state: State) -> State:
     return tidied(plan, Body(*body), State(*state))
 
 
+def _measured(plan: Plan, body: Body, state: State, time: Any) -> Measures:
+    return measure(plan, body, pose_of(plan, state), velocity_of(plan, body, state), time)
+
+
 def observe(
     plan: Plan, body: Body, state: State, record: Record, time: Any
 ) -> tuple[Measures, Record]:
     """The measures now, and the record with its maxima raised to them where they are finite."""
     record, state = Record(*record), State(*state)
-    now = measure(plan, Body(*body), pose_of(plan, state), state.velocity, time)
+    now = _measured(plan, Body(*body), state, time)
     alive = record.status == OK
 
     def raised(old: Any, new: Any) -> Any:
@@ -241,17 +273,19 @@ def store_errors(
 
 
 def user_state(
-    plan: Plan, inputs: Any, state: State, record: Record, first: Any
+    plan: Plan, body: Body, inputs: Any, state: State, record: Record, first: Any
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
     parameters, _, _ = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
     state = State(*state)
-    pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), state.velocity)
+    velocity = velocity_of(plan, Body(*body), state)
+    pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
     return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
 
 
 def store_state(
     plan: Plan,
+    body: Body,
     inputs: Any,
     state: State,
     record: Record,
@@ -261,7 +295,7 @@ def store_state(
     column: Any,
 ) -> None:
     """One row of the history's state: R, r, ω and v, each [time][body][component]."""
-    numbers = user_state(plan, inputs, state, record, first)
+    numbers = user_state(plan, body, inputs, state, record, first)
     for array, part in zip(
         states, (numbers[:9], numbers[9:12], numbers[12:15], numbers[15:]), strict=True
     ):
@@ -283,8 +317,9 @@ def store_forces(
     """One row of the history's λ and reactions, [time][body][component]."""
     if not (plan.multipliers or plan.reaction):
         return
-    state = State(*state)
-    found = accelerate(plan, Body(*body), pose_of(plan, state), state.velocity, time)
+    body, state = Body(*body), State(*state)
+    velocity = velocity_of(plan, body, state)
+    found = accelerate(plan, body, pose_of(plan, state), velocity, time)
     alive = Record(*record).status == OK
     for recorded, array, numbers in (
         (plan.multipliers, multipliers, found.multipliers),
@@ -297,12 +332,12 @@ def store_forces(
 
 
 def store_summary(
-    plan: Plan, inputs: Any, state: State, record: Record, summary: Any, first: Any
+    plan: Plan, body: Body, inputs: Any, state: State, record: Record, summary: Any, first: Any
 ) -> None:
     squares, rest = tuple(record)[:5], tuple(record)[5:]
     drift, last, others = rest[0], rest[1:3], rest[3:]
     numbers = [*map(sqrt, squares), drift, *map(sqrt, last), *others]
-    for c, number in enumerate([*numbers, *user_state(plan, inputs, state, record, first)]):
+    for c, number in enumerate([*numbers, *user_state(plan, body, inputs, state, record, first)]):
         store(summary, (c, first), number, plan.lanes)
 
 
@@ -369,7 +404,7 @@ def integrate_block(
                 store_errors(plan, record, now, errors, row, column)
                 if rotations.shape[0] > 0:
                     states = (rotations, places, omegas, velocities)
-                    store_state(plan, inputs, state, record, states, row, first, column)
+                    store_state(plan, body, inputs, state, record, states, row, first, column)
                 store_forces(plan, body, state, record, multipliers, reactions, row, column, h * k)
         if k >= stop:
             break
@@ -383,7 +418,7 @@ def integrate_block(
             state, record = advance(plan, body, state, record, k, h)
         fresh = True
     store_carried(plan, carried, first, state, record)
-    store_summary(plan, inputs, state, record, summary, first)
+    store_summary(plan, body, inputs, state, record, summary, first)
 
 
 @_jit.cached(parallel=True)

@@ -80,10 +80,12 @@ class Body(NamedTuple):
         angular = cross_add(self.first_moment, v, mat_vec(self.origin_inertia, omega))
         return angular + cross_add(omega, self.first_moment, scale(self.mass, v))
 
-    def wrench(self, fall: Vec, velocity: Vec) -> Vec:
-        """ad_Vᵀ M V + W about the body frame's origin, on SE(3); `fall` is gravity in body axes."""
+    def wrench(self, fall: Vec, velocity: Vec, momentum: Vec) -> Vec:
+        """ad_Vᵀ (M V) + W about the body frame's origin, on SE(3); `fall` is gravity in body axes.
+
+        momentum : M V, or one that is the same for the purpose.
+        """
         omega, v = velocity[:3], velocity[3:]
-        momentum = self.momentum(velocity)
         torque = cross_add(momentum[3:], v, cross(momentum[:3], omega))
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels import so3
+from lierb.kernels import so3, subgroup
 from lierb.kernels.arithmetic import PI, any_lanes, branch, fma, maximum, where
+from lierb.kernels.coefficients import step_coefficients
 from lierb.kernels.constraints import (
     acceleration,
     given_multipliers,
@@ -22,7 +23,6 @@ from lierb.kernels.elements import total_wrench
 from lierb.kernels.newton_euler import Body, row_response
 from lierb.kernels.plan import Plan
 from lierb.kernels.saddle import solve
-from lierb.kernels.subgroup import gain_acceleration, in_subalgebra, on_subgroup
 from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_t_vec, neg
 from lierb.kernels.zero import ZERO
 
@@ -35,15 +35,21 @@ TIDY_EVERY = 32  # steps; 16 to 64 do as well
 class State(NamedTuple):
     chart: Pose  # C₀
     x: Vec  # X; structurally zero in a local update
-    velocity: Vec  # V
+    v_or_mu: Vec  # V; on a subgroup its momentum μ
 
 
 def pose_of(plan: Plan, state: State) -> Pose:
     """C = C₀ exp X."""
     if plan.is_local:
         return state.chart
-    group = plan.space.group
-    return group.compose(state.chart, group.exp(state.x))
+    return plan.space.group.compose_exp(state.chart, state.x)
+
+
+def velocity_of(plan: Plan, body: Body, state: State) -> Vec:
+    """V."""
+    if plan.slots is None:
+        return state.v_or_mu
+    return subgroup.velocity_of(plan.slots, body, state.v_or_mu)
 
 
 class Acceleration(NamedTuple):
@@ -95,43 +101,51 @@ def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State
     group = plan.space.group
     falling = mat_t_vec(state.chart[0], body.gravity)
     x_rates: list[Vec] = []
-    v_rates: list[Vec] = []
+    rates: list[Vec] = []  # of V or μ
     singular: Any = ZERO
     for weights, node in zip(plan.stages, plan.nodes, strict=True):
-        x = _advanced(plan, body, state.x, h, weights, x_rates)
-        velocity = _advanced(plan, body, state.velocity, h, weights, v_rates)
-        k = group.angle_coefficients(x)
+        at = State(
+            state.chart,
+            _in_algebra(plan, body, _advanced(state.x, h, weights, x_rates)),
+            _advanced(state.v_or_mu, h, weights, rates),
+        )
+        x, velocity = at.x, velocity_of(plan, body, at)
+        k = group.angle_coefficients(x, step_coefficients)
         now = fma(h, node, time)
         pose = state.chart
         if plan.slots is None or plan.elements:  # a gain by itself asks for no pose
-            pose = group.compose(pose, group.exp(x, k))
+            pose = group.compose_exp(pose, x, k)
         if plan.slots is None:
             found = accelerate(plan, body, pose, velocity, now)
-            v_rate = found.rate
+            rate = found.rate
             singular = maximum(singular, found.singular)
         else:
             fall = so3.rotate(neg(x[:3]), falling, k)
             applied = applied_wrench(plan, body, pose, velocity, now)
-            v_rate = gain_acceleration(plan.slots, body, fall, applied, velocity)
+            rate = subgroup.momentum_rate(plan.slots, body, fall, applied, velocity, at.v_or_mu)
         x_rates.append(group.dexpinv(neg(x), velocity, k))
-        v_rates.append(v_rate)
-    x = _advanced(plan, body, state.x, h, plan.weights, x_rates)
-    velocity = _advanced(plan, body, state.velocity, h, plan.weights, v_rates)
+        rates.append(rate)
+    x = _in_algebra(plan, body, _advanced(state.x, h, plan.weights, x_rates))
+    v_or_mu = _advanced(state.v_or_mu, h, plan.weights, rates)
     if plan.is_local:
-        return State(group.compose(state.chart, group.exp(x)), ZERO6, velocity), singular
-    return _recharted(plan, State(state.chart, x, velocity)), singular
+        k = group.angle_coefficients(x, step_coefficients)
+        return State(group.compose_exp(state.chart, x, k), ZERO6, v_or_mu), singular
+    return _recharted(plan, State(state.chart, x, v_or_mu)), singular
 
 
-def _advanced(
-    plan: Plan, body: Body, base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]
-) -> Vec:
+def _in_algebra(plan: Plan, body: Body, x: Vec) -> Vec:
+    """X, on a subgroup with the structural zeros of its algebra."""
+    return x if plan.slots is None else subgroup.in_subalgebra(plan.slots, x, body.pitch)
+
+
+def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -> Vec:
     """base + h Σ wⱼ kⱼ; zero weights cost nothing, and h wⱼ does not depend on the step."""
     total = base
     for weight, rate in zip(weights, rates, strict=False):
         if weight != 0.0:
             hw = h * weight
             total = tuple(fma(hw, k, x) for k, x in zip(rate, total, strict=True))
-    return total if plan.slots is None else in_subalgebra(plan.slots, total, body.pitch)
+    return total
 
 
 def tidied(plan: Plan, body: Body, state: State) -> State:
@@ -142,12 +156,12 @@ def tidied(plan: Plan, body: Body, state: State) -> State:
     q, d = state.chart
     if plan.slots is not None:
         nothing = 0.0 * d[0]
-        q, d = on_subgroup(plan.slots, (q, d))
+        q, d = subgroup.on_subgroup(plan.slots, (q, d))
         if plan.solver == "gain":  # H's zeros and ones, as numbers
             q, d = tuple(nothing + x for x in q), tuple(nothing + x for x in d)
         for row in plan.rows:
             if row.kind == "screw":
-                x = plan.space.kinematics(body, (q, d), state.velocity)
+                x = plan.space.kinematics(body, (q, d), ZERO6)
                 d = (d[0], d[1], d[2] - value(row, x, body))
     return state._replace(chart=(so3.orthonormalised(q), d))
 
@@ -161,5 +175,5 @@ def _recharted(plan: Plan, state: State) -> State:
             far, (pose_of(plan, state), tuple(0.0 * x for x in state.x)), (state.chart, state.x)
         )
 
-    chart, x = branch(any_lanes(far), move, lambda: (state.chart, state.x))
-    return State(chart, x, state.velocity)
+    chart, x = branch(any_lanes(far), move, lambda: (state.chart, state.x), likely=False)
+    return State(chart, x, state.v_or_mu)

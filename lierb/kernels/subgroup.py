@@ -1,5 +1,8 @@
 """Joints whose motions are a subgroup H of SE(3): velocities in its algebra, as a few coordinates.
 
+What is integrated is their momentum μ = NᵀMV. A Runge–Kutta method takes the same steps in μ as in
+V, its linear image, but needs only V = N(NᵀMN)⁻¹μ in every stage, not M V as well.
+
 In joint axes the algebra of every such joint is spanned by unit vectors (and, for a screw, one
 combination), so that V = N ν is a matter of *slots*: which of the six components are coordinates of
 ν, which depend on them through the pitch, and which are structurally zero. The general SE(3)
@@ -58,11 +61,13 @@ def in_subalgebra(slots: Slots, velocity: Vec, pitch: Any) -> Vec:
 
 
 def projected(slots: Slots, wrench: Vec, pitch: Any) -> Vec:
-    """Nᵀ f."""
-    parts = list(coordinates(slots, wrench))
+    """Nᵀ f, each number at its coordinate's slot, and structural zeros.
+
+    On the algebra this is the same covector as f; it is its own projection.
+    """
+    parts = [x if slot >= 0 else ZERO for slot, x in zip(slots, wrench, strict=True)]
     if PITCHED in slots:
-        turn = slots[2]
-        parts[turn] = fma(pitch, wrench[5], parts[turn])
+        parts[2] = fma(pitch, wrench[5], wrench[2])
     return tuple(parts)
 
 
@@ -72,12 +77,16 @@ def reduced_inertia(slots: Slots, body: Body) -> list[list[Any]]:
     columns = []
     for j in range(count):
         unit = tuple(1.0 if i == j else ZERO for i in range(count))
-        columns.append(projected(slots, body.momentum(lifted(slots, unit, body.pitch)), body.pitch))
+        momentum = momentum_of(slots, body, lifted(slots, unit, body.pitch))
+        columns.append(coordinates(slots, momentum))
     return [[columns[j][i] for j in range(count)] for i in range(count)]
 
 
 def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
-    """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination."""
+    """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
+
+    Symmetric to the last bit: half of it need not be held.
+    """
     n = len(matrix)
     rows = [list(row) + [1.0 if i == j else ZERO for j in range(n)] for i, row in enumerate(matrix)]
     for i in range(n):
@@ -87,18 +96,34 @@ def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
             if k != i:
                 factor = rows[k][i]
                 rows[k] = [fma(-factor, x, y) for x, y in zip(rows[i], rows[k], strict=True)]
-    return tuple(x for row in rows for x in row[n:])
+    return tuple(rows[min(i, j)][n + max(i, j)] for i in range(n) for j in range(n))
 
 
-def gain_acceleration(slots: Slots, body: Body, fall: Vec, applied: Vec, velocity: Vec) -> Vec:
-    """V̇ = N (NᵀMN)⁻¹ Nᵀ (ad_Vᵀ M V + W): the saddle point's solution, solved once and for all.
+def momentum_of(slots: Slots, body: Body, velocity: Vec) -> Vec:
+    """μ = Nᵀ M V, as `projected` gives it."""
+    return projected(slots, body.momentum(velocity), body.pitch)
+
+
+def velocity_of(slots: Slots, body: Body, momentum: Vec) -> Vec:
+    """V = N (NᵀMN)⁻¹ μ."""
+    parts = coordinates(slots, momentum)
+    n = len(parts)
+    nu = tuple(dot(body.gain[n * i : n * i + n], parts) for i in range(n))
+    return lifted(slots, nu, body.pitch)
+
+
+def momentum_rate(
+    slots: Slots, body: Body, fall: Vec, applied: Vec, velocity: Vec, momentum: Vec
+) -> Vec:
+    """μ̇ = Nᵀ (ad_Vᵀ μ + W), Euler–Poincaré on H: the saddle point, solved once and for all.
+
+    μ may stand for M V: they differ by what does no work on H's algebra, and with V and N w that
+    holds [V, N w] too.
 
     fall : gravity in body axes.   applied : the wrench of all other forces.
     """
-    force = projected(slots, add(body.wrench(fall, velocity), applied), body.pitch)
-    n = len(force)
-    nu_rate = tuple(dot(body.gain[n * i : n * i + n], force) for i in range(n))
-    return lifted(slots, nu_rate, body.pitch)
+    wrench = add(body.wrench(fall, velocity, momentum), applied)
+    return projected(slots, wrench, body.pitch)
 
 
 def on_subgroup(slots: Slots, pose: Pose) -> Pose:
