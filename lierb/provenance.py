@@ -7,6 +7,7 @@ import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import llvmlite.binding as llvm
 import numba
@@ -44,7 +45,8 @@ def machine() -> dict[str, Any]:
 def provenance(
     problem: Problem, *, twist0: Array, pose0: Array | None, plan: Plan, options: dict[str, Any]
 ) -> dict[str, Any]:
-    joint = problem.joint
+    if problem not in _problems:
+        _problems[problem] = _described_problem(problem)
     return {
         **machine(),
         "lanes": DEFAULT_LANES,
@@ -52,22 +54,33 @@ def provenance(
         "options": options,
         "tableau": {"A": plan.stages, "b": plan.weights},
         "problem": {
-            "mass": _described(problem.body.mass),
-            "inertia": _described(problem.body.inertia),
-            "com": _described(problem.body.com),
-            "gravity": _described(problem.gravity),
-            "forces": [_described_element(force) for force in problem.forces],
-            "constraints": [_described_element(added) for added in problem.constraints],
-            "joint": joint.name,
-            "rows": [str(row) for row in problem.rows],
-            "ground_frame": _described(joint.ground_frame),
-            "body_frame": _described(joint.body_frame),
-            "pitch": _described(joint.pitch),
-            "length": _described(joint.length),
+            **_problems[problem],
             "twist0": _described(twist0),
             "pose0": None if pose0 is None else _described(pose0),
         },
         "units": "SI: kg, m, s, rad, N, N m, J",
+    }
+
+
+# What every problem is: its arrays cannot change, and digests of large ones take a while.
+_problems: WeakKeyDictionary[Problem, dict[str, Any]] = WeakKeyDictionary()
+
+
+def _described_problem(problem: Problem) -> dict[str, Any]:
+    joint = problem.joint
+    return {
+        "mass": _described(problem.body.mass),
+        "inertia": _described(problem.body.inertia),
+        "com": _described(problem.body.com),
+        "gravity": _described(problem.gravity),
+        "forces": [_described_element(force) for force in problem.forces],
+        "constraints": [_described_element(added) for added in problem.constraints],
+        "joint": joint.name,
+        "rows": [str(row) for row in problem.rows],
+        "ground_frame": _described(joint.ground_frame),
+        "body_frame": _described(joint.body_frame),
+        "pitch": _described(joint.pitch),
+        "length": _described(joint.length),
     }
 
 
