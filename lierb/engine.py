@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
-from lierb.joints import closing
 from lierb.kernels import _jit
-from lierb.kernels.arithmetic import flatten
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
     ERROR_COLUMNS,
@@ -44,6 +42,7 @@ SUMMARY_SCALARS = (
 STATE_WIDTHS = {"R": 9, "r": 3, "omega": 3, "v": 3}
 
 SOURCES = _jit.Sources()
+CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
 
 # Bodies in one chunk: about 1 kB each, so that a chunk stays in the cache beside the state.
 CHUNK_BODIES = 4096
@@ -82,16 +81,21 @@ class Inputs:
     twists: Array
     count: int
 
-    def packed(self, start: int, stop: int, packed: Array) -> Array:
-        """Bodies start … stop as [column][body], the last one repeated to fill `packed`."""
+    def packed(self, start: int, stop: int, packed: Array, shared: bool = True) -> Array:
+        """Bodies start … stop as [column][body], the last one repeated to fill `packed`.
+
+        shared : whether to fill the columns that are the same for all bodies, too.
+        """
         places = {name: packed[columns] for name, columns in INPUT_SLICES.items()}
 
         def put(place: Array, array: Array, *shape: int) -> None:
             """An item of that shape for every body, or one for all of them."""
             place = place.reshape(*shape, -1)
-            if array.ndim > len(shape) and len(array) > 1:
-                array = array[start:stop]
-            items = np.moveaxis(array, 0, -1) if array.ndim > len(shape) else array[..., None]
+            if array.ndim == len(shape) or len(array) == 1:
+                if shared:
+                    place[...] = array.reshape(*shape, 1)
+                return
+            items = np.moveaxis(array[start:stop], 0, -1)
             place[..., : stop - start] = items
             place[..., stop - start :] = items[..., -1:]
 
@@ -109,14 +113,7 @@ class Inputs:
         put(places["pitch"], joint.pitch)
         put(places["length"], joint.length)
         put(places["twist"], self.twists, 6)
-        if self.poses is not None:
-            put_pose(places["pose"], self.poses)
-        elif joint.is_batched:
-            frames = (places["ground_frame"], places["body_frame"])
-            ground, held = ((tuple(p[:9]), tuple(p[9:])) for p in frames)
-            places["pose"][:] = flatten(closing(ground, held, places["length"][0]))
-        else:
-            put_pose(places["pose"], joint.closed_pose)
+        put_pose(places["pose"], CLOSED if self.poses is None else self.poses)
         first = INPUT_COLUMNS
         for element in self.problem.elements:
             for name, shape in element.kind.shapes.items():
@@ -146,12 +143,11 @@ class Chunk:
         """The bodies from `start` on, in the memory of a chunk that is not needed any more."""
         stop = min(start + CHUNK_BODIES, inputs.count)
         width = -(-(stop - start) // lanes) * lanes
-        arrays: list[Array]
         if spent is not None and spent.inputs.shape[1] == width:
-            arrays = [spent.inputs, spent.carried, spent.summary]
-        else:
-            heights = (inputs.columns, CARRIED_COLUMNS, SUMMARY_COLUMNS)
-            arrays = [np.empty((height, width)) for height in heights]
+            packed = inputs.packed(start, stop, spent.inputs, shared=False)
+            return cls(start, stop, packed, spent.carried, spent.summary)
+        heights = (inputs.columns, CARRIED_COLUMNS, SUMMARY_COLUMNS)
+        arrays = [np.empty((height, width)) for height in heights]
         return cls(start, stop, inputs.packed(start, stop, arrays[0]), *arrays[1:])
 
     @property

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import (
     Array,
-    Pose,
     as_numbers,
     as_poses,
     as_positive,
@@ -32,8 +31,9 @@ from lierb.errors import ArgumentError, body_label, unknown_name
 from lierb.kernels import se3, so3
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.constraints import WHOLE_ROWS, Row
+from lierb.kernels.newton_euler import closed_pose
 from lierb.kernels.subgroup import PITCHED, Slots, slots_of
-from lierb.kernels.vec import IDENTITY, Vec, add, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels.vec import Vec, add, cross, dot, mat_t_vec, norm, scale, sub
 from lierb.kernels.zero import ZERO
 
 PERPENDICULAR_TOLERANCE = 1e-9
@@ -62,11 +62,6 @@ class Joint:
     def __repr__(self) -> str:
         return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
 
-    @property
-    def is_batched(self) -> bool:
-        """Whether the closed pose differs from body to body."""
-        return self.ground_frame.ndim > 2 or self.body_frame.ndim > 2 or self.length.ndim > 0
-
     @cached_property
     def closed_pose(self) -> Array:
         """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide.
@@ -74,7 +69,7 @@ class Joint:
         A rod's ends do not: there the body's joint frame is at length·e₃ of the ground's.
         """
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        pose = pose_matrix(closing(ground, body, self.length))
+        pose = pose_matrix(closed_pose(ground, body, self.length))
         pose.setflags(write=False)  # shared by all who ask
         return pose
 
@@ -185,11 +180,6 @@ class Joint:
         turned = slide / np.where(self.pitch == 0.0, 1.0, self.pitch)
         whole = 2.0 * np.pi * np.rint((turned - angle) / (2.0 * np.pi))
         return angle + np.where(self.pitch == 0.0, 0.0, whole)
-
-
-def closing(ground: Pose, body: Pose, length: Any) -> Pose:
-    """C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
-    return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
 
 
 REQUIRED = {"pitch": "m/rad", "length": "m"}  # options without which an entry cannot be made

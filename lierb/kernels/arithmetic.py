@@ -7,6 +7,8 @@ that keeps to these functions runs unchanged as plain Python, over whole arrays,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import numpy as np
@@ -30,8 +32,21 @@ def fma(a: Any, b: Any, c: Any) -> Any:
     if isinstance(c, Zero):
         return a * b
     if lanes.HAS_FMA and (isinstance(a, Lane) or isinstance(b, Lane) or isinstance(c, Lane)):
-        return lanes.call_intrinsic("fma", a, b, c)
+        return a * b + c if _as_numpy.get() else lanes.call_intrinsic("fma", a, b, c)
     return a * b + c
+
+
+_as_numpy: ContextVar[bool] = ContextVar("as_numpy", default=False)
+
+
+@contextmanager
+def rounded_as_numpy() -> Iterator[None]:
+    """Here, `fma` rounds twice everywhere: a formula gives the bits that it gives on arrays."""
+    token = _as_numpy.set(True)
+    try:
+        yield
+    finally:
+        _as_numpy.reset(token)
 
 
 def sqrt(x: Any) -> Any:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from numba import njit, prange
 
-from lierb.kernels import _jit
+from lierb.kernels import _jit, so3
 from lierb.kernels.arithmetic import (
     absolute,
     all_lanes,
@@ -22,6 +22,7 @@ from lierb.kernels.arithmetic import (
     maximum,
     prefetch,
     real,
+    rounded_as_numpy,
     scatter,
     sqrt,
     store,
@@ -29,7 +30,7 @@ from lierb.kernels.arithmetic import (
 )
 from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
-from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3
+from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3, closed_pose
 from lierb.kernels.plan import Plan
 from lierb.kernels.stepper import (
     TIDY_EVERY,
@@ -47,8 +48,9 @@ from lierb.kernels.subgroup import (
     on_subgroup,
     projected,
     reduced_inertia,
+    turns_about_a_point,
 )
-from lierb.kernels.vec import ZERO6, dot
+from lierb.kernels.vec import IDENTITY, ZERO6, Mat, diagonal, dot, mat_mat, principal_axes
 from lierb.kernels.zero import ZERO, is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
@@ -111,8 +113,13 @@ def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
     return [load(array, (c, first), plan.lanes) for c in range(count)]
 
 
-def parameters_of(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
-    """Parameters, pose and twist from the numbers of the input columns."""
+def parameters_of(numbers: list[Any], turn: Mat = IDENTITY) -> tuple[Parameters, Any, Any]:
+    """Parameters, pose and twist from the numbers of the input columns.
+
+    A pose of NaN stands for the one in which the joint is closed, `lierb.joints.Joint.closed_pose`.
+
+    turn : of the joint's axes on the body.
+    """
     parts = {name: tuple(numbers[columns]) for name, columns in INPUT_SLICES.items()}
     parameters = Parameters(
         mass=parts["mass"][0],
@@ -124,7 +131,15 @@ def parameters_of(numbers: list[Any]) -> tuple[Parameters, Any, Any]:
         pitch=parts["pitch"][0],
         length=parts["length"][0],
     )
-    return parameters, _pose(parts["pose"]), parts["twist"]
+    pose = _pose(parts["pose"])
+    with rounded_as_numpy():
+        closed = closed_pose(parameters.ground, parameters.body, parameters.length)
+    axes, point = parameters.body
+    return (
+        parameters._replace(body=(mat_mat(axes, turn), point)),
+        where(pose[1][0] == pose[1][0], pose, closed),
+        parts["twist"],
+    )
 
 
 def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
@@ -132,10 +147,13 @@ def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
 
 
 def body_of(
-    space: type[SE3] | type[SO3xR3], elements: tuple[Element, ...], numbers: list[Any]
+    space: type[SE3] | type[SO3xR3],
+    elements: tuple[Element, ...],
+    numbers: list[Any],
+    turn: Mat = IDENTITY,
 ) -> Body:
     """The body, with its elements, from the numbers of all input columns."""
-    parameters, _, _ = parameters_of(numbers)
+    parameters, _, _ = parameters_of(numbers, turn)
     return body_with(space, parameters, elements, numbers[INPUT_COLUMNS:])
 
 
@@ -144,11 +162,21 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
     body = body_of(plan.space, plan.elements, numbers)
     if plan.slots is None:
         return body
+    if turns_about_a_point(plan.slots):
+        moments, turn = principal_axes(body.origin_inertia)
+        turn = so3.orthonormalised(turn)
+        turned = body_of(plan.space, plan.elements, numbers, turn)
+        body = turned._replace(turn=turn, origin_inertia=diagonal(moments))
     return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
 
 
+def _start(plan: Plan, body: Body, inputs: Any, first: Any) -> tuple[Parameters, Any, Any]:
+    """Parameters in the body's own joint axes; pose and twist as given."""
+    return parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first), body.turn)
+
+
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
-    parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
+    parameters, pose, twist = _start(plan, Body(*body), inputs, first)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     still = tuple(0.0 * v for v in velocity)
     if plan.slots is None:
@@ -276,9 +304,9 @@ def user_state(
     plan: Plan, body: Body, inputs: Any, state: State, record: Record, first: Any
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
-    parameters, _, _ = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
-    state = State(*state)
-    velocity = velocity_of(plan, Body(*body), state)
+    body, state = Body(*body), State(*state)
+    parameters, _, _ = _start(plan, body, inputs, first)
+    velocity = velocity_of(plan, body, state)
     pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
     return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
 
@@ -343,15 +371,16 @@ def store_summary(
 
 def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     """How far the start, as given, is off the joint; see START_COLUMNS."""
-    parameters, pose, twist = parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first))
+    numbers = _columns(plan, inputs, input_columns(plan.elements), first)
+    parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    off = measure(plan, load_body(plan, inputs, first), chart, velocity, ZERO)
+    off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
-    numbers = (
+    found = (
         sqrt(off.position) / place, sqrt(off.rotation), sqrt(off.velocity) / speed,
         sqrt(off.rotation_rate) / speed, *(chart[0][4 * axis] for axis in range(3)),
     )  # fmt: skip
-    for c, number in enumerate(numbers):
+    for c, number in enumerate(found):
         store(summary, (c, first), number, plan.lanes)
 
 
@@ -417,7 +446,8 @@ def integrate_block(
             k += 1
             state, record = advance(plan, body, state, record, k, h)
         fresh = True
-    store_carried(plan, carried, first, state, record)
+    if stop < last:
+        store_carried(plan, carried, first, state, record)
     store_summary(plan, body, inputs, state, record, summary, first)
 
 

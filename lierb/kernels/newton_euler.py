@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from lierb.kernels import se3, so3xr3
 from lierb.kernels.arithmetic import fma
 from lierb.kernels.vec import (
+    IDENTITY,
     ZERO3,
     Mat,
     Vec,
@@ -57,6 +58,11 @@ class Parameters(NamedTuple):
     length: Any  # m, of a rod
 
 
+def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
+    """C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
+    return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
+
+
 class Body(NamedTuple):
     """The same in joint axes, as the equations of motion want it."""
 
@@ -72,6 +78,7 @@ class Body(NamedTuple):
     origin_inertia: Mat  # about the body frame's origin
     first_moment: Vec  # m c
     gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
+    turn: Mat = IDENTITY  # from the user's joint axes on the body to those that are used
     elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
 
     def momentum(self, velocity: Vec) -> Vec:

@@ -23,7 +23,7 @@ from lierb.kernels.elements import total_wrench
 from lierb.kernels.newton_euler import Body, row_response
 from lierb.kernels.plan import Plan
 from lierb.kernels.saddle import solve
-from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_t_vec, neg
+from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_t_vec, mat_vec, neg
 from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
@@ -57,7 +57,7 @@ class Acceleration(NamedTuple):
 
     rate: Vec  # V̇
     multipliers: tuple[Any, ...]  # λ, in the order of the joint's rows
-    reaction: Vec  # the joint's wrench on the body, about the joint's point and in the body's axes
+    reaction: Vec  # the joint's wrench on the body, about the joint's point, in its axes there
     singular: Any  # the mark of a singular configuration
 
 
@@ -81,10 +81,11 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZE
     for multiplier, direction in zip(multipliers, jacobians, strict=True):
         wrench = axpy(-multiplier, direction, wrench)
     torque, force = wrench[:3], wrench[3:]
+    about_joint = cross_add(force, x.arm, torque)
     return Acceleration(
         plan.space.velocity_rate(pose, found),
         given_multipliers(plan.rows, rows, multipliers, pose[0]),
-        cross_add(force, x.arm, torque) + force,
+        mat_vec(body.turn, about_joint) + mat_vec(body.turn, force),
         singular,
     )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lierb.kernels.arithmetic import fma, sqrt
+from lierb.kernels.arithmetic import absolute, fma, sqrt, where
 from lierb.kernels.zero import ZERO
 
 Vec = tuple[Any, ...]
@@ -17,6 +17,7 @@ ZERO3: Vec = (ZERO, ZERO, ZERO)
 ZERO6: Vec = ZERO3 + ZERO3
 UNIT: tuple[Vec, ...] = ((1.0, ZERO, ZERO), (ZERO, 1.0, ZERO), (ZERO, ZERO, 1.0))
 IDENTITY: Mat = UNIT[0] + UNIT[1] + UNIT[2]
+JACOBI_SWEEPS = 4  # leave 3e-25 of a matrix beside its diagonal; three, 1e-6
 
 
 def add(a: Vec, b: Vec) -> Vec:
@@ -66,6 +67,11 @@ def cross_add(a: Vec, b: Vec, c: Vec) -> Vec:
         fma(a[2], b[0], fma(-a[0], b[2], c[1])),
         fma(a[0], b[1], fma(-a[1], b[0], c[2])),
     )
+
+
+def diagonal(entries: Vec) -> Mat:
+    x, y, z = entries
+    return (x, ZERO, ZERO, ZERO, y, ZERO, ZERO, ZERO, z)
 
 
 def row(m: Mat, i: int) -> Vec:
@@ -132,3 +138,32 @@ def inverse_symmetric(m: Mat) -> Mat:
     yy = fma(l21 * l21, i2, i1)
     yz = -(l21 * i2)
     return (xx, xy, c, xy, yy, yz, c, yz, i2)
+
+
+def principal_axes(m: Mat) -> tuple[Vec, Mat]:
+    """Eigenvalues of a symmetric matrix, and eigenvectors as a rotation's columns, in that order.
+
+    By Jacobi's rotations, each of 45° at most: a matrix that is diagonal keeps its axes.
+    """
+    a = [list(row(m, i)) for i in range(3)]
+    axes = [list(row(IDENTITY, i)) for i in range(3)]
+    for p, q in JACOBI_SWEEPS * ((0, 1), (0, 2), (1, 2)):
+        aside = a[p][q]
+        apart, twice = a[q][q] - a[p][p], 2.0 * aside  # their quotient: cot of twice the angle
+        reach = absolute(apart) + sqrt(fma(apart, apart, twice * twice))
+        t = twice / where(reach > 0.0, reach, 1.0)
+        t = where(apart < 0.0, -t, t)
+        c = 1.0 / sqrt(fma(t, t, 1.0))
+        s = t * c
+        a[p][p], a[q][q] = fma(-t, aside, a[p][p]), fma(t, aside, a[q][q])
+        a[p][q] = a[q][p] = 0.0
+        r = 3 - p - q
+        a[r][p], a[r][q] = _turned(c, s, a[r][p], a[r][q])
+        a[p][r], a[q][r] = a[r][p], a[r][q]
+        for line in axes:
+            line[p], line[q] = _turned(c, s, line[p], line[q])
+    return (a[0][0], a[1][1], a[2][2]), tuple(x for line in axes for x in line)
+
+
+def _turned(c: Any, s: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    return fma(c, x, -(s * y)), fma(s, x, c * y)

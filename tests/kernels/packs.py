@@ -9,7 +9,7 @@ from lierb.kernels import _jit
 from lierb.kernels.arithmetic import gather, scatter
 from lierb.kernels.coefficients import atan2, coefficients, sincos, step_coefficients
 from lierb.kernels.lanes import DEFAULT_LANES
-from lierb.kernels.vec import inverse_symmetric
+from lierb.kernels.vec import inverse_symmetric, principal_axes
 
 FORMULAS = {
     "coefficients": coefficients,
@@ -17,6 +17,7 @@ FORMULAS = {
     "sincos": sincos,
     "atan2": lambda y, x: (atan2(y, x),),
     "inverse_symmetric": lambda *m: inverse_symmetric(m),
+    "principal_axes": lambda *m: sum(principal_axes(m), ()),
 }
 
 

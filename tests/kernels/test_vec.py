@@ -10,7 +10,7 @@ from oracle import mp
 from kernels.packs import on_lanes
 from kernels.samples import NUMBER_TYPES
 from lierb.kernels import vec
-from lierb.kernels.vec import inverse_symmetric
+from lierb.kernels.vec import inverse_symmetric, principal_axes
 
 A, B = np.array([[1, -2, 3], [4, 5, -6], [-7, 8, 9]]), np.array([[2, 0, -1], [1, 3, 5], [-4, 6, 7]])
 a, b = A[0], B[1]
@@ -110,3 +110,46 @@ def test_inverse_symmetric_is_symmetric_to_the_bit(number_type):
     M = Q * np.array([1e-6, 1.0, 1.0]) @ Q.transpose(0, 2, 1)
     found = inverses(number_type, (M + M.transpose(0, 2, 1)) / 2)
     assert np.array_equal(found, found.transpose(0, 2, 1))
+
+
+# ---------------------------------------------------------------- principal axes
+
+
+def principal(number_type, matrices):
+    """Moments (n, 3) and axes (n, 3, 3)."""
+    entries = matrices.reshape(-1, 9)
+    if number_type == "lanes":
+        columns = on_lanes("principal_axes", *entries.T, results=12)
+    elif number_type == "arrays":
+        columns = np.array(sum(principal_axes(tuple(entries.T)), ()))
+    else:
+        columns = np.array([sum(principal_axes(tuple(row)), ()) for row in entries.tolist()]).T
+    return columns[:3].T, columns[3:].T.reshape(-1, 3, 3)
+
+
+@every_number
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+@pytest.mark.parametrize(
+    "moments",
+    [(1.0, 2.0, 2.5), (1e-6, 1.0, 1.0), (1.0, 1.0, 1.0), (1.0, 1.0 + 1e-9, 1.9), (3.0, 2.0, 3.0)],
+    ids=str,
+)
+def test_principal_axes_of_tilted_bodies(number_type, moments, unit):
+    Q = rotations(60)
+    M = Q * (unit * np.array(moments)) @ Q.transpose(0, 2, 1)
+    M = (M + M.transpose(0, 2, 1)) / 2
+    found, axes = principal(number_type, M)
+    # 15 rotations, each of which rounds entries of the matrix's size and of 1
+    put_back = axes * found[:, None, :] @ axes.transpose(0, 2, 1)
+    assert abs(put_back - M).max() <= 5e-15 * unit * max(moments)
+    assert abs(np.sort(found) - np.sort(moments) * unit).max() <= 3e-15 * unit * max(moments)
+    assert abs(axes.transpose(0, 2, 1) @ axes - np.eye(3)).max() <= 3e-15
+    assert np.linalg.det(axes) == pytest.approx(1.0, abs=1e-14)
+
+
+@every_number
+def test_principal_axes_of_diagonals_are_their_own(number_type):
+    moments = np.array([[3.0, 1e-6, 7.0], [2.0, 2.0, 2.0], [1.0, 5.0, 1.0]])
+    found, axes = principal(number_type, moments[:, :, None] * np.eye(3))
+    assert np.array_equal(found, moments)
+    assert np.array_equal(axes, np.broadcast_to(np.eye(3), (3, 3, 3)))
