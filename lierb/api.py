@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 from collections.abc import Callable, Iterable
@@ -26,7 +25,7 @@ from lierb.joints import JOINTS
 from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import Plan, block_lanes
+from lierb.kernels.plan import Plan, block_lanes, plan_of
 from lierb.model import Problem
 from lierb.provenance import provenance
 from lierb.tableaus import ButcherTableau, tableau_of
@@ -138,13 +137,13 @@ def integrate(
     )
     inputs = engine.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
     rows = problem.rows
-    plan = Plan(
+    plan = plan_of(
         lanes=block_lanes(DEFAULT_LANES, found_by, len(rows), tableau.stages),
         rows=rows,
         cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
         update=update,
-        stages=tableau.A,  # type: ignore[arg-type]
-        weights=tableau.b,  # type: ignore[arg-type]
+        stages=tableau.A,
+        weights=tableau.b,
         multipliers="multipliers" in recorded,
         reaction="reaction" in recorded,
         elements=problem.kinds,
@@ -294,14 +293,12 @@ def _report(error: ValueError | None, check: str) -> None:
 _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
 
 
-def _table(
-    columns: dict[str, pa.Array], metadata: dict[str, Any], covers: str, units: str = ""
-) -> pa.Table:
+def _table(columns: dict[str, pa.Array], metadata: str, covers: str, units: str = "") -> pa.Table:
     """covers : what the energy is made of.   units : of the components of `lambda`, if any."""
     key = (*columns, covers, units)
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)
-    schema = _schemas[key].with_metadata({"lierb": json.dumps(metadata)})
+    schema = _schemas[key].with_metadata({"lierb": metadata})
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
 
 
@@ -330,7 +327,7 @@ def _energy_of(problem: Problem) -> str:
     return f"{text}; not the work of {', '.join(working)}" if working else text
 
 
-def _summary_table(output: engine.Output, metadata: dict[str, Any], covers: str) -> pa.Table:
+def _summary_table(output: engine.Output, metadata: str, covers: str) -> pa.Table:
     scalars = dict(zip(engine.SUMMARY_SCALARS, output.scalars, strict=True))
     columns = {
         "body": numbers(np.arange(len(output.status), dtype=np.int64)),
@@ -347,7 +344,7 @@ def _errors_table(
     grid: engine.Grid,
     recorded: tuple[str, ...],
     plan: Plan,
-    metadata: dict[str, Any],
+    metadata: str,
     covers: str,
 ) -> pa.Table:
     saved = grid.saved_steps()

@@ -53,6 +53,8 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
     """
     rows = inputs.problem.rows
     errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
+    if errors.max() <= TOLERANCE and cosines.min(initial=1.0) > 0.0:
+        return None
     fine = (errors <= TOLERANCE).all(axis=0) & (cosines > 0.0).all(axis=0)  # false for NaN
     for body in np.flatnonzero(~fine).tolist():
         with np.errstate(all="ignore"):

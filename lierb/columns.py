@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +17,10 @@ from numpy.typing import NDArray
 def numbers(array: NDArray) -> pa.Array:
     """A column of all of an array's numbers, without a copy if they lie in order."""
     array = np.ascontiguousarray(array)
-    return pa.Array.from_buffers(
-        pa.from_numpy_dtype(array.dtype), array.size, [None, pa.py_buffer(array)]
-    )
+    return pa.Array.from_buffers(_type(array.dtype), array.size, [None, pa.py_buffer(array)])
+
+
+_type = cache(pa.from_numpy_dtype)
 
 
 def vectors(array: NDArray) -> pa.Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -44,26 +45,40 @@ def machine() -> dict[str, Any]:
 
 def provenance(
     problem: Problem, *, twist0: Array, pose0: Array | None, plan: Plan, options: dict[str, Any]
-) -> dict[str, Any]:
+) -> str:
+    """A JSON object."""
     if problem not in _problems:
-        _problems[problem] = _described_problem(problem)
-    return {
-        **machine(),
-        "lanes": DEFAULT_LANES,
-        "block": plan.lanes,
-        "options": options,
-        "tableau": {"A": plan.stages, "b": plan.weights},
-        "problem": {
-            **_problems[problem],
-            "twist0": _described(twist0),
-            "pose0": None if pose0 is None else _described(pose0),
-        },
-        "units": "SI: kg, m, s, rad, N, N m, J",
+        _problems[problem] = json.dumps(_described_problem(problem))
+    start = {
+        "twist0": _described(twist0),
+        "pose0": None if pose0 is None else _described(pose0),
     }
+    whole_problem = _merged(_problems[problem], json.dumps(start))
+    return _merged(
+        _described_plan(plan), json.dumps({"options": options}), f'{{"problem": {whole_problem}}}'
+    )
 
 
-# What every problem is: its arrays cannot change, and digests of large ones take a while.
-_problems: WeakKeyDictionary[Problem, dict[str, Any]] = WeakKeyDictionary()
+def _merged(*objects: str) -> str:
+    """One JSON object with the members of these."""
+    return "{" + ", ".join(text[1:-1] for text in objects) + "}"
+
+
+@cache
+def _described_plan(plan: Plan) -> str:
+    return json.dumps(
+        {
+            **machine(),
+            "units": "SI: kg, m, s, rad, N, N m, J",
+            "lanes": DEFAULT_LANES,
+            "block": plan.lanes,
+            "tableau": {"A": plan.stages, "b": plan.weights},
+        }
+    )
+
+
+# As JSON: a problem's arrays cannot change, and digests of large ones take a while.
+_problems: WeakKeyDictionary[Problem, str] = WeakKeyDictionary()
 
 
 def _described_problem(problem: Problem) -> dict[str, Any]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from typing import Any
 
 from lierb.kernels._jit import Tag
 from lierb.kernels.constraints import Rows
@@ -44,6 +45,13 @@ class Plan(Tag):
     solver: str = "saddle"
 
     @cached_property
+    def _digest(self) -> int:
+        return hash(tuple(getattr(self, field.name) for field in fields(self)))
+
+    def __hash__(self) -> int:  # of a tableau's numbers each time, otherwise
+        return self._digest
+
+    @cached_property
     def space(self) -> type[SE3] | type[SO3xR3]:
         return CSPACES[self.cspace]
 
@@ -60,3 +68,9 @@ class Plan(Tag):
     @property
     def is_local(self) -> bool:
         return self.update == "local"
+
+
+@lru_cache(256)
+def plan_of(**described: Any) -> Plan:
+    """The plan, always the same object: found again at once wherever code is kept by plan."""
+    return Plan(**described)
