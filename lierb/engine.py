@@ -10,6 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
@@ -69,6 +72,74 @@ class Grid:
         return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
 
 
+class Field(NamedTuple):
+    """Where some of the driver's input columns come from."""
+
+    columns: slice
+    array: Array  # an item for every body, or one for all of them
+    shape: tuple[int, ...] = ()  # of an item
+
+    @property
+    def is_shared(self) -> bool:
+        return self.array.ndim == len(self.shape) or len(self.array) == 1
+
+    def put(self, packed: Array, start: int, stop: int) -> None:
+        """Bodies start … stop, the last one repeated, or what all share."""
+        place = packed[self.columns].reshape(*self.shape, -1)
+        if self.is_shared:
+            place[...] = self.array.reshape(*self.shape, 1)
+            return
+        items = np.moveaxis(self.array[start:stop], 0, -1)
+        place[..., : stop - start] = items
+        place[..., stop - start :] = items[..., -1:]
+
+
+def _pose_fields(name: str, poses: Array) -> tuple[Field, Field]:
+    first = INPUT_SLICES[name].start
+    rotations, places = poses[..., :3, :3], poses[..., :3, 3]
+    return (
+        Field(slice(first, first + 9), rotations, (3, 3)),
+        Field(slice(first + 9, first + 12), places, (3,)),
+    )
+
+
+def _problem_fields(problem: Problem) -> Iterator[Field]:
+    body, joint = problem.body, problem.joint
+    yield Field(INPUT_SLICES["mass"], body.mass)
+    yield Field(INPUT_SLICES["inertia"], body.inertia, (3, 3))
+    yield Field(INPUT_SLICES["com"], body.com, (3,))
+    yield Field(INPUT_SLICES["gravity"], problem.gravity, (3,))
+    yield from _pose_fields("ground_frame", joint.ground_frame)
+    yield from _pose_fields("body_frame", joint.body_frame)
+    yield Field(INPUT_SLICES["pitch"], joint.pitch)
+    yield Field(INPUT_SLICES["length"], joint.length)
+    yield from _pose_fields("pose", CLOSED)  # unless a start has others
+    first = INPUT_COLUMNS
+    for element in problem.elements:
+        for name, shape in element.kind.shapes.items():
+            last = first + math.prod(shape)
+            yield Field(slice(first, last), element.parameters[name], shape)
+            first = last
+
+
+_layouts: WeakKeyDictionary[Problem, tuple[Array, list[Field]]] = WeakKeyDictionary()
+
+
+def _layout(problem: Problem) -> tuple[Array, list[Field]]:
+    """The columns that all bodies of a problem share, [column][1], and where the others come from.
+
+    Worked out once: of a call for one body it takes a tenth of the time.
+    """
+    if problem not in _layouts:
+        fields = list(_problem_fields(problem))
+        shared = np.zeros((input_columns(problem.kinds), 1))
+        for field in fields:
+            if field.is_shared:
+                field.put(shared, 0, 1)
+        _layouts[problem] = shared, [field for field in fields if not field.is_shared]
+    return _layouts[problem]
+
+
 @dataclass(frozen=True)
 class Inputs:
     """Everything about every body, as given; packed chunk by chunk, never copied as a whole.
@@ -81,46 +152,23 @@ class Inputs:
     twists: Array
     count: int
 
-    def packed(self, start: int, stop: int, packed: Array, shared: bool = True) -> Array:
+    def packed(self, start: int, stop: int, packed: Array, is_new: bool = True) -> Array:
         """Bodies start … stop as [column][body], the last one repeated to fill `packed`.
 
-        shared : whether to fill the columns that are the same for all bodies, too.
+        is_new : whether `packed` lacks even the columns that all bodies share.
         """
-        places = {name: packed[columns] for name, columns in INPUT_SLICES.items()}
-
-        def put(place: Array, array: Array, *shape: int) -> None:
-            """An item of that shape for every body, or one for all of them."""
-            place = place.reshape(*shape, -1)
-            if array.ndim == len(shape) or len(array) == 1:
-                if shared:
-                    place[...] = array.reshape(*shape, 1)
-                return
-            items = np.moveaxis(array[start:stop], 0, -1)
-            place[..., : stop - start] = items
-            place[..., stop - start :] = items[..., -1:]
-
-        def put_pose(place: Array, poses: Array) -> None:
-            put(place[:9], poses[..., :3, :3], 3, 3)
-            put(place[9:], poses[..., :3, 3], 3)
-
-        body, joint = self.problem.body, self.problem.joint
-        put(places["mass"], body.mass)
-        put(places["inertia"], body.inertia, 3, 3)
-        put(places["com"], body.com, 3)
-        put(places["gravity"], self.problem.gravity, 3)
-        put_pose(places["ground_frame"], joint.ground_frame)
-        put_pose(places["body_frame"], joint.body_frame)
-        put(places["pitch"], joint.pitch)
-        put(places["length"], joint.length)
-        put(places["twist"], self.twists, 6)
-        put_pose(places["pose"], CLOSED if self.poses is None else self.poses)
-        first = INPUT_COLUMNS
-        for element in self.problem.elements:
-            for name, shape in element.kind.shapes.items():
-                last = first + math.prod(shape)
-                put(packed[first:last], element.parameters[name], *shape)
-                first = last
+        shared, fields = _layout(self.problem)
+        if is_new:
+            packed[:] = shared
+        for field in (*fields, *self._start):
+            if is_new or not field.is_shared:
+                field.put(packed, start, stop)
         return packed
+
+    @cached_property
+    def _start(self) -> tuple[Field, ...]:
+        twists = Field(INPUT_SLICES["twist"], self.twists, (6,))
+        return (twists, *_pose_fields("pose", self.poses)) if self.poses is not None else (twists,)
 
     @property
     def columns(self) -> int:
@@ -144,7 +192,7 @@ class Chunk:
         stop = min(start + CHUNK_BODIES, inputs.count)
         width = -(-(stop - start) // lanes) * lanes
         if spent is not None and spent.inputs.shape[1] == width:
-            packed = inputs.packed(start, stop, spent.inputs, shared=False)
+            packed = inputs.packed(start, stop, spent.inputs, is_new=False)
             return cls(start, stop, packed, spent.carried, spent.summary)
         heights = (inputs.columns, CARRIED_COLUMNS, SUMMARY_COLUMNS)
         arrays = [np.empty((height, width)) for height in heights]

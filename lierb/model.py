@@ -78,6 +78,7 @@ class Body:
         _check_physical(
             assembled(tuple(i - masses * s for i, s in zip(about_com, shift, strict=True)), 3, 3)
         )
+        moments.setflags(write=False)
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
 

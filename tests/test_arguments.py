@@ -597,9 +597,16 @@ def test_check_warn_warns_once_about_a_batch_of_many_chunks(monkeypatch):
     assert told[0].filename == __file__
 
 
-def test_closed_pose_is_no_ones_to_change():
-    with pytest.raises(ValueError, match="read-only"):
-        joints.spherical(POINT).closed_pose[0, 0] = 2.0
+def test_a_problems_arrays_are_no_ones_to_change():
+    """What is worked out of them once would be wrong."""
+    joint, body = joints.spherical(POINT), lierb.Body(1.0, (1.0, 1.0, 1.0))
+    problem = lierb.Problem(body, joint, (0.0, 0.0, -9.81))
+    for array in (
+        body.mass, body.inertia, body.com, joint.ground_frame, joint.body_frame, joint.pitch,
+        joint.length, joint.closed_pose, problem.gravity,
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 2.0
 
 
 @pytest.mark.parametrize("argument", BAD_STATES)
