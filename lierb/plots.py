@@ -10,6 +10,7 @@ from typing import IO, Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import ArrayLike, NDArray
 
 from lierb.extras import require
 
@@ -25,6 +26,8 @@ UNITS = {"position": "m", "rotation": "1"}
 
 LEAST = 1e-18
 """Errors below this are drawn here: zero has no place on a logarithmic axis, and is common."""
+MOST = 1e250
+"""Errors above this are drawn here: Matplotlib's ticks reach further, and numbers end at 1e308."""
 
 STYLE: dict[Any, Any] = {  # Matplotlib types its keys one by one
     "font.size": 9.5,
@@ -76,6 +79,11 @@ def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) ->
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)
 
 
+def drawable(errors: ArrayLike) -> NDArray[np.float64]:
+    """What a logarithmic axis has room for: between LEAST and MOST."""
+    return np.clip(errors, LEAST, MOST)
+
+
 def _of(table: pa.Table, cspace: str) -> pa.Table:
     return table.filter(pc.equal(table["cspace"], cspace))
 
@@ -90,7 +98,7 @@ def _draw_panel(
         run = errors.filter(pc.equal(errors["dt"], dt))
         # The start is left out: the joint is closed there, its error is nothing but zero.
         t, error = (run[name].to_numpy()[1:] for name in ("t", f"{quantity}_error"))
-        drawn = np.maximum(error, LEAST)
+        drawn = drawable(error)
         label = f"Δt = {_power_of_ten(dt)} s:  max {_number(largest)}"
         panel.plot(t, drawn, color=colour, linewidth=1.1, label=label)
         finite = drawn[np.isfinite(drawn)]

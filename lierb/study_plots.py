@@ -30,7 +30,7 @@ import matplotlib  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.plots import COLOURS, CSPACE_NAMES, LEAST, STYLE, save  # noqa: E402
+from lierb.plots import COLOURS, CSPACE_NAMES, STYLE, drawable, save  # noqa: E402
 
 AXES = {
     "position": "position error [m]",
@@ -89,7 +89,7 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
             for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
                 if name is None:
                     continue
-                values = np.sort(np.maximum(ok_columns(dataset, setting, [name])[name], LEAST))
+                values = np.sort(drawable(ok_columns(dataset, setting, [name])[name]))
                 if not values.size:
                     continue
                 ranks = np.unique(np.linspace(0, values.size - 1, RANKS).astype(int))
@@ -129,7 +129,7 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
             if times.size < 2:
                 continue
             times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
-            low, median, high, most = np.maximum(bands, LEAST)
+            low, median, high, most = drawable(bands)
             panel.plot(times, median, **style)
             panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
             panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
@@ -153,7 +153,7 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
             of.sort(key=lambda f: f.setting.dt)
             dts = np.array([f.setting.dt for f in of])
             for n, marker in zip(range(len(QUANTILES)), "o^s"):
-                errors = np.maximum([f.quantiles[kind][n] for f in of], LEAST)
+                errors = drawable([f.quantiles[kind][n] for f in of])
                 label = _label(cspace, method) if n == 0 else None
                 panel.plot(
                     dts, errors, color=colour, marker=marker, markersize=4, label=label,
@@ -188,7 +188,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
             continue
         rows = ok_columns(dataset, setting, [ERRORS[kind], *drawn])
         some = some_rows(len(rows[ERRORS[kind]]), POINTS)
-        errors = np.maximum(rows[ERRORS[kind]][some], LEAST)
+        errors = drawable(rows[ERRORS[kind]][some])
         for panel, (name, values) in zip(panels, components(drawn, rows)):
             panel.plot(
                 values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
