@@ -16,15 +16,17 @@ from lierb.kernels.subgroup import Slots, slots_of
 def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
     """Bodies in a block, for registers that hold `width` numbers.
 
-    Every operation of a step waits for the one before it. Two or four packs side by side hide that,
-    as long as what is alive fits the registers: on a subgroup, a rate for each stage and freedom.
-    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 86, 103, 117; spherical 55, 65,
-    57; spherical by DOP853 22, 19, 16. On AVX2 with 4, 8, 16: revolute 52, 66, 74. A batch that
-    fills no block pays for one all the same: one kernel serves every batch.
+    Every operation of a step waits for the one before it. Two packs side by side hide that, as
+    long as what is alive fits the registers: on a subgroup, a rate for each stage and freedom.
+    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 209, 320, 280; cylindrical 184,
+    235, 173; spherical 107, 108, 71; spherical by DOP853 23, 22, 18. On AVX2, which has half as
+    many registers, with 4, 8 and 16: revolute 121, 188, 193; cylindrical 104, 147, 117; spherical
+    58, 54, 44; spherical by DOP853 13, 10, 10. A batch that fills no block pays for one all the
+    same: one kernel serves every batch.
     """
     alive = stages * (6 - rows)
-    packs = 1 if solver == "saddle" or alive > 12 else 2 if alive > 4 else 4
-    return width if width == 1 else packs * width
+    hides = solver != "saddle" and alive <= (12 if width == 8 else 8)
+    return 2 * width if hides and width > 1 else width
 
 
 @dataclass(frozen=True)
