@@ -168,7 +168,7 @@ def integrate(
             "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
             "update": update, "save_every": grid.save_every or None,
             "measure_every": grid.measure_every,
-            "record": list(recorded), "check": check, "solver": plan.solver,
+            "record": recorded, "check": check, "solver": plan.solver,
         },
     )  # fmt: skip
     output = engine.integrate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -64,6 +65,7 @@ def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbErro
     return None
 
 
+@lru_cache(64)
 def _held_axes(rows: Rows) -> list[int]:
     """The joint axes that `Omega` rows keep parallel."""
     fixed = fixed_axes(rows)

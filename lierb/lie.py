@@ -110,9 +110,9 @@ class Group:
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
-        _jit.ensure_compiled(apply, tag, *arguments)
+        run = _jit.compiled(apply, tag, *arguments)
         with np.errstate(all="ignore"):
-            apply(tag, *arguments)
+            run(tag, *arguments)
         shape = (self.dim,) if result_kind == "x" else (self.size, self.size)
         return out.reshape(*batch, *shape)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -55,13 +55,19 @@ def provenance(
     }
     whole_problem = _merged(_problems[problem], json.dumps(start))
     return _merged(
-        _described_plan(plan), json.dumps({"options": options}), f'{{"problem": {whole_problem}}}'
-    )
+        _described_plan(plan), _described_options(*options.items()),
+        f'{{"problem": {whole_problem}}}',
+    )  # fmt: skip
 
 
 def _merged(*objects: str) -> str:
     """One JSON object with the members of these."""
     return "{" + ", ".join(text[1:-1] for text in objects) + "}"
+
+
+@lru_cache(64)
+def _described_options(*options: tuple[str, Any]) -> str:
+    return json.dumps({"options": dict(options)})
 
 
 @cache

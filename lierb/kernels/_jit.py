@@ -142,23 +142,27 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-_ready: set[tuple[Any, Tag]] = set()
+_ready: dict[tuple[Any, Tag], Callable[..., Any]] = {}
 _compiling = threading.Lock()
 
 
-def ensure_compiled(dispatcher: Any, tag: Tag, *args: Any) -> None:
-    """Compile `dispatcher` for (tag, *args), or load it from the disk cache, once a process.
+def compiled(dispatcher: Any, tag: Tag, *args: Any) -> Callable[..., Any]:
+    """The code of `dispatcher` for (tag, *args): compiled, or from the disk cache, once a process.
+
+    A function of such arguments, and of no others: it spares Numba's look at each one's type.
 
     Numba's cache index has neither lock nor check on load: two processes that write it at once can
     pair one's entry with the other's code. Hence a file lock around whatever may load or save.
     """
-    if (dispatcher, tag) in _ready or not hasattr(dispatcher, "compile"):
-        return
-    with _compiling:
-        if (dispatcher, tag) not in _ready:
-            with _cache_lock(dispatcher):
-                dispatcher.compile(tuple(numba.typeof(a) for a in (tag, *args)))
-            _ready.add((dispatcher, tag))
+    key = dispatcher, tag
+    if key not in _ready:
+        if not hasattr(dispatcher, "compile"):  # the JIT is off
+            return dispatcher
+        with _compiling:
+            if key not in _ready:
+                with _cache_lock(dispatcher):
+                    _ready[key] = dispatcher.compile(tuple(map(numba.typeof, (tag, *args))))
+    return _ready[key]
 
 
 _entries: dict[tuple[Any, Tag], Any] = {}
@@ -175,11 +179,11 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     if (dispatcher, tag) not in _entries:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return partial(dispatcher, tag)
-        ensure_compiled(dispatcher, tag, *args)
-        operands = tuple(numba.typeof(a) for a in (tag, *args))
-        compiled = dispatcher.overloads[operands]
+        compiled(dispatcher, tag, *args)
+        operands = tuple(map(numba.typeof, (tag, *args)))
+        result = dispatcher.overloads[operands]
         _callable.add(operands[1:])
-        address = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+        address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
         _entries[dispatcher, tag] = address
     return _entries[dispatcher, tag]
 
@@ -307,8 +311,8 @@ def call_compiled(
         return [Lane(builder, ir.Constant(pack, ir.Undefined))] * count
     types_of = tuple(numba.typeof(sample) for sample in samples)
     dispatcher.compile(types_of)
-    compiled = dispatcher.overloads[types_of]
-    context.add_linking_libs((compiled.library,))
+    result = dispatcher.overloads[types_of]
+    context.add_linking_libs((result.library,))
 
     def memory(*extents: int) -> ir.Value:
         ty: ir.Type = DOUBLE
@@ -335,7 +339,7 @@ def call_compiled(
             _argument(context, builder, ty, sample, cells)
             for ty, sample in zip(types_of, samples, strict=True)
         ]
-        found = context.call_internal(builder, compiled.fndesc, compiled.signature, arguments)
+        found = context.call_internal(builder, result.fndesc, result.signature, arguments)
         for n in range(count):
             builder.store(builder.extract_value(found, n), place(outward, n, loop.index))
     return [Lane(builder, builder.load(whole(outward, n), align=8)) for n in range(count)]
