@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 AHEAD = 2  # parts given to each worker: they take turns in the kernel, with all its threads
 CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
+GONE = f"all workers of the cluster are gone; {KEPT}"
 LOST_SECONDS = 60  # without any worker: they do not come back
 
 
@@ -65,7 +66,7 @@ def spread(
         while under_way:
             for future in _finished(client, list(under_way)):
                 part = under_way.pop(future)
-                made, where = _result(future, part)
+                made, where = _result(client, future, part)
                 if where != machine():
                     elsewhere.add(_differences(where))
                 yield part.name, dataset.store(made) if gather else made
@@ -187,20 +188,29 @@ def _finished(client: Client, futures: list[Future]) -> list[Future]:
         if client.nthreads():
             seen = time.monotonic()
         elif time.monotonic() - seen > LOST_SECONDS:
-            raise StudyError(f"all workers of the cluster are gone; {KEPT}")
+            raise StudyError(GONE)
 
 
-def _result(future: Future, part: Part) -> Any:
+def _result(client: Client, future: Future, part: Part) -> Any:
+    """What a finished task returned, which its worker has until now."""
     from distributed import KilledWorker
 
-    try:
-        return future.result()
-    except KilledWorker as error:
-        raise StudyError(
-            f"workers died {error.allowed_failures + 1} times in a row that had part {part.name}, "
-            "perhaps beside others; if it was for memory, fewer bodies in a part take less: "
-            "[output] part"
-        ) from None
+    patience = LOST_SECONDS
+    while True:
+        try:
+            return future.result(timeout=patience)
+        except TimeoutError:
+            if future.status == "error":  # the task's own
+                raise
+            if not client.nthreads():  # the last worker left with it
+                raise StudyError(GONE) from None
+            patience *= 2  # another worker does it again, or it is a long way from there
+        except KilledWorker as error:
+            raise StudyError(
+                f"workers died {error.allowed_failures + 1} times in a row that had part "
+                f"{part.name}, perhaps beside others; if it was for memory, fewer bodies in a "
+                "part take less: [output] part"
+            ) from None
 
 
 def _differences(where: dict[str, Any]) -> str:

@@ -24,6 +24,7 @@ from lierb.parts import parts_of
 
 pytest.importorskip("distributed")
 import dask
+import dask.distributed
 
 BODIES = 12_000
 SHORT = {
@@ -192,6 +193,19 @@ def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch
 
         with pytest.raises(StudyError, match=r"all workers of the cluster are gone; .*--resume"):
             lierb.run(study(**SHORT), tmp_path, client=client, progress=dismiss)
+
+
+def test_a_result_whose_worker_left_with_it_is_not_waited_for_for_ever(monkeypatch):
+    monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
+    part = next(iter(parts_of(study(**SHORT))))
+    with cluster.local_client(1) as client:
+        future = client.submit(int, 1)
+        dask.distributed.wait([future])
+        client.cluster.scale(0)
+        while client.nthreads():
+            time.sleep(0.05)
+        with pytest.raises(StudyError, match="all workers of the cluster are gone"):
+            cluster._result(client, future, part)
 
 
 def test_workers_that_do_not_see_the_folder_say_so(client, tmp_path):
