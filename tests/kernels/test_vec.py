@@ -139,7 +139,7 @@ def test_principal_axes_of_tilted_bodies(number_type, moments, unit):
     M = Q * (unit * np.array(moments)) @ Q.transpose(0, 2, 1)
     M = (M + M.transpose(0, 2, 1)) / 2
     found, axes = principal(number_type, M)
-    # 15 rotations, each of which rounds entries of the matrix's size and of 1
+    # 12 rotations, each of which rounds entries of the matrix's size and of 1
     put_back = axes * found[:, None, :] @ axes.transpose(0, 2, 1)
     assert abs(put_back - M).max() <= 5e-15 * unit * max(moments)
     assert abs(np.sort(found) - np.sort(moments) * unit).max() <= 3e-15 * unit * max(moments)
