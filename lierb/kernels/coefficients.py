@@ -13,6 +13,7 @@ would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factor
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from math import factorial
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ from lierb.kernels.arithmetic import (
 )
 from lierb.kernels.arithmetic import absolute as abs_
 
-TINY = 2.0**-12  # θ² up to which, in exp X and dexp⁻¹, three terms are
+TINY = 0.0215**2  # θ² up to which a time step makes do with three terms, and four of sinc
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
 MEDIUM = 0.5**2  # and eight
 SERIES = PI**2  # θ² up to which the entire series is used
@@ -64,6 +65,15 @@ C0_TERMS = tuple(float(c) for c in _C0[:8])
 C1_TERMS = tuple(float(2 * (k + 1) * c) for k, c in enumerate(_C0[1:]))
 
 
+# 2 sinc, 4a, 8b, 4c₀ and 16c₁ at 2φ, as series in φ²
+DOUBLE_ANGLE_TERMS = tuple(
+    tuple(factor * 4.0**k * term for k, term in enumerate(terms))
+    for factor, terms in (
+        (2.0, SINC_TERMS), (4.0, A_TERMS), (8.0, B_TERMS), (4.0, C0_TERMS), (16.0, C1_TERMS)
+    )
+)  # fmt: skip
+
+
 def horner(z: Any, terms: tuple[float, ...]) -> Any:
     """Σ terms[k] zᵏ."""
     total: Any = terms[-1]
@@ -77,45 +87,94 @@ def coefficients(z: Any) -> Coefficients:
 
     A caller takes what it needs: what is left over is dropped when the formula is compiled.
     """
-    small = z < SMALL
-
-    def beyond_small() -> Any:
-        medium = z < MEDIUM
-        larger = branch(
-            all_lanes(medium),
-            lambda: _taylor(z, 8),
-            lambda: where(medium, _taylor(z, 8), _long(z)),
-        )
-        return where(small, _taylor(z, 5), larger)
-
-    return Coefficients(*branch(all_lanes(small), lambda: _taylor(z, 5), beyond_small))
+    return Coefficients(*_anywhere(z, 1.0, _taylor, _long))
 
 
 def step_coefficients(z: Any) -> Coefficients:
     """The same for a time step, in which θ is small: what they multiply there is smaller still.
 
-    Up to 2⁻⁶ rad three terms leave out less than 2⁻⁵⁴ of exp X and dexp⁻¹ V, though a coefficient
-    itself may be off by 3e-15.
+    Up to 0.0215 rad three terms, and four of sinc, leave out less than 2⁻⁵⁴ of exp X and dexp⁻¹ V,
+    though a coefficient itself may be off by 3e-15.
     """
-    tiny = z <= TINY
-    return Coefficients(
-        *branch(
-            all_lanes(tiny),
-            lambda: _taylor(z, 3),
-            lambda: where(tiny, _taylor(z, 3), tuple(coefficients(z))),
-        )
+    return Coefficients(*_in_step(z, 1.0, _taylor, _long))
+
+
+class HalfAngleCoefficients(NamedTuple):
+    """Functions of φ = θ/2, on which formulas of ξ/2 are built."""
+
+    cos_minus_1: Any  # cos φ − 1
+    sinc: Any  # sinc φ
+    sinc2: Any  # 2 sinc θ
+    a4: Any  # 4 a(θ)
+    b8: Any  # 8 b(θ)
+    c04: Any  # 4 c₀(θ)
+    c116: Any  # 16 c₁(θ)
+
+
+def half_angle_coefficients(z: Any) -> HalfAngleCoefficients:
+    """For a time step, at z = φ²."""
+    return HalfAngleCoefficients(*_in_step(z, 0.25, _half_taylor, _half_long))
+
+
+Taylor = Callable[..., tuple[Any, ...]]  # of z, so many terms, and so many more of sinc θ
+Beyond = Callable[[Any], tuple[Any, ...]]
+
+
+def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
+    """Each function where it is best, for a time step; z = share · θ²."""
+    tiny = z <= share * TINY
+    found: tuple[Any, ...] = branch(
+        all_lanes(tiny),
+        lambda: taylor(z, 3, 1),
+        lambda: where(tiny, taylor(z, 3, 1), _anywhere(z, share, taylor, beyond)),
     )
+    return found
 
 
-def _taylor(z: Any, terms: int) -> tuple[Any, ...]:
-    series = (SINC_TERMS, A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
-    return tuple(horner(z, every[:terms]) for every in series)
+def _anywhere(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
+    small = z < share * SMALL
+
+    def beyond_small() -> Any:
+        medium = z < share * MEDIUM
+        larger = branch(
+            all_lanes(medium),
+            lambda: taylor(z, 8),
+            lambda: where(medium, taylor(z, 8), beyond(z)),
+        )
+        return where(small, taylor(z, 5), larger)
+
+    found: tuple[Any, ...] = branch(all_lanes(small), lambda: taylor(z, 5), beyond_small)
+    return found
+
+
+def _taylor(z: Any, terms: int, more_of_sinc: int = 0) -> tuple[Any, ...]:
+    series = (A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
+    sinc = horner(z, SINC_TERMS[: terms + more_of_sinc])
+    return (sinc, *(horner(z, every[:terms]) for every in series))
+
+
+def _half_taylor(z: Any, terms: int, more_of_sinc: int = 0) -> tuple[Any, ...]:
+    sinc2, *series = DOUBLE_ANGLE_TERMS
+    return (
+        -(z * horner(z, A_TERMS[:terms])),
+        horner(z, SINC_TERMS[:terms]),
+        horner(z, sinc2[: terms + more_of_sinc]),
+        *(horner(z, every[:terms]) for every in series),
+    )
 
 
 def _long(z: Any) -> tuple[Any, ...]:
     # Each form is fed arguments it can bear, the other's lanes are thrown away; NaN stays NaN.
     below = z < SERIES
     return where(below, _entire(minimum(z, SERIES)), _closed(where(below, SERIES, z)))
+
+
+def _half_long(z: Any) -> tuple[Any, ...]:
+    half, whole = Coefficients(*_long(z)), Coefficients(*_long(4.0 * z))
+    return (
+        -(z * half.a), half.sinc, 2.0 * whole.sinc, 4.0 * whole.a, 8.0 * whole.b, 4.0 * whole.c0,
+        16.0 * whole.c1,
+    )  # fmt: skip
 
 
 def _entire(z: Any) -> tuple[Any, ...]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from numba import njit, prange
 
-from lierb.kernels import _jit, so3
+from lierb.kernels import _jit, quaternion, so3
 from lierb.kernels.arithmetic import (
     absolute,
     all_lanes,
@@ -36,6 +36,7 @@ from lierb.kernels.stepper import (
     TIDY_EVERY,
     State,
     accelerate,
+    kinetic_energy_of,
     pose_of,
     step,
     tidied,
@@ -181,6 +182,7 @@ def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
     still = tuple(0.0 * v for v in velocity)
     if plan.slots is None:
         return _structured(plan, State(chart, still, velocity), parameters.pitch)
+    chart = quaternion.from_pose(chart)
     velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
     momentum = momentum_of(plan.slots, Body(*body), velocity)
     start = _structured(plan, State(chart, still, momentum), parameters.pitch)
@@ -207,14 +209,17 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
 
 def load_carried(plan: Plan, body: Body, carried: Any, first: Any) -> tuple[State, Record]:
     numbers = tuple(_columns(plan, carried, CARRIED_COLUMNS, first))
-    state = State(_pose(numbers[:12]), numbers[12:18], numbers[18:24])
-    return _structured(plan, state, Body(*body).pitch), Record(*numbers[24:])
+    width = 9 if plan.slots is None else 4
+    chart = numbers[:width], numbers[width : width + 3]
+    x, v_or_mu, record = numbers[12:18], numbers[18:24], numbers[24:]
+    return _structured(plan, State(chart, x, v_or_mu), Body(*body).pitch), Record(*record)
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    numbers = [*state[0][0], *state[0][1], *state[1], *state[2], *record]
-    for c, number in enumerate(numbers):
-        store(carried, (c, first), number, plan.lanes)
+    chart, x, v_or_mu = state
+    for place, numbers in ((0, chart[0] + chart[1]), (12, x + v_or_mu + tuple(record))):
+        for c, number in enumerate(numbers, place):
+            store(carried, (c, first), number, plan.lanes)
 
 
 def advance(
@@ -224,7 +229,7 @@ def advance(
     state, record = State(*state), Record(*record)
     moved, singular = step(plan, Body(*body), state, h * (real(k) - 1.0), h)
     q, d = moved.chart
-    total = q[0] + q[4] + q[8]  # an angle that is not finite spoils all of Q
+    total = q[0]  # an angle that is not finite spoils all of Q
     for number in (*moved.v_or_mu, *moved.x, *d):
         total = total + number
     fine = (absolute(total) <= LARGEST) & (singular <= 0.5)  # false for NaN
@@ -254,7 +259,8 @@ def tidy(plan: Plan, body: Body, state: State) -> State:
 
 
 def _measured(plan: Plan, body: Body, state: State, time: Any) -> Measures:
-    return measure(plan, body, pose_of(plan, state), velocity_of(plan, body, state), time)
+    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
+    return measure(plan, body, pose, velocity, kinetic_energy_of(plan, body, state), time)
 
 
 def observe(
@@ -266,6 +272,8 @@ def observe(
     alive = record.status == OK
 
     def raised(old: Any, new: Any) -> Any:
+        if is_zero(new):
+            return old
         return where(alive & (new <= LARGEST), maximum(old, new), old)
 
     return now, record._replace(
@@ -374,7 +382,7 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     numbers = _columns(plan, inputs, input_columns(plan.elements), first)
     parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO)
+    off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO, ZERO)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
     found = (
         sqrt(off.position) / place, sqrt(off.rotation), sqrt(off.velocity) / speed,

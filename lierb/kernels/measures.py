@@ -29,7 +29,9 @@ class Measures(NamedTuple):
     energy: Any  # J
 
 
-def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Measures:
+def measure(
+    plan: Plan, body: Body, pose: Pose, velocity: Vec, kinetic_energy: Any, time: Any
+) -> Measures:
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     rate, turning_rate = rate_errors_squared(plan.rows, x, body, velocity)
     return Measures(
@@ -38,14 +40,16 @@ def measure(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Mea
         rate,
         turning_rate,
         _orthogonality_squared(pose[0]),
-        plan.space.energy(body, pose, velocity) + _potential(plan, body, pose, velocity),
+        kinetic_energy + _potential(plan, body, pose, velocity),
     )
 
 
 def _potential(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Any:
+    of_gravity = plan.space.potential_energy(body, pose)
     if not plan.elements:
-        return ZERO
-    return potential_energy(plan.elements, body, plan.space.motion(pose, velocity, ZERO))
+        return of_gravity
+    motion = plan.space.motion(pose, velocity, ZERO)
+    return of_gravity + potential_energy(plan.elements, body, motion)
 
 
 def _orthogonality_squared(q: Any) -> Any:

@@ -258,10 +258,14 @@ class SE3:
         return acceleration
 
     @staticmethod
-    def energy(body: Body, pose: Pose, velocity: Vec) -> Any:
+    def kinetic_energy(body: Body, velocity: Vec) -> Any:
         omega = velocity[:3]
-        moving = kinetic_energy(body, omega, cross_add(omega, body.com, velocity[3:]))
-        return moving + _potential_energy(body, add(pose[1], mat_vec(pose[0], body.com)))
+        return kinetic_energy(body, omega, cross_add(omega, body.com, velocity[3:]))
+
+    @staticmethod
+    def potential_energy(body: Body, pose: Pose) -> Any:
+        """Of gravity."""
+        return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
 
 
 class SO3xR3:
@@ -320,8 +324,13 @@ class SO3xR3:
         return acceleration[:3] + mat_vec(pose[0], acceleration[3:])
 
     @staticmethod
-    def energy(body: Body, pose: Pose, velocity: Vec) -> Any:
-        return kinetic_energy(body, velocity[:3], velocity[3:]) + _potential_energy(body, pose[1])
+    def kinetic_energy(body: Body, velocity: Vec) -> Any:
+        return kinetic_energy(body, velocity[:3], velocity[3:])
+
+    @staticmethod
+    def potential_energy(body: Body, pose: Pose) -> Any:
+        """Of gravity."""
+        return _potential_energy(body, pose[1])
 
 
 CSPACES: dict[str, type[SE3] | type[SO3xR3]] = {"SE3": SE3, "SO3xR3": SO3xR3}

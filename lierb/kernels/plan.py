@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from types import ModuleType
 from typing import Any
 
+from lierb.kernels import quaternion
 from lierb.kernels._jit import Tag
 from lierb.kernels.constraints import Rows
 from lierb.kernels.elements import Element
@@ -66,6 +68,16 @@ class Plan(Tag):
     def nodes(self) -> tuple[float, ...]:
         """c of the Butcher tableau: when each stage is."""
         return tuple(sum(weights) for weights in self.stages)
+
+    @property
+    def charts(self) -> ModuleType:
+        """The group as charts represent it: a subgroup's rotations are unit quaternions."""
+        return self.space.group if self.slots is None else quaternion
+
+    @property
+    def share(self) -> float:
+        """Of X, which `charts` asks for."""
+        return 1.0 if self.slots is None else 0.5
 
     @property
     def is_local(self) -> bool:

@@ -85,12 +85,10 @@ def orthonormalised(q: Mat) -> Mat:
     return mat_mat(q, tuple(1.5 - 0.5 * g if i % 4 == 0 else -0.5 * g for i, g in enumerate(gram)))
 
 
-def log(r: Mat) -> Vec:
-    """The ξ with exp ξ = R and ‖ξ‖ ≤ π.
+def quaternion(r: Mat) -> tuple[Any, ...]:
+    """A quaternion (w, x, y, z) of this rotation with w ≥ 0, of any length.
 
-    By the quaternion whose largest component is formed first, so that nothing cancels at any angle.
-    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive (the
-    first of them, where several are).
+    Its largest component is formed first, so that nothing cancels at any angle.
     """
     # 4 q² for each component; the largest is at least 1
     w2, x2 = 1.0 + r[0] + r[4] + r[8], 1.0 + r[0] - r[4] - r[8]
@@ -100,7 +98,16 @@ def log(r: Mat) -> Vec:
     q = where(r[4] >= r[8], (wy, xy, y2, yz), (wz, xz, yz, z2))
     q = where((r[0] >= r[4]) & (r[0] >= r[8]), (wx, x2, xy, xz), q)
     q = where((w2 >= x2) & (w2 >= y2) & (w2 >= z2), (w2, wx, wy, wz), q)
-    q = where(q[0] < 0.0, neg(q), q)
+    return where(q[0] < 0.0, neg(q), q)
+
+
+def log(r: Mat) -> Vec:
+    """The ξ with exp ξ = R and ‖ξ‖ ≤ π.
+
+    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive (the
+    first of them, where several are).
+    """
+    q = quaternion(r)
     n = norm(q[1:])
     return scale(2.0 * atan2(n, q[0]) / where(n > 0.0, n, 1.0), q[1:])
 

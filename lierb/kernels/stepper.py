@@ -7,9 +7,10 @@ C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
-from lierb.kernels import so3, subgroup
+from lierb.kernels import quaternion, so3, subgroup
 from lierb.kernels.arithmetic import PI, any_lanes, branch, fma, maximum, where
 from lierb.kernels.coefficients import step_coefficients
 from lierb.kernels.constraints import (
@@ -22,27 +23,27 @@ from lierb.kernels.constraints import (
 from lierb.kernels.elements import total_wrench
 from lierb.kernels.newton_euler import Body, row_response
 from lierb.kernels.plan import Plan
+from lierb.kernels.quaternion import Chart
 from lierb.kernels.saddle import solve
-from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_t_vec, mat_vec, neg
+from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_vec, neg
 from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
 # Any angle between 0.25 and 5 rad does as well; 5.8 degrades, 6.2 fails.
 RECHART_ANGLE = PI
-TIDY_EVERY = 32  # steps; 16 to 64 do as well
+TIDY_EVERY = 30  # steps; 16 to 64 do as well, but 30 is a multiple of most `measure_every`
 
 
 class State(NamedTuple):
-    chart: Pose  # C₀
-    x: Vec  # X; structurally zero in a local update
+    chart: Pose | Chart  # C₀; on a subgroup with a unit quaternion
+    x: Vec  # X, on a subgroup its half; structurally zero in a local update
     v_or_mu: Vec  # V; on a subgroup its momentum μ
 
 
 def pose_of(plan: Plan, state: State) -> Pose:
     """C = C₀ exp X."""
-    if plan.is_local:
-        return state.chart
-    return plan.space.group.compose_exp(state.chart, state.x)
+    chart = state.chart if plan.is_local else plan.charts.compose_exp(state.chart, state.x)
+    return chart if plan.slots is None else quaternion.pose(chart)
 
 
 def velocity_of(plan: Plan, body: Body, state: State) -> Vec:
@@ -50,6 +51,12 @@ def velocity_of(plan: Plan, body: Body, state: State) -> Vec:
     if plan.slots is None:
         return state.v_or_mu
     return subgroup.velocity_of(plan.slots, body, state.v_or_mu)
+
+
+def kinetic_energy_of(plan: Plan, body: Body, state: State) -> Any:
+    if plan.slots is None:
+        return plan.space.kinetic_energy(body, state.v_or_mu)
+    return 0.5 * dot(velocity_of(plan, body, state), state.v_or_mu)
 
 
 class Acceleration(NamedTuple):
@@ -99,39 +106,61 @@ def applied_wrench(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any)
 
 def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """The state h seconds after `time`, and the mark of a singular configuration on the way."""
-    group = plan.space.group
-    falling = mat_t_vec(state.chart[0], body.gravity)
+    if plan.slots is None:
+        stage = partial(_saddle_stage, plan, body, state.chart)
+    else:
+        falling = quaternion.rotated_back(state.chart[0], body.gravity)
+        stage = partial(_subgroup_stage, plan, body, state.chart, falling)
     x_rates: list[Vec] = []
     rates: list[Vec] = []  # of V or μ
     singular: Any = ZERO
     for weights, node in zip(plan.stages, plan.nodes, strict=True):
-        at = State(
-            state.chart,
-            _in_algebra(plan, body, _advanced(state.x, h, weights, x_rates)),
-            _advanced(state.v_or_mu, h, weights, rates),
-        )
-        x, velocity = at.x, velocity_of(plan, body, at)
-        k = group.angle_coefficients(x, step_coefficients)
-        now = fma(h, node, time)
-        pose = state.chart
-        if plan.slots is None or plan.elements:  # a gain by itself asks for no pose
-            pose = group.compose_exp(pose, x, k)
-        if plan.slots is None:
-            found = accelerate(plan, body, pose, velocity, now)
-            rate = found.rate
-            singular = maximum(singular, found.singular)
-        else:
-            fall = so3.rotate(neg(x[:3]), falling, k)
-            applied = applied_wrench(plan, body, pose, velocity, now)
-            rate = subgroup.momentum_rate(plan.slots, body, fall, applied, velocity, at.v_or_mu)
-        x_rates.append(group.dexpinv(neg(x), velocity, k))
+        x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, weights, x_rates))
+        v_or_mu = _advanced(state.v_or_mu, h, weights, rates)
+        x_rate, rate, failed = stage(x, v_or_mu, fma(h, node, time))
+        x_rates.append(x_rate)
         rates.append(rate)
-    x = _in_algebra(plan, body, _advanced(state.x, h, plan.weights, x_rates))
+        singular = maximum(singular, failed)
+    x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, plan.weights, x_rates))
     v_or_mu = _advanced(state.v_or_mu, h, plan.weights, rates)
     if plan.is_local:
-        k = group.angle_coefficients(x, step_coefficients)
-        return State(group.compose_exp(state.chart, x, k), ZERO6, v_or_mu), singular
+        k = _angle_coefficients(plan, x)
+        return State(plan.charts.compose_exp(state.chart, x, k), ZERO6, v_or_mu), singular
     return _recharted(plan, State(state.chart, x, v_or_mu)), singular
+
+
+def _angle_coefficients(plan: Plan, x: Vec) -> Any:
+    if plan.slots is None:
+        return plan.charts.angle_coefficients(x, step_coefficients)
+    return quaternion.angle_coefficients(x)
+
+
+def _saddle_stage(
+    plan: Plan, body: Body, chart: Pose, x: Vec, velocity: Vec, time: Any
+) -> tuple[Vec, Vec, Any]:
+    """Ẋ, V̇ and the mark of a singular configuration."""
+    k = _angle_coefficients(plan, x)
+    found = accelerate(plan, body, plan.charts.compose_exp(chart, x, k), velocity, time)
+    return plan.charts.dexpinv(neg(x), velocity, k), found.rate, found.singular
+
+
+def _subgroup_stage(
+    plan: Plan, body: Body, chart: Chart, falling: Vec, x: Vec, momentum: Vec, time: Any
+) -> tuple[Vec, Vec, Any]:
+    """Ẋ, μ̇ and no mark.
+
+    falling : gravity in the chart's axes.   x : X/2.
+    """
+    assert plan.slots is not None
+    velocity = subgroup.velocity_of(plan.slots, body, momentum)
+    k = _angle_coefficients(plan, x)
+    applied: Vec = ZERO6
+    if plan.elements:
+        pose = quaternion.pose(quaternion.compose_exp(chart, x, k))
+        applied = applied_wrench(plan, body, pose, velocity, time)
+    fall = quaternion.rotate(neg(x), falling, k)
+    rate = subgroup.momentum_rate(plan.slots, body, fall, applied, velocity, momentum)
+    return quaternion.dexpinv(neg(x), velocity, k), rate, ZERO
 
 
 def _in_algebra(plan: Plan, body: Body, x: Vec) -> Vec:
@@ -154,27 +183,28 @@ def tidied(plan: Plan, body: Body, state: State) -> State:
 
     Not every step: a systematic error of a projection would then add up (1.5e-12 rad in 1e6 steps).
     """
-    q, d = state.chart
-    if plan.slots is not None:
-        nothing = 0.0 * d[0]
-        q, d = subgroup.on_subgroup(plan.slots, (q, d))
-        if plan.solver == "gain":  # H's zeros and ones, as numbers
-            q, d = tuple(nothing + x for x in q), tuple(nothing + x for x in d)
-        for row in plan.rows:
-            if row.kind == "screw":
-                x = plan.space.kinematics(body, (q, d), ZERO6)
-                d = (d[0], d[1], d[2] - value(row, x, body))
-    return state._replace(chart=(so3.orthonormalised(q), d))
+    if plan.slots is None:
+        q, place = state.chart
+        return state._replace(chart=(so3.orthonormalised(q), place))
+    nothing = 0.0 * state.chart[1][0]
+    p, d = subgroup.on_subgroup(plan.slots, state.chart)
+    if plan.solver == "gain":  # H's zeros and ones, as numbers
+        p, d = tuple(nothing + x for x in p), tuple(nothing + x for x in d)
+    p = quaternion.normalised(p)
+    for row in plan.rows:
+        if row.kind == "screw":
+            x = plan.space.kinematics(body, quaternion.pose((p, d)), ZERO6)
+            d = (d[0], d[1], d[2] - value(row, x, body))
+    return state._replace(chart=(p, d))
 
 
 def _recharted(plan: Plan, state: State) -> State:
     """C₀ ← C₀ exp X and X ← 0 where ‖ξ‖ has passed the threshold."""
-    far = dot(state.x[:3], state.x[:3]) > RECHART_ANGLE**2
+    far = dot(state.x[:3], state.x[:3]) > (plan.share * RECHART_ANGLE) ** 2
 
     def move() -> Any:
-        return where(
-            far, (pose_of(plan, state), tuple(0.0 * x for x in state.x)), (state.chart, state.x)
-        )
+        moved = plan.charts.compose_exp(state.chart, state.x)
+        return where(far, (moved, tuple(0.0 * x for x in state.x)), (state.chart, state.x))
 
     chart, x = branch(any_lanes(far), move, lambda: (state.chart, state.x), likely=False)
     return State(chart, x, state.v_or_mu)

@@ -15,8 +15,9 @@ from typing import Any
 
 from lierb.kernels.arithmetic import fma
 from lierb.kernels.constraints import Rows
-from lierb.kernels.newton_euler import Body, Pose
-from lierb.kernels.vec import IDENTITY, Vec, add, dot
+from lierb.kernels.newton_euler import Body
+from lierb.kernels.quaternion import Chart
+from lierb.kernels.vec import Vec, add, dot
 from lierb.kernels.zero import ZERO
 
 FIXED = -1  # slot of a component that is zero
@@ -131,12 +132,12 @@ def momentum_rate(
     return projected(slots, wrench, body.pitch)
 
 
-def on_subgroup(slots: Slots, pose: Pose) -> Pose:
+def on_subgroup(slots: Slots, chart: Chart) -> Chart:
     """A pose that is in H up to rounding, with H's structural zeros and ones."""
-    q, d = pose
-    turning = [slot != FIXED for slot in slots[:3]]
-    if not any(turning):
-        q = IDENTITY
-    elif turning == [False, False, True]:
-        q = (q[0], q[1], ZERO, q[3], q[4], ZERO, ZERO, ZERO, 1.0)
-    return q, tuple(x if slot != FIXED else ZERO for x, slot in zip(d, slots[3:], strict=True))
+    p, d = chart
+    if slots[:3] == (FIXED, FIXED, FIXED):
+        p = (1.0, ZERO, ZERO, ZERO)
+    return (
+        (p[0], *(x if slot != FIXED else ZERO for x, slot in zip(p[1:], slots[:3], strict=True))),
+        tuple(x if slot != FIXED else ZERO for x, slot in zip(d, slots[3:], strict=True)),
+    )

@@ -7,13 +7,20 @@ from numba import njit
 
 from lierb.kernels import _jit
 from lierb.kernels.arithmetic import gather, scatter
-from lierb.kernels.coefficients import atan2, coefficients, sincos, step_coefficients
+from lierb.kernels.coefficients import (
+    atan2,
+    coefficients,
+    half_angle_coefficients,
+    sincos,
+    step_coefficients,
+)
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.vec import inverse_symmetric, principal_axes
 
 FORMULAS = {
     "coefficients": coefficients,
     "step_coefficients": step_coefficients,
+    "half_angle_coefficients": half_angle_coefficients,
     "sincos": sincos,
     "atan2": lambda y, x: (atan2(y, x),),
     "inverse_symmetric": lambda *m: inverse_symmetric(m),

@@ -10,7 +10,13 @@ from oracle import mp
 from kernels.packs import on_lanes
 from kernels.samples import CUTOVERS, NUMBER_TYPES, angles, near_two_pi
 from lierb.kernels import coefficients as module
-from lierb.kernels.coefficients import Coefficients, coefficients, step_coefficients
+from lierb.kernels.coefficients import (
+    Coefficients,
+    HalfAngleCoefficients,
+    coefficients,
+    half_angle_coefficients,
+    step_coefficients,
+)
 
 NAMES = Coefficients._fields
 
@@ -112,6 +118,63 @@ def test_steps_leave_out_less_than_exp_and_dexpinv_can_tell(number_type):
         power = {"b": 2, "a1": 2, "c0": 2, "b1": 3, "c1": 3}.get(name, 1)
         error = abs(found - np.array([e[name] for e in exact])) * theta[tiny] ** power
         assert error.max() <= 2.0**-54
+
+
+# Each as a multiple of a coefficient of θ = 2φ, and what it never comes without, as (factor, power)
+# of φ: exp ξ and dexp⁻¹ are relative to 1, the displacement to η = 2ν.
+HALF = {
+    "sinc2": (2, "sinc", 1, 1), "a4": (4, "a", 0.5, 1), "b8": (8, "b", 0.5, 2),
+    "c04": (4, "c0", 1, 2), "c116": (16, "c1", 0.5, 3),
+}  # fmt: skip
+
+
+def half_angles(number_type, z):
+    if number_type == "lanes":
+        found = on_lanes("half_angle_coefficients", z, results=len(HalfAngleCoefficients._fields))
+    elif number_type == "arrays":
+        found = half_angle_coefficients(z)
+    else:
+        found = np.array([half_angle_coefficients(x) for x in z.tolist()]).T
+    return HalfAngleCoefficients(*found)
+
+
+@cache
+def exact_half_angles():
+    """φ², and all functions of it."""
+    theta = [np.geomspace(1e-9, module.TINY**0.5, 200), angles(), near_two_pi()]
+    z = (np.concatenate(theta) / 2) ** 2
+    rows = []
+    for phi in map(mp.sqrt, z.tolist()):
+        doubled = oracle.coefficients(2 * phi)
+        rows.append(
+            [-2 * mp.sin(phi / 2) ** 2, mp.sin(phi) / phi]
+            + [factor * doubled[name] for factor, name, *_ in HALF.values()]
+        )
+    return z, HalfAngleCoefficients(*np.array(rows, dtype=float).T)
+
+
+@every_number
+@pytest.mark.parametrize("name", HalfAngleCoefficients._fields)
+def test_half_angle_coefficients_sweep(number_type, name):
+    z, exact = exact_half_angles()
+    theta = 2.0 * np.sqrt(z)
+    error = abs(getattr(half_angles(number_type, z), name) - getattr(exact, name))
+    tiny = z <= 0.25 * module.TINY
+    factor, power = HALF[name][2:] if name in HALF else (1, name == "sinc")
+    effect = factor * error * (theta / 2) ** power
+    assert effect[tiny].max() <= 2.0**-54
+    # as in the sweeps above: 4z is exact
+    if "sinc" not in name:
+        error /= abs(getattr(exact, name))
+    bound = np.where(theta <= np.pi, 1e-15, np.maximum(3e-15, 2e-15 / (2.0 * np.pi - theta)))
+    assert_below(error[~tiny], ((2 if name == "sinc2" else 1) * bound)[~tiny], theta[~tiny])
+
+
+@every_number
+def test_half_angle_coefficients_of_a_nan_are_nan(number_type):
+    found = np.array(half_angles(number_type, np.array([np.nan, 1e-6, 1.0, 12.0])))
+    assert np.isnan(found[:, 0]).all()
+    assert np.isfinite(found[:, 1:]).all()
 
 
 def test_coefficients_cut_over_where_the_tests_are_dense():
