@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
-from lierb.columns import numbers, texts, vectors
+from lierb.columns import each_row, numbers, texts, vectors
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -153,8 +153,8 @@ def integrate(
     grid = engine.Grid(float(dt), steps, *strides)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
-    def check_start(errors: Array, first: int) -> bool:
-        error = checks.violation(inputs, errors, first)
+    def check_start(starts: Array, first: int) -> bool:
+        error = checks.violation(inputs, starts, first)
         _report(error, on_violation)
         return error is None
 
@@ -328,13 +328,13 @@ def _energy_of(problem: Problem) -> str:
 
 
 def _summary_table(output: engine.Output, metadata: str, covers: str) -> pa.Table:
-    scalars = dict(zip(engine.SUMMARY_SCALARS, output.scalars, strict=True))
+    scalars = dict(zip(engine.SUMMARY_SCALARS, each_row(output.scalars), strict=True))
     columns = {
         "body": numbers(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
         "t": numbers(output.t),
     }
-    columns |= {name: numbers(scalars[name]) for name in SUMMARY_ORDER}
+    columns |= {name: scalars[name] for name in SUMMARY_ORDER}
     columns |= {name: vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)}
     return _table(columns, metadata, covers)
 
@@ -354,14 +354,14 @@ def _errors_table(
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(saved * grid.dt, count)),
     }
-    scalars = dict(zip(ERROR_COLUMNS, output.errors, strict=True))
+    scalars = dict(zip(ERROR_COLUMNS, each_row(output.errors), strict=True))
     energy = scalars.pop("energy")
-    columns |= {name: numbers(array) for name, array in scalars.items()}
+    columns |= scalars
     if "state" in recorded:
         for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
             columns[name] = vectors(array)
     if "energy" in recorded:
-        columns["energy"] = numbers(energy)
+        columns["energy"] = energy
     units = ""
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = vectors(output.multipliers)

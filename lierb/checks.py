@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,7 @@ from lierb.arrays import Array
 from lierb.engine import Inputs
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.constraints import (
-    Rows,
-    fixed_axes,
+    held_axes,
     jacobian,
     position_error_squared,
     prescribed_rate,
@@ -20,13 +18,11 @@ from lierb.kernels.constraints import (
     rotation_error_squared,
     value,
 )
-from lierb.kernels.driver import body_of, parameters_of
+from lierb.kernels.driver import START_TOLERANCE, body_of, parameters_of
 from lierb.kernels.newton_euler import SE3, Body, Kinematics
 from lierb.kernels.vec import Vec, dot, norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
-
-TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 
 
 def require_central_com(problem: Problem) -> None:
@@ -47,29 +43,17 @@ def require_consistent(problem: Problem, twists: Array, poses: Array | None) -> 
             raise found
 
 
-def violation(inputs: Inputs, start_columns: Array, first: int = 0) -> LierbError | None:
+def violation(inputs: Inputs, starts: Array, first: int = 0) -> LierbError | None:
     """The first violation of the joint, as an error to raise or to warn of.
 
-    start_columns : START_COLUMNS of the bodies from number `first` on, [column][body].
+    starts : 1 for a body that starts on its joint, else 0, for those from number `first` on.
     """
-    rows = inputs.problem.rows
-    errors, cosines = start_columns[:4], start_columns[4:][_held_axes(rows)]
-    if errors.max() <= TOLERANCE and cosines.min(initial=1.0) > 0.0:
-        return None
-    fine = (errors <= TOLERANCE).all(axis=0) & (cosines > 0.0).all(axis=0)  # false for NaN
-    for body in np.flatnonzero(~fine).tolist():
+    for body in np.flatnonzero(starts == 0.0).tolist():
         with np.errstate(all="ignore"):
             found = _violation_of(inputs, first + body)
         if found is not None:  # else it is at the tolerance, to rounding
             return found
     return None
-
-
-@lru_cache(64)
-def _held_axes(rows: Rows) -> list[int]:
-    """The joint axes that `Omega` rows keep parallel."""
-    fixed = fixed_axes(rows)
-    return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
@@ -90,14 +74,14 @@ def _pose_violation(
     problem: Problem, x: Kinematics, body: Body, size: float, label: str
 ) -> PoseError | None:
     rows, joint = problem.rows, problem.joint
-    if any(x.q[4 * axis] <= 0.0 for axis in _held_axes(rows)):  # 180°: no error sees it
+    if any(x.q[4 * axis] <= 0.0 for axis in held_axes(rows)):  # 180°: no error sees it
         return PoseError(
             f"{label} holds the {joint.name} joint the wrong way round: its axis on the body "
             "points against that on the ground; turn pose0 or one of the joint's frames by 180°"
         )
     for what, unit, squared, allowed in (
-        ("position", " m", position_error_squared(rows, x, body), TOLERANCE * size),
-        ("rotation", "", rotation_error_squared(rows, x, body), TOLERANCE),
+        ("position", " m", position_error_squared(rows, x, body), START_TOLERANCE * size),
+        ("rotation", "", rotation_error_squared(rows, x, body), START_TOLERANCE),
     ):
         error = _root(squared)
         if error <= allowed < np.inf:
@@ -124,7 +108,7 @@ def _pose_violation(
 def _twist_violation(
     problem: Problem, x: Kinematics, body: Body, velocity: Vec, size: float, label: str
 ) -> TwistError | None:
-    allowed = TOLERANCE * size
+    allowed = START_TOLERANCE * size
     squares = rate_errors_squared(problem.rows, x, body, velocity)
     for what, unit, squared in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, strict=True

@@ -23,6 +23,12 @@ def numbers(array: NDArray) -> pa.Array:
 _type = cache(pa.from_numpy_dtype)
 
 
+def each_row(array: NDArray) -> list[pa.Array]:
+    """A column for each index along an array's first axis, parts of one."""
+    whole, size = numbers(array), array[0].size
+    return [whole.slice(i * size, size) for i in range(len(array))]
+
+
 def vectors(array: NDArray) -> pa.Array:
     """A column of fixed-size lists over an array's last axis, without a copy as above."""
     return pa.FixedSizeListArray.from_arrays(numbers(array), array.shape[-1])

@@ -27,8 +27,8 @@ from lierb.kernels.driver import (
     INPUT_COLUMNS,
     INPUT_SLICES,
     OK,
-    START_COLUMNS,
     SUMMARY_COLUMNS,
+    UNSEEN,
     input_columns,
     integrate_block,
     integrate_blocks,
@@ -203,6 +203,11 @@ class Chunk:
         """`summary` without the padding."""
         return self.summary[:, : self.stop - self.start]
 
+    @property
+    def starts(self) -> Array:
+        """1 for a body that starts on its joint, else 0."""
+        return self.found[-1:].ravel()
+
 
 @dataclass(frozen=True)
 class Output:
@@ -262,23 +267,29 @@ def integrate(
     progress: Progress = None,
     check: Callable[[Array, int], bool] | None = None,
 ) -> Output:
-    """Run every body to the end, chunk by chunk, after `check` has seen how all of them start.
+    """Run every body to the end, chunk by chunk.
 
-    check : a function of a chunk's START_COLUMNS, [column][body], and the number of its first body;
-        it raises, or says whether it wants to see the next chunk.
+    check : a function of a chunk's `starts` and the number of its first body; it raises, or says
+        whether it wants to see the next chunk. It sees all of them before the first step, or, where
+        they are but one chunk, after the driver's first call.
     """
     _check_threads()
     used = _threads(threads, -(-inputs.count // plan.lanes))
     output = Output.empty(plan, inputs.count, grid, with_state)
     chunks = _Chunks(inputs, plan.lanes)
-    if check is not None:
+    if check is not None and inputs.count > CHUNK_BODIES:
         for chunk in chunks:
-            _call_driver(plan, chunk, output, grid, 0, 0, used)
-            if not check(chunk.found[: len(START_COLUMNS)], chunk.start):
+            _call_driver(plan, chunk, output, grid, UNSEEN, 0, used)
+            if not check(chunk.starts, chunk.start):
                 break
+        check = None
     with _reporter(progress, inputs.count * grid.steps) as report:
         for chunk in chunks:
-            for done in _run_chunk(plan, chunk, grid, output, used):
+            begin = 0 if check is None else UNSEEN
+            for done in _run_chunk(plan, chunk, grid, output, used, begin):
+                if check is not None:
+                    check(chunk.starts, chunk.start)
+                    check = None
                 report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
     return output
 
@@ -297,14 +308,20 @@ class _Chunks:
             yield self.held
 
 
-def _run_chunk(plan: Plan, chunk: Chunk, grid: Grid, output: Output, threads: int) -> Iterator[int]:
-    """Run a chunk to the end; yields the steps done after each call of the driver."""
-    begin, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
-    while begin < grid.steps:
-        end = min(begin + ahead, grid.steps)
+def _run_chunk(
+    plan: Plan, chunk: Chunk, grid: Grid, output: Output, threads: int, begin: int
+) -> Iterator[int]:
+    """Run a chunk to the end; yields the steps done after each call of the driver.
+
+    begin : 0 or UNSEEN.
+    """
+    done, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
+    while done < grid.steps:
+        end = min(done + ahead, grid.steps)
         seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
-        begin, ahead = end, max(1, int(CALL_SECONDS / seconds * (end - begin)))
-        yield begin
+        ahead = max(1, int(CALL_SECONDS / seconds * (end - done)))
+        begin = done = end
+        yield done
     output.take(chunk, grid)
 
 

@@ -18,7 +18,7 @@ from lierb.errors import (
     TwistError,
     UnknownNameError,
 )
-from lierb.kernels.driver import store_start
+from lierb.kernels.driver import UNSEEN, store_start
 
 POINT = (-0.15, 0.0375, 0.0)
 BOX = (0.0126563, 0.0468281, 0.0569531)
@@ -34,13 +34,15 @@ def stop_before_running(monkeypatch):
     """Nothing in this file shall run a step, or compile: a stub checks starts in plain Python."""
 
     def stub(sources, plan, counter, lanes, threads, inputs, carried, summary, *others):
-        *_, stop, _last, _h, _measure_every, _save_every = others
-        if stop > 0:
+        *_, begin, stop, _last, _h, _measure_every, _save_every = others
+        if begin == UNSEEN:
+            for body in range(inputs.shape[1]):
+                store_start(plan, inputs, summary, body)
+        if stop > 0 and (begin != UNSEEN or summary[-1].all()):
             raise DriverReached
-        for body in range(inputs.shape[1]):
-            store_start(plan, inputs, summary, body)
 
     monkeypatch.setattr(lierb.engine, "integrate_blocks", stub)
+    monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
     monkeypatch.setattr(lierb.engine._jit, "entry_of", lambda function, plan, *args: plan)
 
 
@@ -621,7 +623,7 @@ def test_check_warn_warns_once_and_runs(argument):
 
 def test_check_warn_points_at_the_callers_line():
     with pytest.warns(InconsistentStateWarning) as caught, pytest.raises(DriverReached):
-        lierb.integrate(spherical_top(), dt=1.0, t_end=1.0, check="warn", **BAD_STATES["twist0"])
+        lierb.integrate(spherical_top(), dt=1.0, t_end=2.0, check="warn", **BAD_STATES["twist0"])
     assert caught[0].filename == __file__
 
 

@@ -184,6 +184,12 @@ def fixed_axes(rows: Rows) -> list[int]:
     return sorted({r.i for r in rows if r.kind == "Omega"})
 
 
+def held_axes(rows: Rows) -> list[int]:
+    """The joint axes that `Omega` rows keep parallel."""
+    fixed = fixed_axes(rows)
+    return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
+
+
 def residuals(rows: Rows, x: Kinematics, body: Body) -> list[Any]:
     """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
     fixed = fixed_axes(rows)

@@ -28,6 +28,7 @@ from lierb.kernels.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.constraints import held_axes
 from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3, closed_pose
@@ -74,13 +75,10 @@ def input_columns(elements: tuple[Element, ...]) -> int:
 
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
-# What `store_start` leaves in `summary`: the errors of the start, those of lengths over 1 + ‖r‖ and
-# those of rates over 1 + ‖V‖, and the cosines between the axes of the two joint frames.
-START_COLUMNS = (
-    "position", "rotation", "velocity", "rotation_rate", "cosine_1", "cosine_2", "cosine_3",
-)  # fmt: skip
 CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V or μ, Record
-SUMMARY_COLUMNS = 11 + 18  # Record, R, r, ω, v
+SUMMARY_COLUMNS = 11 + 18 + 1  # Record; R, r, ω, v; whether the start is on the joint
+UNSEEN = -1  # in place of step 0, for a start that is to be looked at
+START_TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 ERROR_COLUMNS = (
     "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
     "orthogonality_error", "energy",
@@ -378,18 +376,21 @@ def store_summary(
 
 
 def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
-    """How far the start, as given, is off the joint; see START_COLUMNS."""
+    """1 where the start, as given, is on the joint, and 0 elsewhere."""
     numbers = _columns(plan, inputs, input_columns(plan.elements), first)
     parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO, ZERO)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
-    found = (
-        sqrt(off.position) / place, sqrt(off.rotation), sqrt(off.velocity) / speed,
-        sqrt(off.rotation_rate) / speed, *(chart[0][4 * axis] for axis in range(3)),
-    )  # fmt: skip
-    for c, number in enumerate(found):
-        store(summary, (c, first), number, plan.lanes)
+    fine = (place <= LARGEST) & (speed <= LARGEST)
+    for error in (
+        sqrt(off.position) / place, sqrt(off.rotation),
+        sqrt(off.velocity) / speed, sqrt(off.rotation_rate) / speed,
+    ):  # fmt: skip
+        fine = fine & (error <= START_TOLERANCE)  # false for NaN
+    for axis in held_axes(plan.rows):
+        fine = fine & (chart[0][4 * axis] > 0.0)  # the right way round
+    store(summary, (SUMMARY_COLUMNS - 1, first), where(fine, 1.0, 0.0), plan.lanes)
 
 
 for _formula in (
@@ -415,11 +416,13 @@ def integrate_block(
 ):  # fmt: skip
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories).
 
-    `last` is the run's last step. With stop = 0 nothing is integrated: `summary` gets
-    START_COLUMNS.
+    `last` is the run's last step. With begin = UNSEEN the start is looked at first; with stop = 0
+    that is all.
     """
-    if stop == 0:
+    if begin == UNSEEN:
         store_start(plan, inputs, summary, first)
+        begin = 0
+    if stop == 0:
         return
     body = load_body(plan, inputs, first)
     if begin == 0:
