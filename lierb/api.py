@@ -257,8 +257,7 @@ def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every
         if not (
             isinstance(seconds, (int, float, np.integer, np.floating))
             and not isinstance(seconds, bool)
-            and np.isfinite(seconds)
-            and seconds > 0
+            and 0 < seconds <= sys.float_info.max  # false for NaN
         ):
             raise TimeGridError(f"{name}={seconds!r}; expected a positive time in s")
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):

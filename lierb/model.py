@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -211,17 +212,17 @@ class Problem:
             [element(e) for e in self.forces], [element(e) for e in self.constraints],
         )  # fmt: skip
 
-    @property
+    @cached_property
     def elements(self) -> tuple[Element, ...]:
         """Forces and constraints."""
         return (*self.forces, *self.constraints)
 
-    @property
+    @cached_property
     def kinds(self) -> tuple[kinds.Element, ...]:
         """Of the elements, as compiled code is specialised on them."""
         return tuple(element.kind for element in self.elements)
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
         """Every constraint row: the joint's, those of motors, and further ones."""
         added = (
@@ -231,20 +232,26 @@ class Problem:
         )
         return (*self.joint.rows, *added)
 
+    @cached_property
+    def _batched(self) -> dict[str, tuple[Array, int]]:
+        """The batched arguments, with the number of an item's axes."""
+        entries = {
+            "mass": (self.body.mass, 0),
+            "inertia": (self.body.inertia, 2),
+            "com": (self.body.com, 1),
+            "ground_frame": (self.joint.ground_frame, 2),
+            "body_frame": (self.joint.body_frame, 2),
+            "pitch": (self.joint.pitch, 0),
+            "length": (self.joint.length, 0),
+            "gravity": (self.gravity, 1),
+        }
+        for element in self.elements:
+            entries |= element.batched()
+        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
+
     def batch_size(self, **more: Any) -> int | None:
         """Number of bodies that the batched arguments ask for; None where none is batched."""
-        return batch_size(
-            mass=self.body.mass,
-            inertia=(self.body.inertia, 2),
-            com=(self.body.com, 1),
-            ground_frame=(self.joint.ground_frame, 2),
-            body_frame=(self.joint.body_frame, 2),
-            pitch=self.joint.pitch,
-            length=self.joint.length,
-            gravity=(self.gravity, 1),
-            **{name: entry for e in self.elements for name, entry in e.batched().items()},
-            **more,
-        )
+        return batch_size(**self._batched, **more)
 
     def parameters(self) -> Parameters:
         """The problem as formulas take it, one array per component."""
