@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
@@ -253,18 +254,11 @@ def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str,
 
 
 def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every: int) -> int:
-    for name, seconds in (("dt", dt), ("t_end", t_end)):
-        if not (
-            isinstance(seconds, (int, float, np.integer, np.floating))
-            and not isinstance(seconds, bool)
-            and 0 < seconds <= sys.float_info.max  # false for NaN
-        ):
-            raise TimeGridError(f"{name}={seconds!r}; expected a positive time in s")
+    dt, t_end = _checked_time("dt", dt), _checked_time("t_end", t_end)
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         whole = isinstance(every, (int, np.integer)) and not isinstance(every, bool)
         if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
             raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
-    dt, t_end = float(dt), float(t_end)
     if t_end / dt > MOST_STEPS:
         raise TimeGridError(f"t_end={t_end!r} s is more than {MOST_STEPS:g} steps of dt={dt!r} s")
     steps = round(t_end / dt)
@@ -276,6 +270,17 @@ def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every
             f"{below * dt:.15g} and {(below + 1) * dt:.15g}"
         )
     return steps
+
+
+def _checked_time(name: str, given: float) -> float:
+    is_real = isinstance(given, (int, float, np.integer, np.floating))
+    try:
+        seconds = float(given) if is_real and not isinstance(given, bool) else math.nan
+    except OverflowError:
+        seconds = math.inf
+    if not 0.0 < seconds < math.inf:
+        raise TimeGridError(f"{name}={given!r}; expected a positive time in s")
+    return seconds
 
 
 def _report(error: ValueError | None, check: str) -> None:
