@@ -148,7 +148,7 @@ def integrate(
         multipliers="multipliers" in recorded,
         reaction="reaction" in recorded,
         elements=problem.kinds,
-        solver=found_by,
+        solver="saddle" if found_by == "saddle" else "subgroup",
     )
     strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
     grid = engine.Grid(float(dt), steps, *strides)
@@ -169,7 +169,7 @@ def integrate(
             "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
             "update": update, "save_every": grid.save_every or None,
             "measure_every": grid.measure_every,
-            "record": recorded, "check": check, "solver": plan.solver,
+            "record": recorded, "check": check, "solver": found_by,
         },
     )  # fmt: skip
     output = engine.integrate(
@@ -199,7 +199,7 @@ def check_options(
     check: str = "raise",
     solver: str = "auto",
 ) -> tuple[tuple[str, ...], ButcherTableau, int, str]:
-    """Raise what `integrate` would; columns to record, method, steps and the plan's solver."""
+    """Raise what `integrate` would; columns to record, method, steps and what finds V̇."""
     check_names(cspace=cspace, update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
@@ -220,7 +220,7 @@ def check_names(**given: str) -> None:
 
 
 def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
-    """How the plan shall find accelerations: its `solver`."""
+    """How accelerations are found: "saddle", or on a subgroup "gain" (SE(3)) or "reduced"."""
     subgroup = problem.joint.subgroup
     added = [element.name for element in problem.elements if element.kind.rows]
     if cspace == "reduced":

@@ -193,8 +193,7 @@ def _structured(plan: Plan, state: State, pitch: Any) -> State:
     if plan.slots is not None:
         x = in_subalgebra(plan.slots, x, pitch)
         v_or_mu = projected(plan.slots, v_or_mu, pitch)
-        if plan.solver == "reduced":
-            chart = on_subgroup(plan.slots, chart)
+        chart = on_subgroup(plan.slots, chart)
     return State(chart, ZERO6 if plan.is_local else x, v_or_mu)
 
 

@@ -44,8 +44,8 @@ class Plan(Tag):
     multipliers: bool  # whether λ is recorded
     reaction: bool = False  # whether the joint's wrench is
     elements: tuple[Element, ...] = ()  # forces beside gravity, and constraints beside the joint's
-    # Where accelerations come from: "saddle", the saddle point in every stage, or a subgroup
-    # joint's constant gain, on poses in SE(3) ("gain") or in the subgroup itself ("reduced").
+    # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
+    # subgroup joint's constant gain, by which poses stay in the subgroup.
     solver: str = "saddle"
 
     @cached_property

@@ -179,18 +179,14 @@ def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -
 
 
 def tidied(plan: Plan, body: Body, state: State) -> State:
-    """The state with C₀ put back where rounding has taken it from: R on SO(3), D on the joint's H.
+    """The state with C₀ put back where rounding has taken it from: R on SO(3), a screw on its H.
 
     Not every step: a systematic error of a projection would then add up (1.5e-12 rad in 1e6 steps).
     """
     if plan.slots is None:
         q, place = state.chart
         return state._replace(chart=(so3.orthonormalised(q), place))
-    nothing = 0.0 * state.chart[1][0]
-    p, d = subgroup.on_subgroup(plan.slots, state.chart)
-    if plan.solver == "gain":  # H's zeros and ones, as numbers
-        p, d = tuple(nothing + x for x in p), tuple(nothing + x for x in d)
-    p = quaternion.normalised(p)
+    p, d = quaternion.normalised(state.chart[0]), state.chart[1]
     for row in plan.rows:
         if row.kind == "screw":
             x = plan.space.kinematics(body, quaternion.pose((p, d)), ZERO6)

@@ -25,8 +25,8 @@ pytestmark = pytest.mark.skipif(
 # (joint, c-space, solver), and fused multiply–adds that one RK4 step takes on a pack at least:
 # the coordinates of X and V times four stages and the end, and the solver's own.
 PLANS = {
-    "gain": ("spherical", "SE3", "gain", 200),
-    "reduced": ("revolute", "SE3", "reduced", 50),
+    "spherical": ("spherical", "SE3", "subgroup", 200),
+    "revolute": ("revolute", "SE3", "subgroup", 50),
     "saddle": ("revolute", "SE3", "saddle", 600),
     "saddle_so3xr3": ("spherical", "SO3xR3", "saddle", 400),
 }
