@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -176,6 +176,10 @@ class Inputs:
         return input_columns(self.problem.kinds)
 
 
+# Of the last run, for the next: memory fresh from the system takes as long as a dozen steps.
+_spare: list[Array] = []
+
+
 @dataclass(frozen=True)
 class Chunk:
     """Bodies start … stop while they are integrated: [column][body, padded to full blocks]."""
@@ -185,6 +189,7 @@ class Chunk:
     inputs: Array
     carried: Array
     summary: Array
+    memory: Array  # that the three are parts of
 
     @classmethod
     def of(cls, inputs: Inputs, start: int, lanes: int, spent: Chunk | None = None) -> Chunk:
@@ -192,11 +197,14 @@ class Chunk:
         stop = min(start + CHUNK_BODIES, inputs.count)
         width = -(-(stop - start) // lanes) * lanes
         if spent is not None and spent.inputs.shape[1] == width:
-            packed = inputs.packed(start, stop, spent.inputs, is_new=False)
-            return cls(start, stop, packed, spent.carried, spent.summary)
-        heights = (inputs.columns, CARRIED_COLUMNS, SUMMARY_COLUMNS)
-        arrays = [np.empty((height, width)) for height in heights]
-        return cls(start, stop, inputs.packed(start, stop, arrays[0]), *arrays[1:])
+            inputs.packed(start, stop, spent.inputs, is_new=False)
+            return replace(spent, start=start, stop=stop)
+        rows = inputs.columns, inputs.columns + CARRIED_COLUMNS
+        count = rows[1] + SUMMARY_COLUMNS
+        memory = spent.memory if spent is not None else _memory(count * width)
+        columns = memory[: count * width].reshape(count, width)
+        packed = inputs.packed(start, stop, columns[: rows[0]])
+        return cls(start, stop, packed, columns[rows[0] : rows[1]], columns[rows[1] :], memory)
 
     @property
     def found(self) -> Array:
@@ -207,6 +215,14 @@ class Chunk:
     def starts(self) -> Array:
         """1 for a body that starts on its joint, else 0."""
         return self.found[-1:].ravel()
+
+
+def _memory(size: int) -> Array:
+    """So many numbers or more, uninitialised."""
+    with suppress(IndexError):  # none is left, or another thread was faster
+        if (spare := _spare.pop()).size >= size:
+            return spare
+    return np.empty(size)
 
 
 @dataclass(frozen=True)
@@ -291,6 +307,7 @@ def integrate(
                     check(chunk.starts, chunk.start)
                     check = None
                 report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
+    _spare[:] = [chunk.memory]
     return output
 
 
