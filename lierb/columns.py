@@ -17,16 +17,22 @@ from numpy.typing import NDArray
 def numbers(array: NDArray) -> pa.Array:
     """A column of all of an array's numbers, without a copy if they lie in order."""
     array = np.ascontiguousarray(array)
-    return pa.Array.from_buffers(_type(array.dtype), array.size, [None, pa.py_buffer(array)])
+    return _column(array.dtype, array.size, pa.py_buffer(array))
+
+
+def _column(dtype: np.dtype, size: int, buffer: pa.Buffer) -> pa.Array:
+    return pa.Array.from_buffers(_type(dtype), size, [None, buffer])
 
 
 _type = cache(pa.from_numpy_dtype)
 
 
 def each_row(array: NDArray) -> list[pa.Array]:
-    """A column for each index along an array's first axis, parts of one."""
-    whole, size = numbers(array), array[0].size
-    return [whole.slice(i * size, size) for i in range(len(array))]
+    """A column for each index along an array's first axis, without a copy as above."""
+    array = np.ascontiguousarray(array)
+    # Of the buffer: a slice of a column would drag all of it along when it is pickled.
+    buffer, size, width = pa.py_buffer(array), array[0].size, array[0].nbytes
+    return [_column(array.dtype, size, buffer.slice(i * width, width)) for i in range(len(array))]
 
 
 def vectors(array: NDArray) -> pa.Array:

@@ -214,7 +214,8 @@ class Chunk:
     @property
     def starts(self) -> Array:
         """1 for a body that starts on its joint, else 0."""
-        return self.found[-1:].ravel()
+        starts: Array = self.found[-1]
+        return starts
 
 
 def _memory(size: int) -> Array:

@@ -381,12 +381,12 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO, ZERO)
     place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
-    fine = (place <= LARGEST) & (speed <= LARGEST)
+    fine = (place >= 1.0) & (speed >= 1.0)  # false for NaN
     for error in (
         sqrt(off.position) / place, sqrt(off.rotation),
         sqrt(off.velocity) / speed, sqrt(off.rotation_rate) / speed,
     ):  # fmt: skip
-        fine = fine & (error <= START_TOLERANCE)  # false for NaN
+        fine = fine & (error <= START_TOLERANCE)
     for axis in held_axes(plan.rows):
         fine = fine & (chart[0][4 * axis] > 0.0)  # the right way round
     store(summary, (SUMMARY_COLUMNS - 1, first), where(fine, 1.0, 0.0), plan.lanes)

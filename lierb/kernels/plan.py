@@ -20,14 +20,12 @@ def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
 
     Every operation of a step waits for the one before it. Two packs side by side hide that, as
     long as what is alive fits the registers: on a subgroup, a rate for each stage and freedom.
-    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 209, 320, 280; cylindrical 184,
-    235, 173; spherical 107, 108, 71; spherical by DOP853 23, 22, 18. On AVX2, which has half as
-    many registers, with 4, 8 and 16: revolute 121, 188, 193; cylindrical 104, 147, 117; spherical
-    58, 54, 44; spherical by DOP853 13, 10, 10. A batch that fills no block pays for one all the
-    same: one kernel serves every batch.
+    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 200, 297, 310; cylindrical 181,
+    280, 217; spherical 103, 107, 75; spherical by DOP853 21, 23, 18. On AVX2 with 4, 8 and 16:
+    revolute 121, 187, 176; cylindrical 115, 156, 160; spherical 57, 65, 43; spherical by DOP853
+    13, 11, 9. A batch that fills no block pays for one all the same: one kernel serves every batch.
     """
-    alive = stages * (6 - rows)
-    hides = solver != "saddle" and alive <= (12 if width == 8 else 8)
+    hides = solver != "saddle" and stages * (6 - rows) <= 12
     return 2 * width if hides and width > 1 else width
 
 
@@ -76,7 +74,7 @@ class Plan(Tag):
 
     @property
     def share(self) -> float:
-        """Of X, which `charts` asks for."""
+        """What `charts` takes in place of X, as a part of it: quaternions ask for X/2."""
         return 1.0 if self.slots is None else 0.5
 
     @property

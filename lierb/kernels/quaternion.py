@@ -40,8 +40,12 @@ def matrix(p: Quaternion) -> Mat:
 
 
 def normalised(p: Quaternion) -> Quaternion:
-    """The unit quaternion nearest to a p that is off by rounding."""
-    return scale(1.5 - 0.5 * dot(p, p), p)
+    """The unit quaternion nearest to a p that is off by rounding.
+
+    As p plus what is missing: times a factor beside 1, all of p would be rounded once more, and its
+    axis with it, in the same direction each time.
+    """
+    return axpy(0.5 - 0.5 * dot(p, p), p, p)
 
 
 def product(p: Quaternion, x: Vec) -> Quaternion:
@@ -84,11 +88,11 @@ def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Cha
 
 
 def dexpinv(y: Vec, v: Vec, k: HalfAngleCoefficients) -> Vec:
-    """`se3.dexpinv` at X = 2Y: −½ and c₀ go together, which saves a sum."""
-    (omega, v), upsilon, nu = (v[:3], v[3:]), y[:3], y[3:]
-    turned, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, v))
-    half = tuple(fma(k.c04, x, -w) for x, w in zip(turned, omega, strict=True))
-    second = tuple(fma(k.c04, x, -w) for x, w in zip(bracket, v, strict=True))
-    coupled = cross_add(upsilon, second, cross_add(nu, half, v))
+    """`se3.dexpinv` at X = 2Y: −½ and c₀ share their last cross product, which saves a sum."""
+    upsilon, nu, omega, slide = y[:3], y[3:], v[:3], v[3:]
+    turned, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, slide))
+    first = tuple(fma(k.c04, x, -w) for x, w in zip(turned, omega, strict=True))
+    second = tuple(fma(k.c04, x, -w) for x, w in zip(bracket, slide, strict=True))
+    coupled = cross_add(upsilon, second, cross_add(nu, first, slide))
     pitch = dot(upsilon, nu)
-    return cross_add(upsilon, half, omega) + axpy(pitch * k.c116, cross(upsilon, turned), coupled)
+    return cross_add(upsilon, first, omega) + axpy(pitch * k.c116, cross(upsilon, turned), coupled)

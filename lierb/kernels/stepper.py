@@ -31,12 +31,12 @@ from lierb.kernels.zero import ZERO
 Pose = tuple[Mat, Vec]
 # Any angle between 0.25 and 5 rad does as well; 5.8 degrades, 6.2 fails.
 RECHART_ANGLE = PI
-TIDY_EVERY = 30  # steps; 16 to 64 do as well, but 30 is a multiple of most `measure_every`
+TIDY_EVERY = 30  # steps; 16 to 64 do as well, but with measure_every=10 this one is measured too
 
 
 class State(NamedTuple):
     chart: Pose | Chart  # C₀; on a subgroup with a unit quaternion
-    x: Vec  # X, on a subgroup its half; structurally zero in a local update
+    x: Vec  # `Plan.share` of X; structurally zero in a local update
     v_or_mu: Vec  # V; on a subgroup its momentum μ
 
 
@@ -181,7 +181,8 @@ def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -
 def tidied(plan: Plan, body: Body, state: State) -> State:
     """The state with C₀ put back where rounding has taken it from: R on SO(3), a screw on its H.
 
-    Not every step: a systematic error of a projection would then add up (1.5e-12 rad in 1e6 steps).
+    Not every step: a systematic error of a projection would then add up (for R's 1.5e-12 rad in 1e6
+    steps).
     """
     if plan.slots is None:
         q, place = state.chart

@@ -133,7 +133,7 @@ def momentum_rate(
 
 
 def on_subgroup(slots: Slots, chart: Chart) -> Chart:
-    """A pose that is in H up to rounding, with H's structural zeros and ones."""
+    """A pose in H, with H's structural zeros and ones; what is off H is dropped."""
     p, d = chart
     if slots[:3] == (FIXED, FIXED, FIXED):
         p = (1.0, ZERO, ZERO, ZERO)

@@ -25,8 +25,8 @@ pytestmark = pytest.mark.skipif(
 # (joint, c-space, solver), and fused multiply–adds that one RK4 step takes on a pack at least:
 # the coordinates of X and V times four stages and the end, and the solver's own.
 PLANS = {
-    "spherical": ("spherical", "SE3", "subgroup", 200),
-    "revolute": ("revolute", "SE3", "subgroup", 50),
+    "spherical": ("spherical", "SE3", "subgroup", 180),
+    "revolute": ("revolute", "SE3", "subgroup", 45),
     "saddle": ("revolute", "SE3", "saddle", 600),
     "saddle_so3xr3": ("spherical", "SO3xR3", "saddle", 400),
 }
@@ -63,9 +63,20 @@ def hot_loop(request) -> SimpleNamespace:
     fresh = numba.njit(**OPTIONS)(integrate_block.py_func)  # Numba shows no code from its cache
     fresh.compile(signature)
     assembly = fresh.inspect_asm(signature)
-    loops = map(Counter, innermost_loops(assembly))
+    loops = [Counter(loop) for loop in innermost_loops(assembly)]
+    if solver == "subgroup":
+        # The way of small angles: five branches (the angles of three stages and of the step, and
+        # whether it went well) and the jump back. Others divide, as does the search for principal
+        # axes, or begin with a long series, all multiply–adds.
+        loops = [
+            loop for loop in loops
+            if count(loop, r"j\w+") <= 6 and count(loop, "vmulpd")
+            and not count(loop, r"v(div|sqrt)pd")
+        ]  # fmt: skip
     hottest = max(loops, key=lambda loop: count(loop, PACKED_FMA.pattern))
-    return SimpleNamespace(assembly=assembly, operations=hottest, expected=expected)
+    return SimpleNamespace(
+        assembly=assembly, operations=hottest, expected=expected, packs=plan.lanes // DEFAULT_LANES
+    )
 
 
 def count(loop: Counter, pattern: str) -> int:
@@ -73,7 +84,7 @@ def count(loop: Counter, pattern: str) -> int:
 
 
 def test_the_hot_loop_is_made_of_packed_multiply_adds(hot_loop):
-    assert count(hot_loop.operations, PACKED_FMA.pattern) >= hot_loop.expected
+    assert hot_loop.expected <= count(hot_loop.operations, PACKED_FMA.pattern) / hot_loop.packs
 
 
 def test_the_hot_loop_computes_on_packs_only(hot_loop):
