@@ -114,11 +114,12 @@ def test_threads_are_set_back_after_an_error():
 
 def test_threads_are_used_in_the_call(monkeypatch):
     seen = []
-    monkeypatch.setattr(
-        lierb.engine,
-        "integrate_blocks",
-        lambda *_: seen.append(numba.get_num_threads()),
-    )
+
+    def idle(sources, entry, counter, lanes, threads, inputs, carried, summary, *others):
+        seen.append(numba.get_num_threads())
+        summary[:] = 0.0
+
+    monkeypatch.setattr(lierb.engine, "integrate_blocks", idle)
     run(threads=1)
     assert set(seen) == {1}
 
