@@ -72,13 +72,6 @@ def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
     )  # fmt: skip
 
 
-def rotate(xi: Vec, x: Vec, k: Coefficients | None = None) -> Vec:
-    """exp(ξ) x, without forming the matrix: x + sinc ξ×x + a ξ×(ξ×x)."""
-    k = k or angle_coefficients(xi)
-    turned = cross(xi, x)
-    return axpy(k.a, cross(xi, turned), axpy(k.sinc, turned, x))
-
-
 def orthonormalised(q: Mat) -> Mat:
     """The rotation nearest to a Q that is off by rounding: Q (3 I − QᵀQ)/2."""
     gram = mat_t_mat(q, q)
