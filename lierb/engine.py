@@ -50,9 +50,11 @@ CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed 
 # Bodies in one chunk: about 1 kB each, so that a chunk stays in the cache beside the state.
 CHUNK_BODIES = 4096
 # One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
-# enough that the 30 µs of a call do not show.
+# enough that the 30 µs of a call do not show, nor the half microsecond that it takes to bring a
+# body into the registers and out again. A chunk's first call lasts half of that, if it runs as fast
+# as the last one did.
 CALL_SECONDS = 0.15
-FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast this problem runs
+FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast a plan runs
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,8 @@ class Inputs:
         """Numbers of a body."""
         return input_columns(self.problem.kinds)
 
+
+_paces: dict[Plan, float] = {}  # steps of one block in a second, in the last call for a plan
 
 # Of the last run, for the next: memory fresh from the system takes as long as a dozen steps.
 _spare: list[Array] = []
@@ -333,11 +337,15 @@ def _run_chunk(
 
     begin : 0 or UNSEEN.
     """
-    done, ahead = 0, max(1, FIRST_CALL_BLOCK_STEPS * plan.lanes // chunk.inputs.shape[1])
+    done, blocks = 0, chunk.inputs.shape[1] // plan.lanes
+    ahead = CALL_SECONDS / 2 * _paces[plan] if plan in _paces else FIRST_CALL_BLOCK_STEPS
     while done < grid.steps:
-        end = min(done + ahead, grid.steps)
+        left = grid.steps - done
+        calls = max(1, round(left * blocks / max(ahead, 1)))
+        end = done + -(-left // calls)
         seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
-        ahead = max(1, int(CALL_SECONDS / seconds * (end - done)))
+        _paces[plan] = (end - done) * blocks / seconds
+        ahead = CALL_SECONDS * _paces[plan]
         begin = done = end
         yield done
     output.take(chunk, grid)
