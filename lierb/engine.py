@@ -234,29 +234,28 @@ def _memory(size: int) -> Array:
 class Output:
     """Results of a run, as they become Arrow columns.
 
-    status, t (s), scalars : [body].   state : [body][component].
+    status, t (s), scalars : [body].
     errors : [column][time][body].   states, multipliers, reactions : [time][body][component].
     """
 
     status: NDArray[np.int8]
     t: Array
     scalars: Array  # in the order of SUMMARY_SCALARS
-    state: tuple[Array, ...]  # in the order of STATE_WIDTHS, and so is `states`
     errors: Array
-    states: tuple[Array, ...]
+    states: tuple[Array, ...]  # in the order of STATE_WIDTHS; if not recorded, the last row alone
     multipliers: Array
     reactions: Array
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
         rows = grid.saved_rows
+        states = rows if with_state else 1
         return cls(
             np.empty(count, dtype=np.int8),
             np.empty(count),
             np.empty((len(SUMMARY_SCALARS), count)),
-            tuple(np.empty((count, width)) for width in STATE_WIDTHS.values()),
             np.empty((len(ERROR_COLUMNS), rows, count)),
-            tuple(np.empty((rows * with_state, count, width)) for width in STATE_WIDTHS.values()),
+            tuple(np.empty((states, count, width)) for width in STATE_WIDTHS.values()),
             np.empty((rows * plan.multipliers, count, len(plan.rows))),
             np.empty((rows * plan.reaction, count, 6)),
         )
@@ -264,6 +263,11 @@ class Output:
     @property
     def histories(self) -> tuple[Array, ...]:
         return (self.errors, *self.states, self.multipliers, self.reactions)
+
+    @property
+    def state(self) -> tuple[Array, ...]:
+        """At the end, in memory apart from the history's: [body][component]."""
+        return tuple(a[-1].copy() if len(a) > 1 else a[-1] for a in self.states)
 
     def take(self, chunk: Chunk, grid: Grid) -> None:
         """Keep a finished chunk's summary."""
@@ -273,10 +277,6 @@ class Output:
         _first_energy, status, failed_step = found[first : first + 3]
         self.status[bodies] = status
         self.t[bodies] = np.where(status == OK, grid.steps, failed_step) * grid.dt
-        first += 3
-        for array in self.state:
-            array[bodies] = found[first : first + array.shape[1]].T
-            first += array.shape[1]
 
 
 def integrate(

@@ -76,7 +76,7 @@ def input_columns(elements: tuple[Element, ...]) -> int:
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
 CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V or μ, Record
-SUMMARY_COLUMNS = 11 + 18 + 1  # Record; R, r, ω, v; whether the start is on the joint
+SUMMARY_COLUMNS = 11 + 1  # Record; whether the start is on the joint
 UNSEEN = -1  # in place of step 0, for a start that is to be looked at
 START_TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 ERROR_COLUMNS = (
@@ -327,7 +327,7 @@ def store_state(
     first: Any,
     column: Any,
 ) -> None:
-    """One row of the history's state: R, r, ω and v, each [time][body][component]."""
+    """One row of the states: R, r, ω and v, each [time][body][component]."""
     numbers = user_state(plan, body, inputs, state, record, first)
     for array, part in zip(
         states, (numbers[:9], numbers[9:12], numbers[12:15], numbers[15:]), strict=True
@@ -364,13 +364,10 @@ def store_forces(
             prefetch(array, (row + 1, first, 0), plan.lanes * len(numbers))
 
 
-def store_summary(
-    plan: Plan, body: Body, inputs: Any, state: State, record: Record, summary: Any, first: Any
-) -> None:
+def store_summary(plan: Plan, record: Record, summary: Any, first: Any) -> None:
     squares, rest = tuple(record)[:5], tuple(record)[5:]
     drift, last, others = rest[0], rest[1:3], rest[3:]
-    numbers = [*map(sqrt, squares), drift, *map(sqrt, last), *others]
-    for c, number in enumerate([*numbers, *user_state(plan, body, inputs, state, record, first)]):
+    for c, number in enumerate((*map(sqrt, squares), drift, *map(sqrt, last), *others)):
         store(summary, (c, first), number, plan.lanes)
 
 
@@ -416,7 +413,8 @@ def integrate_block(
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories).
 
     `last` is the run's last step. With begin = UNSEEN the start is looked at first; with stop = 0
-    that is all.
+    that is all. States (rotations … velocities) have a row for every saved step, or for the last
+    one only.
     """
     if begin == UNSEEN:
         store_start(plan, inputs, summary, first)
@@ -441,10 +439,11 @@ def integrate_block(
             if save:
                 row = (k + save_every - 1) // save_every
                 store_errors(plan, record, now, errors, row, column)
-                if rotations.shape[0] > 0:
-                    states = (rotations, places, omegas, velocities)
-                    store_state(plan, body, inputs, state, record, states, row, first, column)
                 store_forces(plan, body, state, record, multipliers, reactions, row, column, h * k)
+            if k == last or (save and rotations.shape[0] > 1):
+                row = rotations.shape[0] - 1 if k == last else k // save_every
+                states = (rotations, places, omegas, velocities)
+                store_state(plan, body, inputs, state, record, states, row, first, column)
         if k >= stop:
             break
         if k % TIDY_EVERY == 0 and k > 0:  # after the measures: they see what rounding did
@@ -458,7 +457,8 @@ def integrate_block(
         fresh = True
     if stop < last:
         store_carried(plan, carried, first, state, record)
-    store_summary(plan, body, inputs, state, record, summary, first)
+    else:
+        store_summary(plan, record, summary, first)
 
 
 @_jit.cached(parallel=True)
