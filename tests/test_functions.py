@@ -71,6 +71,11 @@ def with_where(t, R, r, omega, v, params):
     return (0, 0, 0), lierb.where(late, (params.size, 0.0, 0.0), (0.0, params.size, 0.0))
 
 
+def with_where_of_constants(t, R, r, omega, v, params):
+    on = lierb.where(t >= 0.5, 1.0, 0.0)
+    return (0, 0, 0), (params.size * on, 0, lierb.where(t < 0.5, 1, 0))
+
+
 def with_arrays(t, R, r, omega, v, params):
     along = R.T @ np.array([0.0, 0.0, 1.0])
     return np.cross(along, along), params.size * along / np.linalg.norm(along) + 0.0 * r
@@ -83,6 +88,7 @@ def with_arrays(t, R, r, omega, v, params):
         (with_helpers, (1, 1, 0)),
         (with_math, (0.5, 0.5, 0.5)),
         (with_where, (0.25, 0.25, 0)),
+        (with_where_of_constants, (0.25, 0, 0.25)),
         (with_arrays, (0, 0, 0.5)),
     ],
     ids=lambda x: getattr(x, "__name__", ""),

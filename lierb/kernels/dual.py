@@ -217,12 +217,18 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         return chosen
     if isinstance(a, (tuple, list)):
         return tuple(where(condition, x, y) for x, y in zip(a, b, strict=True))
+    chosen = _chosen(condition, a, b)
+    return Dual(chosen, ()) if isinstance(chosen, Lane) else chosen  # of two constants
+
+
+def _chosen(condition: Any, a: Any, b: Any) -> Any:
     if not (isinstance(a, Dual) or isinstance(b, Dual)):
         return select(condition, a, b)
     nothing = (ZERO,) * max(len(_parts(a)), len(_parts(b)))
     parts = zip(_parts(a) or nothing, _parts(b) or nothing, strict=True)
     return Dual(
-        where(condition, _value(a), _value(b)), tuple(where(condition, p, q) for p, q in parts)
+        _chosen(condition, _value(a), _value(b)),
+        tuple(_chosen(condition, p, q) for p, q in parts),
     )
 
 
