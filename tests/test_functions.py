@@ -76,6 +76,11 @@ def with_where_of_constants(t, R, r, omega, v, params):
     return (0, 0, 0), (params.size * on, 0, lierb.where(t < 0.5, 1, 0))
 
 
+def with_signs(t, R, r, omega, v, params):
+    sign = np.sign(t + 1.0)
+    return (0, 0, 0), (params.size * sign, math.copysign(1.0, -1.0 - t), math.sqrt(sign))
+
+
 def with_arrays(t, R, r, omega, v, params):
     along = R.T @ np.array([0.0, 0.0, 1.0])
     return np.cross(along, along), params.size * along / np.linalg.norm(along) + 0.0 * r
@@ -89,6 +94,7 @@ def with_arrays(t, R, r, omega, v, params):
         (with_math, (0.5, 0.5, 0.5)),
         (with_where, (0.25, 0.25, 0)),
         (with_where_of_constants, (0.25, 0, 0.25)),
+        (with_signs, (0.5, -0.5, 0.5)),
         (with_arrays, (0, 0, 0.5)),
     ],
     ids=lambda x: getattr(x, "__name__", ""),

@@ -82,7 +82,7 @@ class Dual:
         return self
 
     def __abs__(self) -> Dual:
-        sign = where(self.value < 0.0, -1.0, 1.0)
+        sign = _chosen(self.value < 0.0, -1.0, 1.0)
         return self._along(sign, absolute_value(self.value))
 
     def __pow__(self, exponent: Any) -> Any:
@@ -218,7 +218,13 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     if isinstance(a, (tuple, list)):
         return tuple(where(condition, x, y) for x, y in zip(a, b, strict=True))
     chosen = _chosen(condition, a, b)
-    return Dual(chosen, ()) if isinstance(chosen, Lane) else chosen  # of two constants
+    of_constants = not isinstance(a, Lane) and not isinstance(b, Lane)
+    return _wrapped(chosen) if of_constants else chosen
+
+
+def _wrapped(x: Any) -> Any:
+    """A number that a function of the user's goes on with, if it is one of many bodies at once."""
+    return Dual(x, ()) if isinstance(x, Lane) else x
 
 
 def _chosen(condition: Any, a: Any, b: Any) -> Any:
@@ -362,17 +368,18 @@ class _Float(float):
 
 def copysign(x: Any, y: Any) -> Any:
     size = absolute_value(x)
-    return where(_value(y) < 0.0, -size, size)
+    chosen = _chosen(_value(y) < 0.0, -size, size)
+    return _wrapped(chosen) if isinstance(y, Dual) else chosen
 
 
 def larger(*numbers: Any) -> Any:
     """The largest of several numbers, or of a sequence."""
-    return _folded(numbers, lambda a, b: where(a >= b, a, b))
+    return _folded(numbers, lambda a, b: _chosen(a >= b, a, b))
 
 
 def smaller(*numbers: Any) -> Any:
     """The smallest of several numbers, or of a sequence."""
-    return _folded(numbers, lambda a, b: where(a <= b, a, b))
+    return _folded(numbers, lambda a, b: _chosen(a <= b, a, b))
 
 
 def _folded(numbers: tuple[Any, ...], chosen: Callable[[Any, Any], Any]) -> Any:
@@ -385,7 +392,8 @@ def _folded(numbers: tuple[Any, ...], chosen: Callable[[Any, Any], Any]) -> Any:
 
 def sign(x: Any) -> Any:
     value = _value(x)
-    return where(value > 0.0, 1.0, where(value < 0.0, -1.0, 0.0 * value))
+    found = _chosen(value > 0.0, 1.0, _chosen(value < 0.0, -1.0, 0.0 * value))
+    return _wrapped(found) if isinstance(x, Dual) else found
 
 
 _METHODS = (
