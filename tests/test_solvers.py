@@ -6,11 +6,13 @@ import json
 from functools import cache
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, slow_but, tilted
 
 import lierb
 from lierb import api, engine
+from lierb.kernels.coefficients import TINY
 
 JOINTS = [name for name in SUBGROUP_JOINTS if name != "free"]
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -93,6 +95,35 @@ def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monke
     monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
     monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
     np.testing.assert_array_equal(end(), expected)
+
+
+@pytest.mark.parametrize("name", slow_but(JOINTS, "spherical", "screw", "prismatic"))
+def test_steps_of_tiny_angles_are_the_same_beside_a_body_whose_angles_are_not(name):
+    """Without its neighbour, a slow body's steps go without a branch."""
+    problem, twist0 = tilted(name)
+    fast = problem.project((0.0, 0.0, 0.0, 0.0, 0.0, 0.0)) + 40.0 * twist0  # 0.04 rad a step
+    options = {"dt": 1e-3, "t_end": 0.2, "save_every": 1}
+    alone = integrate(problem, twist0=[twist0, 0.5 * twist0], **options)
+    beside = integrate(problem, twist0=[twist0, 0.5 * twist0, fast], **options)
+    assert np.linalg.norm(column(alone.errors, "omega"), axis=1).max() * 1e-3 < np.sqrt(TINY)
+    for table in ("summary", "errors"):
+        slow = getattr(beside, table).filter(pc.field("body") < 2)
+        assert slow.equals(getattr(alone, table))
+
+
+@pytest.mark.parametrize("neighbours", [1, 40], ids=["gentle", "fast"])
+def test_a_force_without_end_fails_in_its_own_step(neighbours):
+    """However the steps before it were made; the last stage of step 100 meets it."""
+
+    @lierb.wrench
+    def blow(t, R, r, omega, v, params):
+        return (0.0, 0.0, lierb.where(t > 0.0998, np.inf, 0.1)), (0.0, 0.0, 0.0)
+
+    problem, twist0 = tilted("spherical")
+    problem = lierb.Problem(problem.body, problem.joint, GRAVITY, forces=[blow()])
+    result = lierb.integrate(problem, twist0=[twist0, neighbours * twist0], dt=1e-3, t_end=0.2)
+    assert result.summary["status"].to_pylist() == ["non_finite"] * 2
+    assert result.summary["t"].to_pylist() == [0.1, 0.1]
 
 
 @pytest.mark.parametrize("name", ["spherical", "revolute"])

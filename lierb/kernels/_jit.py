@@ -40,7 +40,7 @@ from numba.extending import (
 from numba.np.arrayobj import populate_array
 
 from lierb.kernels.arithmetic import flatten
-from lierb.kernels.lanes import DOUBLE, INT32, ArrayRef, Index, Lane, LaneType
+from lierb.kernels.lanes import DOUBLE, INT32, ArrayRef, Index, Lane, LaneType, Predicate
 from lierb.kernels.zero import is_zero
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
@@ -447,6 +447,8 @@ def _type_of_trace(result: Any) -> types.Type:
         return types.none
     if isinstance(result, tuple):
         return types.Tuple([_type_of_trace(x) for x in result])
+    if isinstance(result, Predicate):
+        return types.boolean
     if not isinstance(result, Lane):
         return ConstantType(result if is_zero(result) else float(result))
     return LaneType(result.lanes) if result.lanes > 1 else types.float64

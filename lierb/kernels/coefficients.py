@@ -13,7 +13,9 @@ would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factor
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from fractions import Fraction
 from math import factorial
 from typing import Any, NamedTuple
@@ -116,6 +118,23 @@ def half_angle_coefficients(z: Any) -> HalfAngleCoefficients:
     return HalfAngleCoefficients(*_in_step(z, 0.25, _half_taylor, _half_long))
 
 
+_conditions: ContextVar[list[Any] | None] = ContextVar("conditions", default=None)
+
+
+@contextmanager
+def angles_taken_for_tiny() -> Iterator[list[Any]]:
+    """Here, a time step's angles are all as small as its short series ask for, with no branch.
+
+    Gives the conditions for that, a mask for each angle: where they hold, the bits are the same.
+    """
+    conditions: list[Any] = []
+    token = _conditions.set(conditions)
+    try:
+        yield conditions
+    finally:
+        _conditions.reset(token)
+
+
 Taylor = Callable[..., tuple[Any, ...]]  # of z, so many terms, and so many more of sinc θ
 Beyond = Callable[[Any], tuple[Any, ...]]
 
@@ -123,6 +142,10 @@ Beyond = Callable[[Any], tuple[Any, ...]]
 def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
     """Each function where it is best, for a time step; z = share · θ²."""
     tiny = z <= share * TINY
+    conditions = _conditions.get()
+    if conditions is not None:
+        conditions.append(tiny)
+        return taylor(z, 3, 1)
     found: tuple[Any, ...] = branch(
         all_lanes(tiny),
         lambda: taylor(z, 3, 1),

@@ -20,6 +20,7 @@ from lierb.kernels.arithmetic import (
     branch,
     load,
     maximum,
+    plain,
     prefetch,
     real,
     rounded_as_numpy,
@@ -28,6 +29,7 @@ from lierb.kernels.arithmetic import (
     store,
     where,
 )
+from lierb.kernels.coefficients import TINY, angles_taken_for_tiny
 from lierb.kernels.constraints import held_axes
 from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
@@ -226,10 +228,8 @@ def advance(
     state, record = State(*state), Record(*record)
     moved, singular = step(plan, Body(*body), state, h * (real(k) - 1.0), h)
     q, d = moved.chart
-    total = q[0]  # an angle that is not finite spoils all of Q
-    for number in (*moved.v_or_mu, *moved.x, *d):
-        total = total + number
-    fine = (absolute(total) <= LARGEST) & (singular <= 0.5)  # false for NaN
+    # An angle that is not finite spoils all of Q.
+    fine = _are_finite(q[0], *moved.v_or_mu, *moved.x, *d) & (singular <= 0.5)
 
     def marked() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
@@ -249,6 +249,37 @@ def advance(
         moved._replace(v_or_mu=v_or_mu),
         record._replace(status=status, failed_step=failed_step),
     )
+
+
+def _are_finite(*numbers: Any) -> Any:
+    """Of numbers of which none is that large."""
+    return absolute(sum(numbers, start=ZERO)) <= LARGEST  # false for NaN
+
+
+def is_gentle(plan: Plan, body: Body, state: State, h: Any) -> Any:
+    """Whether the next step's angles will be tiny in all lanes, as far as one can tell before.
+
+    Never where a step is so much work that its branches do not show.
+    """
+    if not (plan.is_light and plan.is_local):
+        return all_lanes(h < h)  # which no compiler keeps
+    omega = velocity_of(plan, Body(*body), State(*state))[:3]
+    return all_lanes(h * h * plain(dot(omega, omega)) <= 0.8 * TINY)
+
+
+def advance_gently(plan: Plan, body: Body, state: State, k: Any, h: Any) -> tuple[State, Any]:
+    """Step number k without a branch, and whether it is the step that `advance` makes.
+
+    A branch for each stage's angle takes a spherical joint's step a twentieth of its time.
+    """
+    if not (plan.is_light and plan.is_local):
+        return State(*state), all_lanes(h < h)
+    with angles_taken_for_tiny() as conditions:
+        moved, _ = step(plan, Body(*body), State(*state), h * (real(k) - 1.0), h)
+    fine = _are_finite(*moved.v_or_mu, *moved.chart[1])
+    for condition in conditions:  # which no angle meets that is not finite
+        fine = fine & condition
+    return moved, all_lanes(fine)
 
 
 def tidy(plan: Plan, body: Body, state: State) -> State:
@@ -390,7 +421,8 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
 
 
 for _formula in (
-    load_body, initial_state, initial_record, load_carried, store_carried, advance, tidy, observe,
+    load_body, initial_state, initial_record, load_carried, store_carried, advance, is_gentle,
+    advance_gently, tidy, observe,
     store_errors, store_state, store_forces, store_summary, store_start,
 ):  # fmt: skip
     _jit.kernel(_formula)
@@ -451,7 +483,15 @@ def integrate_block(
         ahead = min(_until(k, measure_every, stop), _until(k, TIDY_EVERY, stop))
         if save_every > 0:
             ahead = min(ahead, _until(k, save_every, stop))
-        for _ in range(ahead):
+        end = k + ahead
+        if is_gentle(plan, body, state, h):
+            while k < end:
+                moved, fine = advance_gently(plan, body, state, k + 1, h)
+                if not fine:
+                    break
+                state = moved
+                k += 1
+        while k < end:
             k += 1
             state, record = advance(plan, body, state, record, k, h)
         fresh = True

@@ -15,18 +15,22 @@ from lierb.kernels.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.subgroup import Slots, slots_of
 
 
+def is_light(solver: str, rows: int, stages: int) -> bool:
+    """Whether a step is little work: on a subgroup, a rate for each of few stages and freedoms."""
+    return solver != "saddle" and stages * (6 - rows) <= 12
+
+
 def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
     """Bodies in a block, for registers that hold `width` numbers.
 
     Every operation of a step waits for the one before it. Two packs side by side hide that, as
-    long as what is alive fits the registers: on a subgroup, a rate for each stage and freedom.
+    long as what is alive fits the registers.
     Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 200, 297, 310; cylindrical 181,
     280, 217; spherical 103, 107, 75; spherical by DOP853 21, 23, 18. On AVX2 with 4, 8 and 16:
     revolute 121, 187, 176; cylindrical 115, 156, 160; spherical 57, 65, 43; spherical by DOP853
     13, 11, 9. A batch that fills no block pays for one all the same: one kernel serves every batch.
     """
-    hides = solver != "saddle" and stages * (6 - rows) <= 12
-    return 2 * width if hides and width > 1 else width
+    return 2 * width if is_light(solver, rows, stages) and width > 1 else width
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,10 @@ class Plan(Tag):
     def share(self) -> float:
         """What `charts` takes in place of X, as a part of it: quaternions ask for X/2."""
         return 1.0 if self.slots is None else 0.5
+
+    @property
+    def is_light(self) -> bool:
+        return is_light(self.solver, len(self.rows), len(self.stages))
 
     @property
     def is_local(self) -> bool:

@@ -65,14 +65,8 @@ def hot_loop(request) -> SimpleNamespace:
     assembly = fresh.inspect_asm(signature)
     loops = [Counter(loop) for loop in innermost_loops(assembly)]
     if solver == "subgroup":
-        # The way of small angles: five branches (the angles of three stages and of the step, and
-        # whether it went well) and the jump back. Others divide, as does the search for principal
-        # axes, or begin with a long series, all multiply–adds.
-        loops = [
-            loop for loop in loops
-            if count(loop, r"j\w+") <= 6 and count(loop, "vmulpd")
-            and not count(loop, r"v(div|sqrt)pd")
-        ]  # fmt: skip
+        # The way of tiny angles: one branch, out of it, and the jump back.
+        loops = [loop for loop in loops if count(loop, r"j\w+") == 2 and count(loop, "vmulpd")]
     hottest = max(loops, key=lambda loop: count(loop, PACKED_FMA.pattern))
     return SimpleNamespace(
         assembly=assembly, operations=hottest, expected=expected, packs=plan.lanes // DEFAULT_LANES
