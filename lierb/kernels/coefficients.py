@@ -34,6 +34,7 @@ from lierb.kernels.arithmetic import (
 from lierb.kernels.arithmetic import absolute as abs_
 
 TINY = 0.0215**2  # θ² up to which a time step makes do with three terms, and four of sinc
+TINY_TERMS = 3
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
 MEDIUM = 0.5**2  # and eight
 SERIES = PI**2  # θ² up to which the entire series is used
@@ -76,11 +77,17 @@ DOUBLE_ANGLE_TERMS = tuple(
 )  # fmt: skip
 
 
-def horner(z: Any, terms: tuple[float, ...]) -> Any:
-    """Σ terms[k] zᵏ."""
+Cuts = tuple[tuple[Any, int], ...]  # a mask, and how many terms are taken where it holds
+
+
+def horner(z: Any, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
+    """Σ terms[k] zᵏ; where it is cut, to the bits of the shorter series."""
     total: Any = terms[-1]
-    for term in terms[-2::-1]:
-        total = fma(z, total, term)
+    for k in range(len(terms) - 2, -1, -1):
+        for mask, count in cuts:
+            if count == k + 1:
+                total = where(mask, 0.0, total)
+        total = fma(z, total, terms[k])
     return total
 
 
@@ -135,7 +142,7 @@ def angles_taken_for_tiny() -> Iterator[list[Any]]:
         _conditions.reset(token)
 
 
-Taylor = Callable[..., tuple[Any, ...]]  # of z, so many terms, and so many more of sinc θ
+Taylor = Callable[[Any, int, Cuts], tuple[Any, ...]]  # of z, so many terms or, where cut, fewer
 Beyond = Callable[[Any], tuple[Any, ...]]
 
 
@@ -145,45 +152,54 @@ def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any,
     conditions = _conditions.get()
     if conditions is not None:
         conditions.append(tiny)
-        return taylor(z, 3, 1)
+        return taylor(z, TINY_TERMS, ())
     found: tuple[Any, ...] = branch(
         all_lanes(tiny),
-        lambda: taylor(z, 3, 1),
-        lambda: where(tiny, taylor(z, 3, 1), _anywhere(z, share, taylor, beyond)),
+        lambda: taylor(z, TINY_TERMS, ()),
+        lambda: _anywhere(z, share, taylor, beyond, ((tiny, TINY_TERMS),)),
     )
     return found
 
 
-def _anywhere(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
+def _anywhere(
+    z: Any, share: float, taylor: Taylor, beyond: Beyond, cuts: Cuts = ()
+) -> tuple[Any, ...]:
     small = z < share * SMALL
 
     def beyond_small() -> Any:
         medium = z < share * MEDIUM
-        larger = branch(
-            all_lanes(medium),
-            lambda: taylor(z, 8),
-            lambda: where(medium, taylor(z, 8), beyond(z)),
-        )
-        return where(small, taylor(z, 5), larger)
+        series = taylor(z, 8, (*cuts, (small, 5)))
+        return branch(all_lanes(medium), lambda: series, lambda: where(medium, series, beyond(z)))
 
-    found: tuple[Any, ...] = branch(all_lanes(small), lambda: taylor(z, 5), beyond_small)
+    found: tuple[Any, ...] = branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
     return found
 
 
-def _taylor(z: Any, terms: int, more_of_sinc: int = 0) -> tuple[Any, ...]:
+def _taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
     series = (A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
-    sinc = horner(z, SINC_TERMS[: terms + more_of_sinc])
-    return (sinc, *(horner(z, every[:terms]) for every in series))
+    return (
+        _sinc_series(z, SINC_TERMS, terms, cuts),
+        *(horner(z, every[:terms], cuts) for every in series),
+    )
 
 
-def _half_taylor(z: Any, terms: int, more_of_sinc: int = 0) -> tuple[Any, ...]:
+def _half_taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
     sinc2, *series = DOUBLE_ANGLE_TERMS
     return (
-        -(z * horner(z, A_TERMS[:terms])),
-        horner(z, SINC_TERMS[:terms]),
-        horner(z, sinc2[: terms + more_of_sinc]),
-        *(horner(z, every[:terms]) for every in series),
+        -(z * horner(z, A_TERMS[:terms], cuts)),
+        horner(z, SINC_TERMS[:terms], cuts),
+        _sinc_series(z, sinc2, terms, cuts),
+        *(horner(z, every[:terms], cuts) for every in series),
     )
+
+
+def _sinc_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> Any:
+    """Of θ: a term more than the others for tiny angles."""
+
+    def taken(terms: int) -> int:
+        return terms + (terms == TINY_TERMS)
+
+    return horner(z, series[: taken(terms)], tuple((mask, taken(n)) for mask, n in cuts))
 
 
 def _long(z: Any) -> tuple[Any, ...]:
