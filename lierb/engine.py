@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -51,8 +51,7 @@ CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed 
 CHUNK_BODIES = 4096
 # One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
 # enough that the 30 µs of a call do not show, nor the half microsecond that it takes to bring a
-# body into the registers and out again. A chunk's first call lasts half of that, if it runs as fast
-# as the last one did.
+# body into the registers and out again.
 CALL_SECONDS = 0.15
 FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast a plan runs
 
@@ -177,8 +176,6 @@ class Inputs:
         """Numbers of a body."""
         return input_columns(self.problem.kinds)
 
-
-_paces: dict[Plan, float] = {}  # steps of one block in a second, in the last call for a plan
 
 # Of the last run, for the next: memory fresh from the system takes as long as a dozen steps.
 _spare: list[Array] = []
@@ -337,18 +334,37 @@ def _run_chunk(
 
     begin : 0 or UNSEEN.
     """
-    done, blocks = 0, chunk.inputs.shape[1] // plan.lanes
-    ahead = CALL_SECONDS / 2 * _paces[plan] if plan in _paces else FIRST_CALL_BLOCK_STEPS
+    done, blocks, pace = 0, chunk.inputs.shape[1] // plan.lanes, _pace(plan, grid.dt)
+    ahead = pace.steps(0.5 * CALL_SECONDS)  # these bodies may be slower than the last ones
     while done < grid.steps:
         left = grid.steps - done
-        calls = max(1, round(left * blocks / max(ahead, 1)))
+        calls = max(1, round(left * blocks / ahead))
         end = done + -(-left // calls)
         seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
-        _paces[plan] = (end - done) * blocks / seconds
-        ahead = CALL_SECONDS * _paces[plan]
+        pace.seconds = seconds / ((end - done) * blocks)
+        ahead = pace.steps(CALL_SECONDS)
         begin = done = end
         yield done
     output.take(chunk, grid)
+
+
+@dataclass
+class _Pace:
+    """How long a step of one block took in the last call, in s; None before there was one."""
+
+    seconds: float | None = None
+
+    def steps(self, seconds: float) -> float:
+        """Steps of one block for so many seconds."""
+        if self.seconds is None:
+            return max(FIRST_CALL_BLOCK_STEPS, 1)
+        return max(seconds / self.seconds, 1)
+
+
+@lru_cache(64)
+def _pace(plan: Plan, dt: float) -> _Pace:
+    """One for all runs of a plan with steps of dt: the larger a step's angles, the slower it is."""
+    return _Pace()
 
 
 def _call_driver(

@@ -42,7 +42,7 @@ def stop_before_running(monkeypatch):
             raise DriverReached
 
     monkeypatch.setattr(lierb.engine, "integrate_blocks", stub)
-    monkeypatch.setattr(lierb.engine, "_paces", {})
+    monkeypatch.setattr(lierb.engine, "_pace", lambda plan, dt: lierb.engine._Pace())
     monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
     monkeypatch.setattr(lierb.engine._jit, "entry_of", lambda function, plan, *args: plan)
 

@@ -252,7 +252,7 @@ def advance(
 
 
 def _are_finite(*numbers: Any) -> Any:
-    """Of numbers of which none is that large."""
+    """Whether all of them are, and so is their sum."""
     return absolute(sum(numbers, start=ZERO)) <= LARGEST  # false for NaN
 
 
@@ -262,7 +262,7 @@ def is_gentle(plan: Plan, body: Body, state: State, h: Any) -> Any:
     Never where a step is so much work that its branches do not show.
     """
     if not (plan.is_light and plan.is_local):
-        return all_lanes(h < h)  # which no compiler keeps
+        return all_lanes(h < h)  # never
     omega = velocity_of(plan, Body(*body), State(*state))[:3]
     return all_lanes(h * h * plain(dot(omega, omega)) <= 0.8 * TINY)
 
@@ -273,7 +273,7 @@ def advance_gently(plan: Plan, body: Body, state: State, k: Any, h: Any) -> tupl
     A branch for each stage's angle takes a spherical joint's step a twentieth of its time.
     """
     if not (plan.is_light and plan.is_local):
-        return State(*state), all_lanes(h < h)
+        return State(*state), all_lanes(h < h)  # never
     with angles_taken_for_tiny() as conditions:
         moved, _ = step(plan, Body(*body), State(*state), h * (real(k) - 1.0), h)
     fine = _are_finite(*moved.v_or_mu, *moved.chart[1])
