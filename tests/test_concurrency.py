@@ -165,6 +165,15 @@ def test_progress_rises_to_the_total(monkeypatch):
     assert done[-1] == totals[-1]
 
 
+def test_chunks_of_a_known_plan_are_not_cut(monkeypatch):
+    """What is carried from one call to the next costs as much as dozens of steps."""
+    monkeypatch.setattr(lierb.engine, "CALL_SECONDS", 60.0)
+    told = []
+    long_run(False)
+    long_run(lambda done, total: told.append(done))
+    assert told == [lierb.engine.CHUNK_BODIES * 100, (lierb.engine.CHUNK_BODIES + 100) * 100]
+
+
 def test_progress_of_one_body_ends_at_its_steps():
     told = []
     run(TWISTS[0], progress=lambda done, total: told.append((done, total)))
