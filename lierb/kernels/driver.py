@@ -257,11 +257,8 @@ def _are_finite(*numbers: Any) -> Any:
 
 
 def is_gentle(plan: Plan, body: Body, state: State, h: Any) -> Any:
-    """Whether the next step's angles will be tiny in all lanes, as far as one can tell before.
-
-    Never where a step is so much work that its branches do not show.
-    """
-    if not (plan.is_light and plan.is_local):
+    """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
+    if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
     omega = velocity_of(plan, Body(*body), State(*state))[:3]
     return all_lanes(h * h * plain(dot(omega, omega)) <= 0.8 * TINY)
@@ -272,7 +269,7 @@ def advance_gently(plan: Plan, body: Body, state: State, k: Any, h: Any) -> tupl
 
     A branch for each stage's angle takes a spherical joint's step a twentieth of its time.
     """
-    if not (plan.is_light and plan.is_local):
+    if not plan.takes_gentle_steps:
         return State(*state), all_lanes(h < h)  # never
     with angles_taken_for_tiny() as conditions:
         moved, _ = step(plan, Body(*body), State(*state), h * (real(k) - 1.0), h)

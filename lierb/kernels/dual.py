@@ -219,12 +219,7 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         return tuple(where(condition, x, y) for x, y in zip(a, b, strict=True))
     chosen = _chosen(condition, a, b)
     of_constants = not isinstance(a, Lane) and not isinstance(b, Lane)
-    return _wrapped(chosen) if of_constants else chosen
-
-
-def _wrapped(x: Any) -> Any:
-    """A number that a function of the user's goes on with, if it is one of many bodies at once."""
-    return Dual(x, ()) if isinstance(x, Lane) else x
+    return Dual(chosen) if of_constants and isinstance(chosen, Lane) else chosen
 
 
 def _chosen(condition: Any, a: Any, b: Any) -> Any:
@@ -368,18 +363,17 @@ class _Float(float):
 
 def copysign(x: Any, y: Any) -> Any:
     size = absolute_value(x)
-    chosen = _chosen(_value(y) < 0.0, -size, size)
-    return _wrapped(chosen) if isinstance(y, Dual) else chosen
+    return where(_value(y) < 0.0, -size, size)
 
 
 def larger(*numbers: Any) -> Any:
     """The largest of several numbers, or of a sequence."""
-    return _folded(numbers, lambda a, b: _chosen(a >= b, a, b))
+    return _folded(numbers, lambda a, b: where(a >= b, a, b))
 
 
 def smaller(*numbers: Any) -> Any:
     """The smallest of several numbers, or of a sequence."""
-    return _folded(numbers, lambda a, b: _chosen(a <= b, a, b))
+    return _folded(numbers, lambda a, b: where(a <= b, a, b))
 
 
 def _folded(numbers: tuple[Any, ...], chosen: Callable[[Any, Any], Any]) -> Any:
@@ -393,7 +387,7 @@ def _folded(numbers: tuple[Any, ...], chosen: Callable[[Any, Any], Any]) -> Any:
 def sign(x: Any) -> Any:
     value = _value(x)
     found = _chosen(value > 0.0, 1.0, _chosen(value < 0.0, -1.0, 0.0 * value))
-    return _wrapped(found) if isinstance(x, Dual) else found
+    return Dual(found) if isinstance(x, Dual) else found
 
 
 _METHODS = (

@@ -82,12 +82,13 @@ class Plan(Tag):
         return 1.0 if self.slots is None else 0.5
 
     @property
-    def is_light(self) -> bool:
-        return is_light(self.solver, len(self.rows), len(self.stages))
-
-    @property
     def is_local(self) -> bool:
         return self.update == "local"
+
+    @property
+    def takes_gentle_steps(self) -> bool:
+        """Whether steps are so little work that it pays to try them without branches."""
+        return self.is_local and is_light(self.solver, len(self.rows), len(self.stages))
 
 
 @lru_cache(256)
