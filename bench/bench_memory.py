@@ -27,7 +27,7 @@ with open("/proc/self/clear_refs", "w") as marks:
     marks.write("5")  # the peak counts from here
 before = status("VmRSS")
 result = run()
-outputs = sum(table.nbytes for table in (result.summary, result.errors) if table is not None)
+outputs = sum(table.nbytes for table in (result.summary, result.history) if table is not None)
 print(status("VmHWM") - before - outputs)
 """
 

@@ -47,7 +47,7 @@ SUMMARY_ORDER = (
 UNITS = {
     "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
     "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
-    "energy": "J", "R": "1", "r": "m", "omega": "rad/s", "v": "m/s",
+    "energy": "J", "rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s",
     "reaction": "N m, N m, N m, N, N, N",
 }  # fmt: skip
 
@@ -56,16 +56,16 @@ UNITS = {
 class Result:
     """What `integrate` gives back; its tables are pyarrow's.
 
-    summary: one row per body.   errors: one row per saved time and body, time-major; None without
-    `save_every`.
+    summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
+    None without `save_every`.
     """
 
     summary: pa.Table
-    errors: pa.Table | None
+    history: pa.Table | None
 
     def __repr__(self) -> str:
-        rows = "no history" if self.errors is None else f"{self.errors.num_rows} history rows"
-        return f"<lierb.Result: {self.summary.num_rows} bodies, {rows}>"
+        rows = "no history" if self.history is None else f"{self.history.num_rows} history rows"
+        return f"<lierb.Result: {self.summary.num_rows} trajectories, {rows}>"
 
 
 def integrate(
@@ -97,9 +97,9 @@ def integrate(
         joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); that
         has no room for an inconsistent start, whatever `check` says.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
-    save_every : steps between rows of `errors`. Default: no history.
+    save_every : steps between rows of `history`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
-    record : extra columns of `errors`: "state"; "energy"; "multipliers", λ (a free body has none);
+    record : extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
         the body's joint frame and in its axes, whatever rows describe the joint.
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
@@ -180,7 +180,7 @@ def integrate(
     covers = _energy_of(problem)
     return Result(
         _summary_table(output, metadata, covers),
-        _errors_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
+        _history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
     )
 
 
@@ -336,7 +336,7 @@ def _energy_of(problem: Problem) -> str:
 def _summary_table(output: engine.Output, metadata: str, covers: str) -> pa.Table:
     scalars = dict(zip(engine.SUMMARY_SCALARS, each_row(output.scalars), strict=True))
     columns = {
-        "body": numbers(np.arange(len(output.status), dtype=np.int64)),
+        "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
         "t": numbers(output.t),
     }
@@ -345,7 +345,7 @@ def _summary_table(output: engine.Output, metadata: str, covers: str) -> pa.Tabl
     return _table(columns, metadata, covers)
 
 
-def _errors_table(
+def _history_table(
     output: engine.Output,
     grid: engine.Grid,
     recorded: tuple[str, ...],
@@ -356,7 +356,7 @@ def _errors_table(
     saved = grid.saved_steps()
     count = output.errors.shape[2]
     columns = {
-        "body": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
+        "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(saved * grid.dt, count)),
     }

@@ -2,7 +2,7 @@
 
     DIR/study.toml            as it was run
     DIR/manifest.json         digest of the study, versions, every finished part with its checksums
-    DIR/summary/part-*.parquet, DIR/errors/part-*.parquet
+    DIR/summary/part-*.parquet, DIR/history/part-*.parquet
 
 A file is written under another name, synced, renamed, and then entered; a process may die at any
 moment. What is not in the manifest does not count.
@@ -31,8 +31,8 @@ from lierb.provenance import machine
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
-TABLES = ("summary", "errors")
-FORMAT = 1
+TABLES = ("summary", "history")
+FORMAT = 2
 KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
 TEMPORARY = ".unfinished"
 MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing a large manifest
@@ -114,6 +114,12 @@ class Dataset:
             raise StudyError(f"{self.folder} holds no results of a study") from None
         except ValueError as error:  # no JSON, or no text
             raise StudyError(f"{path} is damaged ({error}); delete the folder") from None
+        if isinstance(found, dict) and found.get("format") == 1:
+            raise StudyError(
+                f"{self.folder} holds results of lierb 0.1, whose columns had other names (R, r, "
+                "body, in errors/): run its study.toml anew, into another folder, or read its "
+                "Parquet files themselves"
+            )
         if not (isinstance(found, dict) and found.keys() >= KEYS and found["format"] == FORMAT):
             raise StudyError(f"{path} is no manifest of this version of lierb")
         self.manifest = found

@@ -42,7 +42,7 @@ SUMMARY_SCALARS = (
     "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
     "orthogonality_error_max", "energy_drift_max", "position_error_final", "rotation_error_final",
 )  # fmt: skip
-STATE_WIDTHS = {"R": 9, "r": 3, "omega": 3, "v": 3}
+STATE_WIDTHS = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
 SOURCES = _jit.Sources()
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one

@@ -242,14 +242,14 @@ class PaperReport:
     """All that `run_paper` found.
 
     setting : method, update and gravity, in words.
-    summary : one row per run (example × c-space × step size).   errors : their histories.
+    summary : one row per run (example × c-space × step size).   history : their histories.
     findings : one per example, c-space and error.   warnings : what `integrate` warned of.
     files : what was written.
     """
 
     setting: str
     summary: pa.Table
-    errors: pa.Table
+    history: pa.Table
     findings: tuple[Finding, ...]
     warnings: tuple[str, ...]
     files: tuple[Path, ...] = ()
@@ -261,7 +261,7 @@ class _Run:
     cspace: str
     dt: float
     summary: pa.Table
-    errors: pa.Table
+    history: pa.Table
     size: float  # largest coordinate of the body's position, m
 
 
@@ -281,7 +281,7 @@ def run_paper(
 ) -> PaperReport:
     """Run every example of section 5 in both c-spaces with every step size.
 
-    out : folder for `summary.parquet`, `errors.parquet` and the figures; None writes nothing.
+    out : folder for `summary.parquet`, `history.parquet` and the figures; None writes nothing.
     gravity : m/s², along −e₃ of the ground (the paper never mentions gravity: 0).
     update : "local" or "global".   as_printed : keep the paper's mistakes.
     dts : s, each a divisor of t_end.   t_end : s.   figures : draw them too.
@@ -328,7 +328,7 @@ def run_paper(
     report = PaperReport(
         setting=f"{METHOD}, {update} update, {gravity_text}",
         summary=_concatenate([_labelled(run.summary, run) for run in runs]),
-        errors=_concatenate([_labelled(run.errors, run) for run in runs]),
+        history=_concatenate([_labelled(run.history, run) for run in runs]),
         findings=tuple(_findings(runs, chosen)),
         warnings=tuple(warned),
     )
@@ -359,11 +359,11 @@ def _run(
         check=example.check,
         solver="saddle",  # what the paper does
     )
-    assert result.errors is not None  # save_every was given
-    size = float(np.abs(result.errors["r"].combine_chunks().flatten().to_numpy()).max())
+    assert result.history is not None  # save_every was given
+    size = float(np.abs(result.history["position"].combine_chunks().flatten().to_numpy()).max())
     # The states serve for that size only; without them the files are small.
-    errors = result.errors.drop_columns(["R", "r", "omega", "v"])
-    return _Run(example, cspace, dt, result.summary, errors, size)
+    history = result.history.drop_columns(["rotation", "position", "omega", "v"])
+    return _Run(example, cspace, dt, result.summary, history, size)
 
 
 def _findings(runs: Sequence[_Run], chosen: Sequence[Example]) -> Iterator[Finding]:
@@ -424,7 +424,7 @@ def _replacing(path: Path) -> Iterator[Path]:
 def _write_tables(report: PaperReport, folder: Path) -> list[Path]:
     tables = {
         folder / "summary.parquet": report.summary,
-        folder / "errors.parquet": report.errors,
+        folder / "history.parquet": report.history,
     }
     for path, table in tables.items():
         with _replacing(path) as partial_path:
@@ -435,13 +435,13 @@ def _write_tables(report: PaperReport, folder: Path) -> list[Path]:
 def _draw(report: PaperReport, example: Example, figure: PaperFigure, folder: Path) -> list[Path]:
     from lierb import plots  # Matplotlib takes most of a second to import
 
-    errors, summary = (
+    history, summary = (
         table.filter(pc.equal(table["example"], example.key))
-        for table in (report.errors, report.summary)
+        for table in (report.history, report.summary)
     )
     name = example.title[0].upper() + example.title[1:]
     drawing = plots.error_figure(
-        errors,
+        history,
         summary,
         quantity=figure.quantity,
         title=f"{name} joint: {figure.quantity} error (figure {figure.number} of the paper)",

@@ -35,22 +35,22 @@ class Part:
     def tables(
         self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
     ) -> dict[str, pa.Table]:
-        """What its bodies do: `summary`, and `errors` if there is a history."""
+        """What its bodies do: `summary`, and `history` if there is a history."""
         batch = study.batch(self.first, self.count, design)
         result = integrate(
             batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
             progress=progress or False, **study.options(self.setting),
         )  # fmt: skip
         tables = {"summary": self._labelled(result.summary, batch)}
-        if result.errors is not None:
-            tables["errors"] = self._labelled(result.errors, None)
+        if result.history is not None:
+            tables["history"] = self._labelled(result.history, None)
         return tables
 
     def _labelled(self, table: pa.Table, batch: Batch | None) -> pa.Table:
-        """With the bodies' numbers in the study, the setting before, and the draws behind."""
+        """With the trajectories' numbers in the study, the setting before, and the draws behind."""
         rows = table.num_rows
-        bodies = numbers(table["body"].to_numpy() + self.first)
-        table = table.set_column(0, table.schema.field("body"), bodies)
+        own = numbers(table["trajectory"].to_numpy() + self.first)
+        table = table.set_column(0, table.schema.field("trajectory"), own)
         dt = numbers(np.full(rows, self.setting.dt))
         table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)
         table = table.add_column(0, "method", repeated(self.setting.method, rows))

@@ -130,10 +130,10 @@ def _worst(dataset: Dataset, study: Study, seen: dict[str, str]) -> list[dict[st
     for kind, name in seen.items():
         largest = []
         for setting in study.settings:
-            rows = ok_columns(dataset, setting, ["body", name, *drawn])
+            rows = ok_columns(dataset, setting, ["trajectory", name, *drawn])
             for i in np.argsort(-rows[name], kind="stable")[:WORST]:
                 draws = {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}
-                error, body = float(rows[name][i]), int(rows["body"][i])
+                error, body = float(rows[name][i]), int(rows["trajectory"][i])
                 largest.append((error, setting, body, draws))
         largest.sort(key=lambda each: -each[0])
         listed += [
@@ -153,7 +153,7 @@ def _failures(dataset: Dataset) -> list[dict[str, Any]]:
     """The first of the bodies that failed."""
     table = dataset.table().head(
         FAILED,
-        columns=["cspace", "method", "dt", "body", "status", "t"],
+        columns=["cspace", "method", "dt", "trajectory", "status", "t"],
         filter=pc.field("status") != "ok",
     )
     rows: list[dict[str, Any]] = table.to_pylist()
@@ -173,12 +173,12 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     figure = go.Figure()
     dts = sorted(set(study.integrate.dt), reverse=True)
     for setting, style in styles(study):
-        rows = ok_columns(dataset, setting, ["body", *seen.values(), *drawn])
+        rows = ok_columns(dataset, setting, ["trajectory", *seen.values(), *drawn])
         some = _chosen([rows[name] for name in seen.values()])
         across.append({title: values[some] for title, values in components(drawn, rows)})
         up.append({AXES[k]: np.maximum(rows[name][some], LEAST) for k, name in seen.items()})
         figure.add_scatter(
-            mode="markers", name=setting.label, customdata=rows["body"][some],
+            mode="markers", name=setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": style["color"],
                     "symbol": SYMBOLS[dts.index(setting.dt) % len(SYMBOLS)]},
             hovertemplate="body %{customdata}<br>%{x:.4g}, %{y:.2e}",

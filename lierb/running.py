@@ -106,12 +106,13 @@ def integrate_batches(
 ) -> pa.RecordBatchReader:
     """A study's results as a stream, for those who want no files.
 
-    table : "summary", or "errors" if the study has `save_every`.
+    table : "summary", or "history" if the study has `save_every`.
     Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for.
     """
     given, _ = _loaded(study)
-    if table not in ("summary", "errors") or (table == "errors" and not given.integrate.save_every):
-        raise ArgumentError(f'table={table!r}; expected "summary", or "errors" with save_every')
+    known = ("summary", "history") if given.integrate.save_every else ("summary",)
+    if table not in known:
+        raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
     design = given.design
     made = (part.tables(given, design, threads)[table] for part in parts_of(given))
     first = next(made)

@@ -183,8 +183,8 @@ def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
 
     folder.mkdir(parents=True, exist_ok=True)
     for number, (setting, tables) in enumerate(replay(study, body, threads=threads)):
-        path = folder / f"body-{body}-{number:02d}.parquet"
-        pq.write_table(tables["errors"], path)
+        path = folder / f"trajectory-{body}-{number:02d}.parquet"
+        pq.write_table(tables["history"], path)
         (row,) = tables["summary"].to_pylist()
         click.echo(f"{setting.label}: {row['status']}, history in {path}")
         for name, value in row.items():

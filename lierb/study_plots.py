@@ -208,7 +208,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
 
 def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]:
     """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
-    table = dataset.table("errors").to_table(columns=["step", "t", name], filter=rows_of(setting))
+    table = dataset.table("history").to_table(columns=["step", "t", name], filter=rows_of(setting))
     steps, values = table["step"].to_numpy(), np.abs(table[name].to_numpy())
     if not len(steps):
         return np.empty(0), np.empty((4, 0))

@@ -73,7 +73,7 @@ def sorted_rows(folder, name="summary") -> list[dict]:
     found = Dataset(folder)
     found.read()
     rows = found.table(name).to_table().to_pylist()
-    return sorted(rows, key=lambda row: (row["cspace"], row["dt"], row["body"]))
+    return sorted(rows, key=lambda row: (row["cspace"], row["dt"], row["trajectory"]))
 
 
 def bits(folder, name="summary") -> dict:
@@ -85,7 +85,7 @@ def bits(folder, name="summary") -> dict:
         if column in table.column_names:
             text = table[column].cast(pa.string())
             table = table.set_column(table.column_names.index(column), column, text)
-    keys = [key for key in ("cspace", "dt", "body", "step") if key in table.column_names]
+    keys = [key for key in ("cspace", "dt", "trajectory", "step") if key in table.column_names]
     table = table.sort_by([(key, "ascending") for key in keys]).combine_chunks()
     return {column: _bytes(table[column].combine_chunks()) for column in table.column_names}
 

@@ -26,11 +26,11 @@ def test_spherical_box_reaches_taylor_series(cspace, update):
     run = {"twist0": twist0, "cspace": cspace, "update": update, "dt": 1e-4}
     after_1 = integrate(problem, t_end=1.0, **run)
     # RK4's error at 1e-3 is 2e-11; at 1e-4 it is below the rounding of 1e4 steps
-    np.testing.assert_allclose(final(after_1, "r"), ref.BOX_SPHERICAL_R_1, atol=5e-14)
+    np.testing.assert_allclose(final(after_1, "position"), ref.BOX_SPHERICAL_R_1, atol=5e-14)
     np.testing.assert_allclose(final(after_1, "omega"), ref.BOX_SPHERICAL_OMEGA_1, atol=5e-12)
     after_10 = integrate(problem, t_end=10.0, **run)
     # without gravity errors grow about linearly: ten times as long, ten times as far
-    np.testing.assert_allclose(final(after_10, "r"), ref.BOX_SPHERICAL_R_10, atol=2e-12)
+    np.testing.assert_allclose(final(after_10, "position"), ref.BOX_SPHERICAL_R_10, atol=2e-12)
     np.testing.assert_allclose(final(after_10, "omega"), ref.BOX_SPHERICAL_OMEGA_10, atol=1e-10)
 
 
@@ -41,7 +41,7 @@ def test_spherical_box_under_gravity_reaches_taylor_series(cspace):
     twist0 = held.twist(omega=ref.BOX_SPHERICAL_OMEGA_0)
     result = integrate(problem, twist0=twist0, dt=1e-4, t_end=10.0, cspace=cspace)
     # the motion amplifies errors by 1e3 over 10 s
-    np.testing.assert_allclose(final(result, "r"), ref.BOX_SPHERICAL_GRAVITY_R_10, atol=1e-9)
+    np.testing.assert_allclose(final(result, "position"), ref.BOX_SPHERICAL_GRAVITY_R_10, atol=1e-9)
 
 
 @pytest.mark.parametrize("cspace", CSPACES)
@@ -50,10 +50,10 @@ def test_revolute_box_turns_steadily(cspace):
     problem = lierb.Problem(box(), held)
     twist0 = held.twist(omega=ref.BOX_REVOLUTE_OMEGA_0)
     result = integrate(problem, twist0=twist0, dt=1e-3, t_end=10.0, cspace=cspace, save_every=125)
-    times = column(result.errors, "t")
+    times = column(result.history, "t")
     turned = lierb.lie.so3.exp(np.outer(2 * np.pi * times, (0, 1, 0))).reshape(-1, 9)
     # rounding of 1e4 steps, each of which turns R by a matrix good to 1e-16
-    np.testing.assert_allclose(column(result.errors, "R"), turned, atol=2e-12)
+    np.testing.assert_allclose(column(result.history, "rotation"), turned, atol=2e-12)
 
 
 @pytest.mark.slow
@@ -65,7 +65,7 @@ def test_heavy_top_reaches_taylor_series(cspace, dt):
         problem, twist0=twist0, dt=dt, t_end=1.0, method="DOP853", cspace=cspace,
         save_every=round(0.2 / dt), record=["state"],
     )  # fmt: skip
-    r = column(result.errors, "r")
+    r = column(result.history, "position")
     # 150 rad/s: at 1e-3 an eighth-order step of 0.15 rad leaves 3e-12 on SO(3)×R³, 3e-13 on SE(3)
     np.testing.assert_allclose(r[1], ref.TOP_R_02, atol=5e-13)
     np.testing.assert_allclose(r[5], ref.TOP_R_1, atol=1e-11)
@@ -77,7 +77,7 @@ def test_heavy_top_makes_the_discretisation_error_of_rkmk4():
     """RK4 on SE(3) about the pivot *is* RKMK4 on SO(3): it must be wrong by the same amount."""
     problem, twist0 = top()
     result = integrate(problem, twist0=twist0, dt=ref.TOP_RKMK4_STEP, t_end=2.0)
-    spatial = final(result, "R").reshape(3, 3) @ final(result, "omega")
+    spatial = final(result, "rotation").reshape(3, 3) @ final(result, "omega")
     # the published value has 14 decimals; 2000 steps at 150 rad/s round to about 1e-12
     assert spatial[1] == pytest.approx(ref.TOP_RKMK4_SPATIAL_OMEGA_Y_2, abs=1e-11)
     assert abs(spatial[1] - ref.TOP_SPATIAL_OMEGA_Y_2) > 2e-3
@@ -93,7 +93,7 @@ def test_step_agrees_with_published_rotation_vector_step():
     result = integrate(problem, pose0=start, twist0=twist0, dt=h, t_end=h)
     # published with 15 decimals; the rotation vector, longer than π, is compared as a rotation
     turned = lierb.lie.so3.exp(ref.ROTATION_VECTOR_1).ravel()
-    np.testing.assert_allclose(final(result, "R"), turned, atol=3e-15)
+    np.testing.assert_allclose(final(result, "rotation"), turned, atol=3e-15)
     np.testing.assert_allclose(final(result, "omega"), ref.ROTATION_VECTOR_OMEGA_1, atol=3e-15)
 
 
@@ -112,7 +112,7 @@ def test_pendulum_reaches_elliptic_functions(cspace):
     result = integrate(problem, twist0=np.zeros(6), dt=1e-4, t_end=5.0, cspace=cspace)
     # fourth order at 0.4 ms per radian leaves rounding only
     expected = (ref.PENDULUM_X_5, 0.0, ref.PENDULUM_Z_5)
-    np.testing.assert_allclose(final(result, "r"), expected, atol=1e-11)
+    np.testing.assert_allclose(final(result, "position"), expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("cspace", CSPACES)
@@ -124,7 +124,7 @@ def test_axisymmetric_free_body_precesses(cspace, update):
     result = integrate(problem, twist0=twist0, dt=1e-3, t_end=5.0, cspace=cspace, update=update)
     turned = oracle.rotation_matrix(np.array(ref.AXISYMMETRIC_QUATERNION_5))
     # three of the published components have eight digits
-    np.testing.assert_allclose(final(result, "R").reshape(3, 3), turned, atol=5e-8)
+    np.testing.assert_allclose(final(result, "rotation").reshape(3, 3), turned, atol=5e-8)
 
 
 # ---- observed orders ---------------------------------------------------------------------------
@@ -156,8 +156,8 @@ def _error(name: str, steps: int, **options) -> float:
     problem, twist0 = tilted(name)
     result = integrate(problem, twist0=twist0, dt=1.0 / steps, t_end=1.0, **options)
     truth = _reference(name)
-    rotation = np.abs(final(result, "R").reshape(3, 3) - truth.R[0]).max()
-    return max(rotation, np.abs(final(result, "r") - truth.r[0]).max())
+    rotation = np.abs(final(result, "rotation").reshape(3, 3) - truth.R[0]).max()
+    return max(rotation, np.abs(final(result, "position") - truth.r[0]).max())
 
 
 # A step reads its tableau in the same way in both updates: two methods are enough for the second.
@@ -220,6 +220,8 @@ def test_far_frames_change_nothing():
         ground_frame=problem.joint.ground_frame @ along, body_frame=problem.joint.body_frame @ along
     )
     other = lierb.Problem(problem.body, moved, problem.gravity)
-    ends = [final(integrate(p, twist0=twist0, dt=1e-3, t_end=1.0), "r") for p in (problem, other)]
+    ends = [
+        final(integrate(p, twist0=twist0, dt=1e-3, t_end=1.0), "position") for p in (problem, other)
+    ]
     # another body frame on SE(3): the same motion up to rounding
     np.testing.assert_allclose(*ends, atol=1e-11)

@@ -32,7 +32,7 @@ def fall(method="Euler"):
     stats = integrate_block.stats
     print(json.dumps({
         "v": summary["v"][0].as_py()[2],
-        "r": summary["r"][0].as_py()[2],
+        "r": summary["position"][0].as_py()[2],
         "loaded": sum(stats.cache_hits.values()),
         "compiled": sum(stats.cache_misses.values()),
         "cache": stats.cache_path,
@@ -194,7 +194,7 @@ result = lierb.integrate(
     problem, twist0=twists, dt=1e-2, t_end=0.3, save_every=7, record=("state", "energy")
 )
 told = json.loads(result.summary.schema.metadata[b"lierb"])["lanes"]
-columns = [c.to_pylist() for t in (result.summary, result.errors) for c in t.columns]
+columns = [c.to_pylist() for t in (result.summary, result.history) for c in t.columns]
 print(json.dumps({"lanes": told, "columns": columns}))
 """
 

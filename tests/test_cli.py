@@ -71,7 +71,7 @@ class TestPaper:
         assert result.exit_code == 0, result.output
         assert f"Written to {out}:" in result.stdout
         assert "  figure_2_spherical_position.png, .svg\n" in result.stdout
-        for name in ("summary.parquet", "errors.parquet", "figure_2_spherical_position.png"):
+        for name in ("summary.parquet", "history.parquet", "figure_2_spherical_position.png"):
             assert (out / name).stat().st_size > 1000
 
     @pytest.mark.slow
@@ -108,7 +108,7 @@ class TestPaper:
     def test_no_figures_writes_the_tables_only(self, tmp_path):
         invoke("paper", "--no-figures", "--out", tmp_path)
         assert sorted(path.name for path in tmp_path.iterdir()) == [
-            "errors.parquet",
+            "history.parquet",
             "summary.parquet",
         ]
 

@@ -59,7 +59,7 @@ def test_bits_do_not_depend_on_workers_or_parts(workers, alone, tmp_path):
             folder = tmp_path / str(part)
             given = study(**SHORT | {"output": {"part": part}})
             lierb.run(given, folder, client=client, gather=part == 1000)
-            for table in ("summary", "errors"):
+            for table in ("summary", "history"):
                 assert bits(folder, table) == bits(alone, table)
         assert hashes(tmp_path / "4096") == hashes(alone)
 

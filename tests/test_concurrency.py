@@ -25,7 +25,7 @@ pytestmark = pytest.mark.skipif(
 ROOT = Path(lierb.__file__).parents[1]
 COUNT = 37  # bodies; several blocks and a padded one for any number of lanes
 STEPS = 200
-NUMBERS = ("t", "position_error_max", "energy_drift_max", "R", "r", "omega", "v")
+NUMBERS = ("t", "position_error_max", "energy_drift_max", "rotation", "position", "omega", "v")
 
 TOP = lierb.Problem(
     lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531)),
@@ -88,7 +88,7 @@ def test_concurrent_first_calls_compile_once_and_agree():
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(call, range(4)))
     assert all(one == found[0] for one in found)
-    assert np.isfinite(found[0][NUMBERS.index("r")]).all()
+    assert np.isfinite(found[0][NUMBERS.index("position")]).all()
 
 
 # ---------------------------------------------------------------- threads of Numba
@@ -371,7 +371,7 @@ def test_concurrent_calls_work_on_every_threading_layer(layer):
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 with ThreadPoolExecutor(4) as pool:
-    found = list(pool.map(lambda _: run(t_end=1.0).summary["r"].to_pylist(), range(20)))
+    found = list(pool.map(lambda _: run(t_end=1.0).summary["position"].to_pylist(), range(20)))
 assert all(one == found[0] for one in found)
 print("agreed on", numba.threading_layer())
 """

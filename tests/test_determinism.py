@@ -47,7 +47,8 @@ def _bits(result: lierb.Result) -> np.ndarray:
     """Every number of the summary, as integers: −0 and NaN count as themselves."""
     rows = [np.array(result.summary[name].to_pylist(), dtype=float)[:, None] for name in SUMMARY]
     rows += [
-        np.array(result.summary[name].to_pylist(), dtype=float) for name in ("R", "r", "omega", "v")
+        np.array(result.summary[name].to_pylist(), dtype=float)
+        for name in ("rotation", "position", "omega", "v")
     ]
     return np.concatenate(rows, axis=1).view(np.int64)
 
@@ -159,7 +160,7 @@ def test_an_overflowing_body_gets_its_status_and_time():
     assert statuses[-1] == "non_finite"
     failed_at = result.summary["t"][4].as_py()
     assert 0.0 < failed_at < 200.0
-    assert np.isnan(result.summary["r"][4].as_py()).all()
+    assert np.isnan(result.summary["position"][4].as_py()).all()
     assert np.isfinite(result.summary["position_error_max"][4].as_py())
 
 

@@ -121,15 +121,16 @@ def run(problem, twist0, cspace: str, **options):
 
 
 def assert_moves_as(problem, twist0, held, acting, cspace):
-    history = run(problem, twist0, cspace).errors
+    history = run(problem, twist0, cspace).history
     columns = {
         name: column(history, name).reshape(2, BODIES, -1)
-        for name in ("R", "r", "omega", "v", "lambda", "reaction", "energy")
+        for name in ("rotation", "position", "omega", "v", "lambda", "reaction", "energy")
     }
     for body in range(BODIES):
         ref = expected(held, acting, twist0, body)
         for name, wanted in (
-            ("R", ref.R[-1].ravel()), ("r", ref.r[-1]), ("omega", ref.omega[-1]), ("v", ref.v[-1]),
+            ("rotation", ref.R[-1].ravel()), ("position", ref.r[-1]),
+            ("omega", ref.omega[-1]), ("v", ref.v[-1]),
         ):  # fmt: skip
             # DOP853's error at 1e-3 is below rounding, which swings of 50 rad/s² amplify
             np.testing.assert_allclose(columns[name][-1, body], wanted, atol=1e-9, err_msg=name)
@@ -173,7 +174,7 @@ def test_gain_reduced_and_saddle_agree_under_forces(options):
         lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=0.5, **o).summary
         for o in ({}, options)
     ]
-    for name in ("R", "r", "omega", "v"):
+    for name in ("rotation", "position", "omega", "v"):
         # the same differential equation by the same method: rounding, over 500 steps
         np.testing.assert_allclose(column(found[0], name), column(found[1], name), atol=1e-11)
 
@@ -190,7 +191,8 @@ def test_spring_off_the_centre_swings_harmonically():
     )
     place = 0.5 * (1.0 - np.cos(np.sqrt([1.5, 4.0])))  # x₀(1 − cos √(k/m) t) from rest
     # DOP853 at 1e-2 of ω ≤ 2 rad/s: errors of (ωh)⁸
-    np.testing.assert_allclose(column(result.summary, "r"), np.outer(place, axis), atol=1e-13)
+    found = column(result.summary, "position")
+    np.testing.assert_allclose(found, np.outer(place, axis), atol=1e-13)
     assert max(result.summary["energy_drift_max"].to_pylist()) < 1e-13
 
 
@@ -223,9 +225,9 @@ def test_speed_motor_keeps_its_speed_and_tells_its_torque(cspace):
             forces=[oracle.drag(linear=0.4)],
             speed=(lambda t, w=first: w + 0.5 * t * t, lambda t: t),
         )  # fmt: skip
-        history = result.errors
+        history = result.history
         last = len(start) + body
-        np.testing.assert_allclose(column(history, "r")[last], ref.r[-1], atol=1e-10)
+        np.testing.assert_allclose(column(history, "position")[last], ref.r[-1], atol=1e-10)
         np.testing.assert_allclose(column(history, "lambda")[last], ref.multipliers[-1], atol=1e-9)
         np.testing.assert_allclose(column(history, "reaction")[last], ref.reaction[-1], atol=1e-9)
 

@@ -199,8 +199,10 @@ def test_constraint_moves_the_body_as_newton_and_euler_say(cspace):
             extra_rows=oracle.rod_rows(END, ANCHOR, length),
         )  # fmt: skip
         last = 3 + body
-        for name, wanted in (("r", ref.r), ("omega", ref.omega), ("lambda", ref.multipliers)):
-            np.testing.assert_allclose(column(result.errors, name)[last], wanted[-1], atol=1e-9)
+        for name, wanted in (
+            ("position", ref.r), ("omega", ref.omega), ("lambda", ref.multipliers),
+        ):  # fmt: skip
+            np.testing.assert_allclose(column(result.history, name)[last], wanted[-1], atol=1e-9)
 
 
 @lierb.constraint
@@ -234,14 +236,14 @@ def test_constraints_are_the_joint_that_they_spell_out(cspace):
         np.testing.assert_allclose(
             column(found.summary, name), column(built_in.summary, name), rtol=1e-3, atol=1e-13
         )
-    for name in ("R", "r", "omega", "v"):
+    for name in ("rotation", "position", "omega", "v"):
         np.testing.assert_allclose(
             final(found, name), final(built_in, name), atol=1e-12, err_msg=name
         )
     turned = np.block([[GROUND_FRAME[:3, :3].T, np.zeros((3, 1))], [np.zeros((1, 3)), np.eye(1)]])
-    multipliers = [turned @ row for row in column(found.errors, "lambda")]
-    np.testing.assert_allclose(multipliers, column(built_in.errors, "lambda"), atol=1e-9)
-    units = found.errors.schema.field("lambda").metadata[b"unit"]
+    multipliers = [turned @ row for row in column(found.history, "lambda")]
+    np.testing.assert_allclose(multipliers, column(built_in.history, "lambda"), atol=1e-9)
+    units = found.history.schema.field("lambda").metadata[b"unit"]
     assert units == b"N, N, N, N m"
 
 

@@ -27,11 +27,11 @@ def test_steady_pendulum_pulls_with_weight_and_centrifugal_force():
     result = integrate(
         problem, twist0=held.twist(omega=(0, omega, 0)), dt=1e-4, t_end=1.0, save_every=500
     )
-    rotations = column(result.errors, "R").reshape(-1, 3, 3)
-    rates = column(result.errors, "omega")[:, 1]
+    rotations = column(result.history, "rotation").reshape(-1, 3, 3)
+    rates = column(result.history, "omega")[:, 1]
     # −λ is the ground's force on the body, in the ground's joint frame
     axes = held.ground_frame[:3, :3]
-    forces = -column(result.errors, "lambda")[:, :3] @ axes.T
+    forces = -column(result.history, "lambda")[:, :3] @ axes.T
     towards_axis = rotations[:, :, 2]
     cosine = rotations[:, 2, 2]
     along = np.einsum("ti,ti->t", forces, towards_axis)
@@ -111,10 +111,10 @@ def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
         body_frame=problem.joint.body_frame, gravity=problem.gravity, pitch=PITCH,
         length=float(problem.joint.length),
     )  # fmt: skip
-    found = column(result.errors, "lambda")[0]
+    found = column(result.history, "lambda")[0]
     # two dense solves of the same state; λ reaches 100 N
     np.testing.assert_allclose(found, truth.multipliers[0], rtol=1e-10, atol=1e-10)
-    wrench = column(result.errors, "reaction")[0]
+    wrench = column(result.history, "reaction")[0]
     np.testing.assert_allclose(wrench, truth.reaction[0], rtol=1e-10, atol=1e-10)
 
 
@@ -129,7 +129,7 @@ def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
         body_frame=problem.joint.body_frame, gravity=problem.gravity,
     )  # fmt: skip
     # RK4's error of the state, 1e-11 here, times the stiffness of 100 N
-    found = column(result.errors, "reaction")[-1]
+    found = column(result.history, "reaction")[-1]
     np.testing.assert_allclose(found, truth.reaction[0], rtol=1e-8, atol=1e-8)
 
 
@@ -145,7 +145,7 @@ def test_reaction_does_not_depend_on_the_rows():
             lierb.Problem(problem.body, held, problem.gravity), twist0=twist0, dt=1e-3, t_end=0.1,
             solver="saddle",
         )  # fmt: skip
-        wrenches.append(column(run.errors, "reaction"))
+        wrenches.append(column(run.history, "reaction"))
     # rounding of 100 steps
     np.testing.assert_allclose(*wrenches, rtol=1e-10, atol=1e-10)
 
@@ -173,8 +173,8 @@ def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
             save_every=100, solver="saddle",
         )  # fmt: skip
         assert run.summary["status"].to_pylist() == ["ok"]
-        ends.append(column(run.errors, "R"))
-        wrenches.append(column(run.errors, "reaction"))
+        ends.append(column(run.history, "rotation"))
+        wrenches.append(column(run.history, "reaction"))
     # 500 steps of rounding; reactions are up to 100 N and N m
     np.testing.assert_allclose(*ends, atol=1e-10)
     np.testing.assert_allclose(*wrenches, atol=1e-8)
@@ -201,8 +201,8 @@ def test_rows_given_again_are_left_out():
 def test_free_body_feels_no_reaction():
     problem, twist0 = tilted("free")
     run = integrate(problem, twist0=twist0, dt=1e-2, t_end=0.02, save_every=1)
-    np.testing.assert_array_equal(column(run.errors, "reaction"), 0.0)
-    unit = run.errors.schema.field("reaction").metadata[b"unit"]
+    np.testing.assert_array_equal(column(run.history, "reaction"), 0.0)
+    unit = run.history.schema.field("reaction").metadata[b"unit"]
     assert unit == b"N m, N m, N m, N, N, N"
 
 
@@ -237,7 +237,7 @@ def test_mass_scales_out(size):
     heavy = lierb.Body(size * problem.body.mass, size * problem.body.inertia)
     scaled = lierb.Problem(heavy, problem.joint, problem.gravity)
     ends = [
-        column(integrate(p, twist0=twist0, dt=1e-3, t_end=1.0).summary, "r")
+        column(integrate(p, twist0=twist0, dt=1e-3, t_end=1.0).summary, "position")
         for p in (problem, scaled)
     ]
     # 1000 steps of rounding, amplified about tenfold by the motion

@@ -178,9 +178,9 @@ def test_example_starts_as_the_paper_says(number, as_printed):
         save_every=1,
         record=("state",),
         check="off",
-    ).errors.slice(0, 1)
-    assert start["R"].to_pylist()[0] == pytest.approx(np.eye(3).ravel(), abs=1e-15)
-    assert start["r"].to_pylist()[0] == pytest.approx(-p, abs=1e-15)
+    ).history.slice(0, 1)
+    assert start["rotation"].to_pylist()[0] == pytest.approx(np.eye(3).ravel(), abs=1e-15)
+    assert start["position"].to_pylist()[0] == pytest.approx(-p, abs=1e-15)
 
 
 # ---------------------------------------------------------------- tables
@@ -197,15 +197,15 @@ def test_summary_has_a_row_for_each_run(report):
 
 @pytest.mark.slow
 def test_errors_hold_about_a_thousand_rows_for_each_run(report):
-    assert report.errors.num_rows == len(KEYS) * len(CSPACES) * len(DTS) * 1001
-    t = report.errors["t"].to_numpy().reshape(-1, 1001)
+    assert report.history.num_rows == len(KEYS) * len(CSPACES) * len(DTS) * 1001
+    t = report.history["t"].to_numpy().reshape(-1, 1001)
     assert np.all(t[:, 0] == 0.0)
     assert t[:, -1] == pytest.approx(10.0, abs=1e-12)
 
 
 @pytest.mark.slow
 def test_tables_keep_units_and_provenance(report):
-    for table in (report.summary, report.errors):
+    for table in (report.summary, report.history):
         assert table.schema.field("dt").metadata == {b"unit": b"s"}
         assert table.schema.field("t").metadata[b"unit"] == b"s"
         provenance = json.loads(table.schema.metadata[b"lierb"])
@@ -216,7 +216,7 @@ def test_tables_keep_units_and_provenance(report):
 
 @pytest.mark.slow
 def test_label_columns_are_dictionaries(report):
-    for table in (report.summary, report.errors):
+    for table in (report.summary, report.history):
         for name in ("example", "reading", "cspace"):
             assert str(table.schema.field(name).type).startswith("dictionary")
 
@@ -226,7 +226,7 @@ def test_label_columns_are_dictionaries(report):
 
 @pytest.mark.slow
 def test_parquet_files_hold_the_tables(report, folder):
-    for name, table in (("summary", report.summary), ("errors", report.errors)):
+    for name, table in (("summary", report.summary), ("history", report.history)):
         stored = pq.read_table(folder / f"{name}.parquet")
         assert stored.equals(table)
         assert stored.schema.metadata == table.schema.metadata

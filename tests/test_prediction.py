@@ -170,7 +170,7 @@ def drift(problem, twists, cspace, dt):
     assert set(run.summary["status"].to_pylist()) == {"ok"}
     return {
         kind: column(run.summary, f"{kind}_error_max") for kind in ("position", "rotation")
-    }, np.abs(column(run.summary, "r")).max(axis=1)
+    }, np.abs(column(run.summary, "position")).max(axis=1)
 
 
 @pytest.mark.slow

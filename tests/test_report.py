@@ -113,7 +113,7 @@ def test_page_shows_what_was_found(dataset, text):
     worst = max(rows, key=lambda row: row["energy_drift_max"])
     listed = next(c for c in cells if c[0] == "energy, J" and len(c) > 5)
     assert listed[1] == f"{worst['energy_drift_max']:.1e}"
-    assert listed[3] == str(worst["body"])
+    assert listed[3] == str(worst["trajectory"])
 
 
 def drawn(text: str) -> tuple[list, dict]:

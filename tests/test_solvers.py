@@ -34,31 +34,32 @@ def test_a_constant_gain_makes_the_saddle_points_motion(name):
     slow, fast = _history(name, "local", "saddle"), _history(name, "local", "gain")
     # 1000 steps of rounding in another order; the forces reach 100 N
     for quantity, tolerance in (
-        ("R", 1e-12), ("r", 1e-12), ("omega", 1e-11), ("lambda", 1e-10), ("reaction", 1e-10),
+        ("rotation", 1e-12), ("position", 1e-12), ("omega", 1e-11), ("lambda", 1e-10),
+        ("reaction", 1e-10),
     ):  # fmt: skip
         np.testing.assert_allclose(
-            column(fast.errors, quantity), column(slow.errors, quantity), atol=tolerance
+            column(fast.history, quantity), column(slow.history, quantity), atol=tolerance
         )
 
 
 @pytest.mark.parametrize("name", ["spherical", "screw"])
 def test_the_reduced_cspace_takes_the_steps_of_the_gain(name):
     gain, reduced = _history(name, "local", "gain"), _history(name, "local", "reduced")
-    assert gain.errors.equals(reduced.errors)
+    assert gain.history.equals(reduced.history)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["spherical", "revolute", "screw", "planar"])
 def test_a_constant_gain_makes_the_saddle_points_motion_in_global_charts(name):
     slow, fast = _history(name, "global", "saddle"), _history(name, "global", "gain")
-    for quantity, tolerance in (("R", 1e-12), ("r", 1e-12), ("lambda", 1e-10)):
+    for quantity, tolerance in (("rotation", 1e-12), ("position", 1e-12), ("lambda", 1e-10)):
         np.testing.assert_allclose(
-            column(fast.errors, quantity), column(slow.errors, quantity), atol=tolerance
+            column(fast.history, quantity), column(slow.history, quantity), atol=tolerance
         )
 
 
 def _state(result: lierb.Result) -> np.ndarray:
-    names = ("R", "r", "omega", "v")
+    names = ("rotation", "position", "omega", "v")
     return np.concatenate([column(result.summary, n) for n in names], axis=1).view(np.int64)
 
 
@@ -105,9 +106,9 @@ def test_steps_of_tiny_angles_are_the_same_beside_a_body_whose_angles_are_not(na
     options = {"dt": 1e-3, "t_end": 0.2, "save_every": 1}
     alone = integrate(problem, twist0=[twist0, 0.5 * twist0], **options)
     beside = integrate(problem, twist0=[twist0, 0.5 * twist0, fast], **options)
-    assert np.linalg.norm(column(alone.errors, "omega"), axis=1).max() * 1e-3 < np.sqrt(TINY)
-    for table in ("summary", "errors"):
-        slow = getattr(beside, table).filter(pc.field("body") < 2)
+    assert np.linalg.norm(column(alone.history, "omega"), axis=1).max() * 1e-3 < np.sqrt(TINY)
+    for table in ("summary", "history"):
+        slow = getattr(beside, table).filter(pc.field("trajectory") < 2)
         assert slow.equals(getattr(alone, table))
 
 
@@ -136,13 +137,13 @@ def test_exactness_lasts_a_million_steps(name, gravity, solver):
         problem, twist0=twist0, dt=1e-4, t_end=100.0, measure_every=10, **FAST[solver]
     )
     (summary,) = result.summary.to_pylist()
-    far = 1.0 + np.linalg.norm(summary["r"])
+    far = 1.0 + np.linalg.norm(summary["position"])
     assert summary["position_error_max"] <= 2e-15 * far
     assert summary["rotation_error_max"] <= 2e-15 * far
     assert summary["orthogonality_error_max"] <= 1e-14
     # and in the state that is handed out, not only by the kernel's own measure
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.reshape(summary["R"], (3, 3)), summary["r"]
+    pose[:3, :3], pose[:3, 3] = np.reshape(summary["rotation"], (3, 3)), summary["position"]
     d = np.linalg.inv(problem.joint.ground_frame) @ pose @ problem.joint.body_frame
     np.testing.assert_allclose(d[:3, 3], 0.0, atol=2e-15)
 

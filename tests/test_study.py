@@ -262,6 +262,12 @@ def test_a_manifest_that_is_none_is_named(content, tmp_path):
         lierb.run(study(), tmp_path)
 
 
+def test_results_of_version_0_1_are_refused_by_name(tmp_path):
+    (tmp_path / "manifest.json").write_text('{"format": 1, "parts": {}}')
+    with pytest.raises(StudyError, match=r"lierb 0\.1.*other names"):
+        lierb.run(study(), tmp_path)
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "latin-1"])
 def test_encodings(encoding, tmp_path):
     path = tmp_path / "s.toml"
@@ -285,9 +291,9 @@ def test_stream_has_the_same_rows(whole):
 def test_history_has_its_own_parts(tmp_path):
     given = study(integrate={"save_every": 10, "record": ["state"], "dt": 1e-3})
     done = lierb.run(given, tmp_path)
-    errors = done.table("errors").to_table()
+    errors = done.table("history").to_table()
     assert errors.num_rows == 2 * 50 * 6
-    assert {"cspace", "method", "dt", "body", "step", "R"} <= set(errors.column_names)
+    assert {"cspace", "method", "dt", "trajectory", "step", "rotation"} <= set(errors.column_names)
 
 
 def test_one_body_is_replayed_bit_for_bit(whole):
@@ -298,10 +304,10 @@ def test_one_body_is_replayed_bit_for_bit(whole):
         (row,) = tables["summary"].to_pylist()
         (same,) = [
             r for r in stored
-            if (r["body"], r["cspace"], r["dt"]) == (17, setting.cspace, setting.dt)
+            if (r["trajectory"], r["cspace"], r["dt"]) == (17, setting.cspace, setting.dt)
         ]  # fmt: skip
         assert row == same
-        assert "lambda" in tables["errors"].column_names
+        assert "lambda" in tables["history"].column_names
 
 
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])

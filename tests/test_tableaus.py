@@ -250,7 +250,7 @@ def test_integrate_uses_the_users_coefficients(top):
     # Ralston's third-order method; its order on a body is measured elsewhere
     ralston = ButcherTableau([[], [1 / 2], [0, 3 / 4]], [2 / 9, 1 / 3, 4 / 9], order=3)
     assert worst_condition(ralston, 3) <= CONDITION_TOLERANCE
-    turned = np.array(run(top, ralston)["R"].to_pylist()[0])
-    close = np.array(run(top, "RK4")["R"].to_pylist()[0])
+    turned = np.array(run(top, ralston)["rotation"].to_pylist()[0])
+    close = np.array(run(top, "RK4")["rotation"].to_pylist()[0])
     # (|ω| dt)³ ≈ 4e-4 a step, over 30 steps of a third-order method: about 1e-5, never 0
     assert 1e-9 < np.abs(turned - close).max() < 1e-3

@@ -3,6 +3,7 @@
 import json
 from types import SimpleNamespace
 
+import duckdb
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -58,17 +59,17 @@ def assert_same_bits(one, other, names=None):
 
 # ---------------------------------------------------------------- schema
 
-VECTOR = {"R": 9, "r": 3, "omega": 3, "v": 3}
-STATE_UNITS = {"R": "1", "r": "m", "omega": "rad/s", "v": "m/s"}
+VECTOR = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
+STATE_UNITS = {"rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s"}
 SUMMARY_UNITS = {
-    "body": None, "status": None, "t": "s",
+    "trajectory": None, "status": None, "t": "s",
     "position_error_max": "m", "position_error_final": "m",
     "rotation_error_max": "1", "rotation_error_final": "1",
     "velocity_error_max": "m/s", "rotation_rate_error_max": "rad/s",
     "energy_drift_max": "J", "orthogonality_error_max": "1", **STATE_UNITS,
 }  # fmt: skip
 ERRORS_UNITS = {
-    "body": None, "step": None, "t": "s", "position_error": "m", "rotation_error": "1",
+    "trajectory": None, "step": None, "t": "s", "position_error": "m", "rotation_error": "1",
     "velocity_error": "m/s", "rotation_rate_error": "rad/s", "energy_drift": "J",
     "orthogonality_error": "1",
 }  # fmt: skip
@@ -81,7 +82,7 @@ RECORDED = {
 
 
 def expected_type(name):
-    if name in ("body", "step"):
+    if name in ("trajectory", "step"):
         return pa.int64()
     if name in VECTOR or name in ("lambda", "reaction"):
         return pa.list_(pa.float64(), {**VECTOR, "lambda": 3, "reaction": 6}[name])
@@ -106,7 +107,7 @@ def test_summary_schema(top):
 
 
 def test_errors_schema(top):
-    assert_schema(run(*top, save_every=5).errors, ERRORS_UNITS)
+    assert_schema(run(*top, save_every=5).history, ERRORS_UNITS)
 
 
 @pytest.mark.parametrize(
@@ -117,18 +118,18 @@ def test_record_adds_its_columns_in_a_fixed_order(top, record):
     added = {}
     for name in RECORDED:
         added |= RECORDED[name] if name in record else {}
-    assert_schema(run(*top, save_every=5, record=record).errors, ERRORS_UNITS | added)
+    assert_schema(run(*top, save_every=5, record=record).history, ERRORS_UNITS | added)
 
 
 def test_record_may_be_one_name(top):
     assert_schema(
-        run(*top, save_every=5, record="energy").errors, ERRORS_UNITS | RECORDED["energy"]
+        run(*top, save_every=5, record="energy").history, ERRORS_UNITS | RECORDED["energy"]
     )
 
 
 def test_multiplier_units_are_those_of_the_rows():
     problem = lierb.Problem(lierb.Body(6.075, BOX), joints.revolute())
-    table = run(problem, np.zeros(6), save_every=1, record=RECORD).errors
+    table = run(problem, np.zeros(6), save_every=1, record=RECORD).history
     field = table.schema.field("lambda")
     assert field.metadata[b"unit"] == b"N, N, N, N m, N m"
     assert field.type.list_size == 5
@@ -139,15 +140,25 @@ def test_multipliers_of_a_free_body_survive_parquet(tmp_path):
     # there are none; Arrow's Parquet reader refuses a column of lists of length 0
     parquet = pytest.importorskip("pyarrow.parquet")
     problem = lierb.Problem(lierb.Body(6.075, BOX), joints.free())
-    table = run(problem, np.zeros(6), save_every=1, record=RECORD).errors
+    table = run(problem, np.zeros(6), save_every=1, record=RECORD).history
     parquet.write_table(table, tmp_path / "free.parquet")
     assert parquet.read_table(tmp_path / "free.parquet").equals(table)
 
 
+def test_column_names_differ_where_case_is_ignored(top):
+    """SQL is blind to case: of two columns `R` and `r` it gives the first for either."""
+    result = run(*top, save_every=5, record=RECORD)
+    for table in (result.summary, result.history):
+        lowered = [name.lower() for name in table.column_names]
+        assert len(set(lowered)) == len(lowered)
+    found = duckdb.from_arrow(result.history).query("history", "SELECT position FROM history")
+    np.testing.assert_array_equal(found.fetchall(), column(result.history, "position")[:, None])
+
+
 def test_no_history_without_save_every(top):
     result = run(*top)
-    assert result.errors is None
-    assert f"{COUNT} bodies" in repr(result)
+    assert result.history is None
+    assert f"{COUNT} trajectories" in repr(result)
 
 
 def test_status_lists_its_names(top):
@@ -159,7 +170,7 @@ def test_status_lists_its_names(top):
 def test_tables_survive_parquet(top, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     result = run(*top, save_every=4, record=("state", "energy"))
-    for table in (result.summary, result.errors):
+    for table in (result.summary, result.history):
         parquet.write_table(table, tmp_path / "table.parquet")
         again = parquet.read_table(tmp_path / "table.parquet")
         assert again.schema.metadata[b"lierb"] == table.schema.metadata[b"lierb"]
@@ -178,15 +189,15 @@ def test_tables_survive_parquet(top, tmp_path):
     [(1, list(range(11))), (4, [0, 4, 8, 10]), (5, [0, 5, 10]), (10, [0, 10]), (17, [0, 10])],
 )
 def test_errors_are_time_major_with_the_first_and_last_step(top, save_every, steps):
-    table = run(*top, save_every=save_every).errors
+    table = run(*top, save_every=save_every).history
     assert column(table, "step").tolist() == np.repeat(steps, COUNT).tolist()
-    assert column(table, "body").tolist() == list(range(COUNT)) * len(steps)
+    assert column(table, "trajectory").tolist() == list(range(COUNT)) * len(steps)
     # t = k·dt, one product
     np.testing.assert_array_equal(column(table, "t"), np.repeat(np.array(steps) * DT, COUNT))
 
 
 def test_one_step_is_a_whole_run(top):
-    table = run(*top, save_every=1, t_end=DT).errors
+    table = run(*top, save_every=1, t_end=DT).history
     assert by_body(table, "step")[:, 0].tolist() == [0, 1]
 
 
@@ -194,10 +205,10 @@ def test_one_step_is_a_whole_run(top):
 def test_save_every_changes_no_bit(top, save_every):
     full = run(*top, save_every=1, record=("state", "energy"))
     thin = run(*top, save_every=save_every, record=("state", "energy"))
-    steps = by_body(thin.errors, "step")[:, 0]
-    for name in full.errors.column_names:
+    steps = by_body(thin.history, "step")[:, 0]
+    for name in full.history.column_names:
         np.testing.assert_array_equal(
-            by_body(thin.errors, name), by_body(full.errors, name)[steps], err_msg=name
+            by_body(thin.history, name), by_body(full.history, name)[steps], err_msg=name
         )
     assert_same_bits(thin.summary, full.summary)
 
@@ -211,26 +222,27 @@ def test_summary_ends_where_the_history_ends(top):
     result = run(*top, save_every=4, record="state")
     for name in VECTOR:
         np.testing.assert_array_equal(
-            column(result.summary, name), by_body(result.errors, name)[-1], err_msg=name
+            column(result.summary, name), by_body(result.history, name)[-1], err_msg=name
         )
     for name in ("position_error", "rotation_error"):
         np.testing.assert_array_equal(
-            column(result.summary, f"{name}_final"), by_body(result.errors, name)[-1]
+            column(result.summary, f"{name}_final"), by_body(result.history, name)[-1]
         )
     assert column(result.summary, "t").tolist() == [STEPS * DT] * COUNT
-    assert column(result.summary, "body").tolist() == list(range(COUNT))
+    assert column(result.summary, "trajectory").tolist() == list(range(COUNT))
 
 
 def test_history_starts_with_the_given_state(top):
     problem, twists = top
-    table = run(*top, save_every=5, record="state").errors
+    table = run(*top, save_every=5, record="state").history
     start = {name: by_body(table, name)[0] for name in VECTOR}
     # taken to the joint's frame, which is parallel to the body's here, and back
     np.testing.assert_allclose(start["omega"], twists[:, :3], rtol=0, atol=1e-15)
     np.testing.assert_allclose(start["v"], twists[:, 3:], rtol=0, atol=2e-15)
     C = problem.joint.closed_pose
-    np.testing.assert_allclose(start["R"], np.tile(C[:3, :3].reshape(-1), (COUNT, 1)), atol=1e-15)
-    np.testing.assert_allclose(start["r"], np.tile(C[:3, 3], (COUNT, 1)), atol=1e-15)
+    turned = np.tile(C[:3, :3].reshape(-1), (COUNT, 1))
+    np.testing.assert_allclose(start["rotation"], turned, atol=1e-15)
+    np.testing.assert_allclose(start["position"], np.tile(C[:3, 3], (COUNT, 1)), atol=1e-15)
 
 
 MAXIMA = (
@@ -242,7 +254,7 @@ MAXIMA = (
 @pytest.mark.parametrize("save_every", [None, 3])
 @pytest.mark.parametrize("measure_every", [1, 3, 4, 10, 17])
 def test_measure_every_takes_maxima_over_its_steps_and_the_last(top, measure_every, save_every):
-    full = run(*top, save_every=1, cspace="SO3xR3").errors
+    full = run(*top, save_every=1, cspace="SO3xR3").history
     measured = np.unique([*range(0, STEPS, measure_every), STEPS])
     summary = run(*top, measure_every=measure_every, save_every=save_every, cspace="SO3xR3").summary
     for name in MAXIMA:
@@ -254,7 +266,7 @@ def test_measure_every_takes_maxima_over_its_steps_and_the_last(top, measure_eve
 
 def test_measure_every_matters_here(top):
     # else the test above could not fail: the largest error is at none of the steps 0, 4, 8, 10
-    drift = np.abs(by_body(run(*top, save_every=1, cspace="SO3xR3").errors, "position_error"))
+    drift = np.abs(by_body(run(*top, save_every=1, cspace="SO3xR3").history, "position_error"))
     assert (drift.argmax(axis=0) % 4 != 0).any()
 
 
@@ -351,7 +363,7 @@ def axis_error(rows, Q):
 
 def measures_of(problem, i, state):
     """All columns of the history for body i, from its recorded state."""
-    R, r, omega, v = state["R"].reshape(3, 3), state["r"], state["omega"], state["v"]
+    R, r, omega, v = state["rotation"].reshape(3, 3), state["position"], state["omega"], state["v"]
     joint, body = problem.joint, problem.body
     G, B = joint.ground_frame[i], joint.body_frame[i]
     pitch = np.broadcast_to(joint.pitch, COUNT)[i]
@@ -387,9 +399,9 @@ def test_measures_follow_from_the_recorded_state(name, cspace):
     problem, given = violated(name, cspace)
     result = run(problem, **given, cspace=cspace, save_every=3, record=(*RECORD, "energy"))
     assert result.summary["status"].to_pylist() == ["ok"] * COUNT
-    table = result.errors
+    table = result.history
     state = {name: by_body(table, name) for name in VECTOR}
-    rows = len(state["R"])
+    rows = len(state["rotation"])
     energies = by_body(table, "energy")
     for k, i in np.ndindex(rows, COUNT):
         expected = measures_of(problem, i, {name: state[name][k, i] for name in VECTOR})
@@ -404,7 +416,7 @@ def test_measures_follow_from_the_recorded_state(name, cspace):
 def test_measured_states_violate_what_they_shall(name):
     # else the test above would compare zeros with zeros
     problem, given = violated(name, "SE3")
-    table = run(problem, **given, save_every=3, record=RECORD).errors
+    table = run(problem, **given, save_every=3, record=RECORD).history
     for measure in ("position_error", "rotation_error", "velocity_error", "rotation_rate_error"):
         assert by_body(table, measure).min() > 1e-3, measure
 
@@ -414,8 +426,8 @@ def test_orthogonality_error_follows_from_the_recorded_rotation(cspace):
     problem, given = violated("screw", cspace)
     # rotations stretched by what still passes for rounding of whoever made them
     given["pose0"][:, :3, :3] *= 1 + 5e-11 * np.arange(1, COUNT + 1)[:, None, None]
-    table = run(problem, **given, cspace=cspace, save_every=3, record=RECORD).errors
-    R = by_body(table, "R").reshape(-1, COUNT, 3, 3)
+    table = run(problem, **given, cspace=cspace, save_every=3, record=RECORD).history
+    R = by_body(table, "rotation").reshape(-1, COUNT, 3, 3)
     expected = np.linalg.norm(R.swapaxes(-1, -2) @ R - np.eye(3), axis=(-2, -1))
     assert expected.min() > 1e-10
     # 3e-15: nine products near 1, on rotations in other frames
@@ -427,7 +439,7 @@ def test_orthogonality_error_follows_from_the_recorded_rotation(cspace):
 
 def kkt(problem, i, state):
     """V̇ and λ of a joint with d₁ d₂ d₃ and any Ω rows, from Newton and Euler about the origin."""
-    R, omega, v = state["R"].reshape(3, 3), state["omega"], state["v"]
+    R, omega, v = state["rotation"].reshape(3, 3), state["omega"], state["v"]
     joint, body = problem.joint, problem.body
     G, B = joint.ground_frame[i], joint.body_frame[i]
     m, inertia, c, g = body.mass[i], body.inertia[i], body.com[i], R.T @ problem.gravity[i]
@@ -455,7 +467,7 @@ def test_multipliers_solve_newton_and_euler(make, cspace):
     joint = make(body_frame=problem.joint.body_frame, ground_frame=problem.joint.ground_frame)
     held = lierb.Problem(problem.body, joint, problem.gravity)
     twist0 = held.project(given["twist0"])
-    table = run(held, twist0, cspace=cspace, save_every=3, record=RECORD).errors
+    table = run(held, twist0, cspace=cspace, save_every=3, record=RECORD).history
     got = by_body(table, "lambda")
     state = {name: by_body(table, name) for name in VECTOR}
     for k, i in np.ndindex(*got.shape[:2]):
@@ -467,7 +479,7 @@ def test_multipliers_solve_newton_and_euler(make, cspace):
 def test_multiplier_at_rest_is_the_weight():
     body = lierb.Body(2.0, (1.0, 1.0, 1.0))
     problem = lierb.Problem(body, joints.spherical(), gravity=(0.0, 0.0, -9.81))
-    table = run(problem, np.zeros(6), save_every=10, record="multipliers").errors
+    table = run(problem, np.zeros(6), save_every=10, record="multipliers").history
     # the joint's force on the body is −Jᵀλ = +m g e₃: λ₃ = −2·9.81, one product
     np.testing.assert_allclose(column(table, "lambda"), [[0, 0, -19.62]] * 2, rtol=0, atol=4e-15)
 
@@ -479,10 +491,10 @@ def test_one_body_gives_one_row(top):
     problem, twists = top
     single = run(problem, twists[0], save_every=5, record="state")
     assert single.summary.num_rows == 1
-    assert single.errors.num_rows == 3
+    assert single.history.num_rows == 3
     batch = run(problem, twists[:1], save_every=5, record="state")
     assert_same_bits(single.summary, batch.summary)
-    assert_same_bits(single.errors, batch.errors, single.errors.column_names)
+    assert_same_bits(single.history, batch.history, single.history.column_names)
 
 
 def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
@@ -490,7 +502,7 @@ def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
     together = run(problem, twists).summary
     for i in range(COUNT):
         alone = run(problem, twists[i]).summary
-        names = [name for name in alone.column_names if name not in ("body", "status")]
+        names = [name for name in alone.column_names if name not in ("trajectory", "status")]
         assert_same_bits(alone, together.slice(i, 1), names)
 
 
@@ -515,7 +527,7 @@ def test_batched_argument_equals_a_shared_one(batched):
     shared = lierb.Problem(lierb.Body(6.075, np.diag(BOX)), single, (0, 0, -9.81))
     alone = run(shared, single.twist((0.5, 1.0, -0.25), np.array(axis) * 0.1), **given)
     assert result.num_rows == 3
-    names = [name for name in result.column_names if name not in ("body", "status")]
+    names = [name for name in result.column_names if name not in ("trajectory", "status")]
     for i in range(3):
         assert_same_bits(result.slice(i, 1), alone.summary, names)
 
@@ -575,16 +587,16 @@ def test_failed_body_has_no_state_but_finite_maxima(failing):
 
 
 def test_failed_body_is_nan_in_the_history_from_then_on(failing):
-    table = failing.sick.errors
-    for name in set(table.column_names) - {"body", "step", "t"}:
+    table = failing.sick.history
+    for name in set(table.column_names) - {"trajectory", "step", "t"}:
         assert np.isnan(by_body(table, name)[1:, 2]).all(), name
     assert np.isfinite(by_body(table, "omega")[0]).all()
 
 
 def test_failed_body_leaves_its_neighbours_bits(failing):
     others = [0, 1, 3, 4]
-    for name in failing.well.errors.column_names:
-        sick, well = (by_body(r.errors, name)[:, others] for r in (failing.sick, failing.well))
+    for name in failing.well.history.column_names:
+        sick, well = (by_body(r.history, name)[:, others] for r in (failing.sick, failing.well))
         np.testing.assert_array_equal(sick, well, err_msg=name)
     for i in others:
         names = [n for n in failing.well.summary.column_names if n != "status"]
@@ -621,7 +633,7 @@ def test_metadata_names_versions_machine_and_lanes(top):
 
 def test_metadata_is_the_same_in_both_tables(top):
     result = run(*top, save_every=5)
-    assert result.summary.schema.metadata == result.errors.schema.metadata
+    assert result.summary.schema.metadata == result.history.schema.metadata
 
 
 def test_metadata_names_every_option(top):
@@ -629,7 +641,7 @@ def test_metadata_names_every_option(top):
         "method": "Euler", "cspace": "SE3", "update": "local", "save_every": 5, "measure_every": 2,
         "record": ["state"], "check": "warn",
     }  # fmt: skip
-    told = provenance(run(*top, **given).errors)["options"]
+    told = provenance(run(*top, **given).history)["options"]
     assert told.items() >= (given | {"dt": DT, "t_end": STEPS * DT}).items()
 
 
@@ -660,7 +672,7 @@ def test_metadata_is_enough_to_run_again():
     again = run_again(provenance(once.summary))
     # decimal numbers in JSON come back to the last bit
     assert_same_bits(again.summary, once.summary)
-    assert_same_bits(again.errors, once.errors, once.errors.column_names)
+    assert_same_bits(again.history, once.history, once.history.column_names)
 
 
 def test_metadata_options_are_accepted_again(top):
@@ -712,7 +724,7 @@ def address(arrow_array):
 
 
 def test_history_columns_are_views_of_the_kernels_arrays(top, kept_output):
-    table = run(*top, save_every=3, record=("state", "energy", "multipliers")).errors
+    table = run(*top, save_every=3, record=("state", "energy", "multipliers")).history
     (output,) = kept_output
     scalars = [name for name in table.column_names if name.endswith(("error", "drift", "energy"))]
     assert len(scalars) == 7
@@ -724,8 +736,8 @@ def test_history_columns_are_views_of_the_kernels_arrays(top, kept_output):
 
 
 def test_tables_outlive_the_run(top):
-    table = run(*top, save_every=1, record="state").errors
-    before = by_body(table, "R").copy()
+    table = run(*top, save_every=1, record="state").history
+    before = by_body(table, "rotation").copy()
     for _ in range(3):  # would overwrite what Arrow only borrowed
         run(*top, save_every=1, record="state", method="RK4", cspace="SE3")
-    np.testing.assert_array_equal(by_body(table, "R"), before)
+    np.testing.assert_array_equal(by_body(table, "rotation"), before)

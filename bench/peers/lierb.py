@@ -83,7 +83,7 @@ def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callabl
             problem, twist0=twist0, dt=top.T_END / steps, t_end=top.T_END, measure_every=10,
             threads=threads, progress=False, **options,
         ).summary  # fmt: skip
-        centre, omega = (_vectors(summary[name]) for name in ("r", "omega"))
+        centre, omega = (_vectors(summary[name]) for name in ("position", "omega"))
         return Final(centre, omega @ turn.T)
 
     return integrate
