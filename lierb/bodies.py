@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import Array, as_positive, assembled, batch_size
 from lierb.errors import ArgumentError
+from lierb.extras import remedy
 from lierb.kernels.newton_euler import unit_inertia
 from lierb.model import Body
 
@@ -88,13 +89,13 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
     mass or density : one number.
 
     The body's `com` is the mesh's. SO(3)×R³ wants it at the origin: move the mesh there first, by
-    `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (`pip install "lierb[mesh]"`). Raises
+    `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (the extra `lierb[mesh]`). Raises
     ArgumentError for a surface that encloses no volume.
     """
     try:
         import trimesh
     except ImportError:
-        raise ArgumentError('from_mesh needs trimesh; pip install "lierb[mesh]"') from None
+        raise ArgumentError(f"from_mesh needs trimesh: {remedy('mesh')}") from None
     if isinstance(mesh, (str, PathLike)):
         mesh = trimesh.load_mesh(mesh)
     if not isinstance(mesh, trimesh.Trimesh):

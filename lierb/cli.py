@@ -1,4 +1,4 @@
-"""The `lierb` command. Needs click and rich: `pip install "lierb[cli]"`.
+"""The `lierb` command. Needs click and rich: the extra `lierb[cli]`.
 
 Each command imports what it runs inside its function, so that `lierb --help` stays quick.
 """

@@ -1,4 +1,4 @@
-"""A study's parts on the workers of a Dask cluster. Needs `pip install "lierb[cluster]"`."""
+"""A study's parts on the workers of a Dask cluster. Needs the extra `lierb[cluster]`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numba
 
 from lierb.dataset import STUDY, Dataset, File, Stored, parquet_files
 from lierb.errors import StudyError, StudyWarning
-from lierb.extras import require
+from lierb.extras import remedy, require
 from lierb.parts import Part
 from lierb.provenance import machine
 from lierb.study import Study
@@ -171,7 +171,7 @@ def _require_workers(client: Client) -> None:
     except Exception as error:  # what cannot be imported there comes back in many guises
         raise StudyError(
             "the scheduler or a worker cannot load lierb, which it needs as this process does "
-            f"(pip install 'lierb[cluster]'): {error}"
+            f"(installed here by {remedy('cluster')}): {error}"
         ) from None
 
 

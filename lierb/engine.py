@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForkError
+from lierb.extras import remedy
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
@@ -477,7 +478,7 @@ def _bar(total: int, quiet: float, required: bool) -> Iterator[Callable[[int], N
         from rich.progress import Progress as Bar
     except ImportError:
         if required:
-            raise ArgumentError('progress=True needs rich; pip install "lierb[cli]"') from None
+            raise ArgumentError(f"progress=True needs rich: {remedy('cli')}") from None
         yield lambda done: None
         return
     bar = Bar(console=Console(stderr=True), transient=True)

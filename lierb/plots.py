@@ -1,4 +1,4 @@
-"""Figures drawn from lierb's Arrow tables. Needs Matplotlib: `pip install "lierb[plot]"`."""
+"""Figures drawn from lierb's Arrow tables. Needs Matplotlib: the extra `lierb[plot]`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ body b are at a fixed place in the stream of a counter-based generator, or in po
 sequence. Inverse distribution functions make values of them.
 
 Units are the caller's, those of the quantity. Normal distributions and Sobol points need SciPy
-(`pip install "lierb[scipy]"`).
+(the extra `lierb[scipy]`).
 
 >>> design = Design({"mass": Uniform(1.0, 2.0), "spin": Direction(9.0)}, n=1000, seed=7)
 >>> whole, part = design.draw(), design.draw(first=600, count=2)

@@ -1,15 +1,17 @@
 """The `lierb` command, through click's runner and as a process of its own."""
 
 import functools
+import json
 import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import lierb.paper
-from lierb.extras import EXTRAS, MissingExtraError, require
+from lierb.extras import EXTRAS, MissingExtraError, remedy, require
 
 pytest.importorskip("rich")
 runner_module = pytest.importorskip("click.testing")
@@ -165,8 +167,81 @@ def test_require_passes_when_the_extra_is_there(extra):
 def test_require_says_what_to_install(extra, monkeypatch):
     package = EXTRAS[extra][1][0]
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=rf'{package}.*pip install "lierb\[{extra}\]"'):
+    with pytest.raises(MissingExtraError, match=package) as caught:
         require(extra)
+    assert str(caught.value).endswith(f"which is not installed: {remedy(extra)}")
+
+
+WHEEL = "lierb-0.1.0-py3-none-any.whl"
+GIT = {"vcs": "git", "commit_id": "83de077", "requested_revision": "main"}
+INSTALLED = {  # what installers leave behind (PEP 610), and what follows from it
+    "editable checkout": (
+        {"url": "{folder}", "dir_info": {"editable": True}},
+        "pip install -e '{path}[cli]'",
+    ),
+    "folder": ({"url": "{folder}", "dir_info": {}}, "pip install '{path}[cli]'"),
+    "wheel": (
+        {"url": "{folder}/" + WHEEL, "archive_info": {"hash": "sha256=0"}},
+        "pip install 'lierb[cli] @ {folder}/" + WHEEL + "'",
+    ),
+    "wheel that is gone": (
+        {"url": "{folder}/gone.whl", "archive_info": {}}, "pip install click rich",
+    ),
+    "folder that is gone": (
+        {"url": "{folder}/gone", "dir_info": {"editable": True}}, "pip install click rich",
+    ),
+    "wheel on a server": (
+        {"url": "https://example.org/" + WHEEL, "archive_info": {}},
+        "pip install 'lierb[cli] @ https://example.org/" + WHEEL + "'",
+    ),
+    "repository": (
+        {"url": "https://example.org/l.git", "vcs_info": GIT, "subdirectory": "python"},
+        "pip install 'lierb[cli] @ git+https://example.org/l.git@83de077#subdirectory=python'",
+    ),
+    "index": (None, "pip install 'lierb[cli]'"),
+}  # fmt: skip
+
+
+@pytest.mark.skipif(os.name == "nt", reason="other quotes there")
+@pytest.mark.parametrize("way", INSTALLED)
+def test_remedy_names_the_way_it_was_installed(way, tmp_path, monkeypatch):
+    origin, expected = INSTALLED[way]
+    there = tmp_path / "a checkout"  # its space is %20 in a URL, and needs quotes
+    there.mkdir()
+    (there / WHEEL).touch()
+    names = {"{folder}": there.as_uri(), "{path}": str(there)}
+    for name, value in names.items():
+        origin = json.loads(json.dumps(origin).replace(name, value))
+        expected = expected.replace(name, value)
+    files = {"direct_url.json": json.dumps(origin)} if origin else {}
+    install(tmp_path / "site", monkeypatch, **files)
+    assert remedy("cli") == expected
+
+
+def install(site, monkeypatch, **files):
+    """Make `site` the only place where distributions are, lierb among them with these files."""
+    folder = site / "lierb-0.1.0.dist-info"
+    folder.mkdir(parents=True)
+    for name, text in {"METADATA": "Name: lierb\nVersion: 0.1.0\n", **files}.items():
+        (folder / name).write_text(text)
+    monkeypatch.setattr(sys, "path", [str(site)])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="other quotes there")
+def test_remedy_in_the_checkout_and_with_uv_and_from_nowhere(tmp_path, monkeypatch):
+    origin = {"url": tmp_path.as_uri(), "dir_info": {"editable": True}}
+    files = {"direct_url.json": json.dumps(origin), "INSTALLER": "uv\n"}
+    install(tmp_path / "site", monkeypatch, **files)
+    monkeypatch.chdir(tmp_path)
+    assert remedy("study") == "uv pip install -e '.[study]'"
+    monkeypatch.setattr(sys, "path", [])
+    assert remedy("study") == "pip install pydantic scipy tomli_w"
+
+
+def test_all_hints_to_install_come_from_one_function():
+    sources = {path.name: path.read_text() for path in Path(lierb.__file__).parent.rglob("*.*py")}
+    sources |= {p.name: p.read_text() for p in Path(lierb.__file__).parent.rglob("*.html")}
+    assert [name for name, text in sources.items() if "pip install" in text] == ["extras.py"]
 
 
 @pytest.mark.parametrize("package", ["click", "rich"])
@@ -175,7 +250,7 @@ def test_command_without_its_extra_is_one_sentence(package):
     assert done.returncode == 1
     assert done.stdout == ""
     assert done.stderr.strip() == (
-        f'The command line needs {package}, which is not installed: pip install "lierb[cli]"'
+        f"The command line needs {package}, which is not installed: {remedy('cli')}"
     )
 
 
@@ -183,7 +258,7 @@ def test_figures_without_their_extra_are_one_sentence(tmp_path):
     done = run_without("matplotlib", "paper", "--out", tmp_path)
     assert done.returncode == 1
     assert done.stderr.strip() == (
-        'Error: Drawing figures needs matplotlib, which is not installed: pip install "lierb[plot]"'
+        f"Error: Drawing figures needs matplotlib, which is not installed: {remedy('plot')}"
     )
     assert not list(tmp_path.iterdir())
 
@@ -191,7 +266,7 @@ def test_figures_without_their_extra_are_one_sentence(tmp_path):
 def test_importing_plots_without_matplotlib_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "lierb.plots", raising=False)
-    with pytest.raises(MissingExtraError, match=r"lierb\[plot\]"):
+    with pytest.raises(MissingExtraError, match="needs matplotlib, which is not installed: pip"):
         import lierb.plots  # noqa: F401
 
 
