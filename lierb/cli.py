@@ -145,6 +145,7 @@ def info(as_json: bool) -> None:
 )
 @click.option("--solver", default="auto", show_default=True, help="auto or saddle.")
 @click.option("--multipliers", is_flag=True, help="The kernels of runs that record them.")
+@study_cli.SET
 def warmup(
     joint: tuple[str, ...],
     method: tuple[str, ...],
@@ -152,6 +153,7 @@ def warmup(
     update: tuple[str, ...],
     solver: str,
     multipliers: bool,
+    changes: study_cli.Changes,
 ) -> None:
     """Compile ahead of time what later processes then load from the disk cache.
 
@@ -164,9 +166,11 @@ def warmup(
         require("study")
         from lierb.running import compile_for
 
-        for setting, seconds in compile_for(joint[0]):
+        for setting, seconds in compile_for(joint[0], changes):
             click.echo(f"{setting.label:40}{seconds:6.2f} s")
         return
+    if changes:
+        raise click.UsageError("--set changes a study; name its TOML file")
     with progress_of_cases() as progress:
         kernels = lierb.warmup(
             joint or ("spherical",), methods=method, cspaces=cspace, updates=update,

@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,12 +124,25 @@ class Dataset:
             raise StudyError(f"{path} is no manifest of this version of lierb")
         self.manifest = found
 
-    def begin(self, digest: str, study: dict[str, Any], text: str, asked: int) -> None:
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What was changed of the study's file when it was run, by dotted keys."""
+        found: dict[str, Any] = self.manifest.get("set", {})
+        return found
+
+    def begin(
+        self,
+        digest: str,
+        study: dict[str, Any],
+        text: str,
+        asked: int,
+        changes: Mapping[str, Any] | None = None,
+    ) -> None:
         """Start the folder of a study of so many parts."""
         self.write(STUDY, text.encode())
         self.manifest = {
-            "format": FORMAT, "digest": digest, "study": study, "machine": machine(),
-            "asked": asked, "parts": {},
+            "format": FORMAT, "digest": digest, "study": study,
+            "set": dict(changes or {}), "machine": machine(), "asked": asked, "parts": {},
         }  # fmt: skip
         self._write_manifest()
 

@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from lierb.api import integrate
+from lierb.changes import written
 from lierb.cluster import spread
 from lierb.dataset import Dataset, Stored, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyWarning
@@ -29,6 +30,7 @@ def run(
     study: Study | str | Path,
     out: str | Path,
     *,
+    changes: Mapping[str, Any] | None = None,
     resume: bool = False,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -38,6 +40,8 @@ def run(
     """Run a study into a folder, part by part; memory does not grow with the study.
 
     study : a Study, or the path of its TOML file.   out : a folder; made if need be.
+    changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
+        folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
         that are missing or damaged are done (again). The results are the same, bit for bit.
     threads : as in `lierb.integrate`; with `client`, of each worker, its own number if None.
@@ -55,10 +59,10 @@ def run(
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     if client is not None and client.asynchronous:
         raise ArgumentError("client= is asynchronous; run takes a Client that waits")
-    given, text = _loaded(study)
+    given, text = _loaded(study, changes or {})
     dataset = Dataset(out)
     with dataset.locked():
-        _opened(dataset, given, text, resume)
+        _opened(dataset, given, text, changes or {}, resume)
         parts = parts_of(given)
         steps = {part.name: part.body_steps(given) for part in parts}
         done, total = sum(steps[name] for name in dataset.parts), sum(steps.values())
@@ -109,7 +113,7 @@ def integrate_batches(
     table : "summary", or "history" if the study has `save_every`.
     Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for.
     """
-    given, _ = _loaded(study)
+    given, _ = _loaded(study, {})
     known = ("summary", "history") if given.integrate.save_every else ("summary",)
     if table not in known:
         raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
@@ -125,9 +129,11 @@ def integrate_batches(
     return pa.RecordBatchReader.from_batches(first.schema, batches())
 
 
-def compile_for(study: Study | str | Path) -> list[tuple[Setting, float]]:
+def compile_for(
+    study: Study | str | Path, changes: Mapping[str, Any] | None = None
+) -> list[tuple[Setting, float]]:
     """Compile what a study needs, setting by setting; the seconds that each took."""
-    given, _ = _loaded(study)
+    given, _ = _loaded(study, changes or {})
     batch = given.batch(0, 1)
     took = []
     for setting in given.settings:
@@ -145,7 +151,7 @@ def replay(
 
     Its row of the summary is that of the study, bit for bit.
     """
-    given, _ = _loaded(study)
+    given, _ = _loaded(study, {})
     bodies = len(given.design)
     if not 0 <= body < bodies:
         raise StudyError(f"body {body} is not in the study; it has bodies 0 … {bodies - 1}")
@@ -163,22 +169,31 @@ def replace_integrate(study: Study, save_every: int) -> Study:
     return study.model_copy(update={"integrate": changed})
 
 
-def _loaded(study: Study | str | Path) -> tuple[Study, str]:
-    """The study, and the text of its file."""
+def _loaded(study: Study | str | Path, changes: Mapping[str, Any]) -> tuple[Study, str]:
+    """The study, and the text of a file that says it: its own where nothing is changed."""
     if isinstance(study, Study):
-        return study, study.to_toml()
-    return Study.load(study), Path(study).read_text(encoding="utf-8")
+        given = study.changed(changes)
+        return given, given.to_toml()
+    given = Study.load(study, changes)
+    if not changes:
+        return given, Path(study).read_text(encoding="utf-8")
+    return given, f"# {Path(study).name} with {', '.join(written(changes))}\n{given.to_toml()}"
 
 
-def _opened(dataset: Dataset, study: Study, text: str, resume: bool) -> None:
+def _opened(
+    dataset: Dataset, study: Study, text: str, changes: Mapping[str, Any], resume: bool
+) -> None:
     if dataset.exists():
         dataset.read()
     if not dataset.parts:
-        dataset.begin(study.digest(), study.model_dump(), text, len(parts_of(study)))
+        parts = len(parts_of(study))
+        dataset.begin(study.digest(), study.model_dump(), text, parts, changes)
         return
     if dataset.manifest["digest"] != study.digest():
+        begun = ", ".join(written(dataset.changes))
         raise StudyError(
             f"{dataset.folder} has the results of another study: {_differences(dataset, study)}"
+            + (f"; it was run with {begun}" if begun else "")
         )
     if not resume:
         raise StudyError(

@@ -17,7 +17,7 @@ import hashlib
 import inspect
 import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import product
@@ -39,6 +39,7 @@ from pydantic import (
 
 from lierb import api, bodies, checks, forces, joints, sampling
 from lierb.arrays import Array, Pose, assembled, components, pose_components, pose_matrix
+from lierb.changes import applied, index_of, path_of, written
 from lierb.elements import Force
 from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
 from lierb.joints import Joint
@@ -255,28 +256,43 @@ class Study(Section):
     output: OutputSection = OutputSection()
 
     @classmethod
-    def of(cls, tables: dict[str, Any], source: str = "study", text: str = "") -> Study:
-        """A study from the tables of its file; `source` and `text` are for messages."""
+    def of(
+        cls,
+        tables: dict[str, Any],
+        source: str = "study",
+        text: str = "",
+        changes: Mapping[str, Any] | None = None,
+    ) -> Study:
+        """A study from the tables of its file; `source` and `text` are for messages.
+
+        changes : of the tables, by dotted keys (see `lierb.changes`): {"sample.n": 1000}.
+        """
+        given = Given(source, text, changes or {})
+        tables = applied(tables, given.changes)
         try:
             study = cls.model_validate(tables)
             study.check()
+            study.require_effect(given.changes)
         except ValidationError as error:
-            lines = [_message(e, tables, source, text) for e in error.errors()]
+            lines = [_message(e, tables, given) for e in error.errors()]
             raise StudyError("\n".join(dict.fromkeys(lines))) from None
         except StudyError as error:
-            raise StudyError(_located(str(error), source, text)) from None
+            raise StudyError(_located(str(error), given)) from None
         return study
 
     @classmethod
-    def load(cls, path: str | Path) -> Study:
-        """A study from its TOML file. Raises StudyError, or OSError where there is no file."""
+    def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
+        """A study from its TOML file, with changes by dotted keys: {"sample.n": 1000}.
+
+        Raises StudyError, or OSError where there is no file.
+        """
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8-sig")
             tables = tomllib.loads(text)
         except ValueError as error:  # no TOML, or no text
             raise StudyError(f"{path.name}: {error}") from None
-        return cls.of({"name": path.stem} | tables, path.name, text)
+        return cls.of({"name": path.stem} | tables, path.name, text, changes)
 
     def check(self) -> None:
         """Make the first bodies, and look at every setting, as a run will."""
@@ -291,6 +307,21 @@ class Study(Section):
         for setting in self.settings:
             with _at("integrate"):
                 api.check_options(batch.problem, **self.options(setting))
+
+    def require_effect(self, changes: Mapping[str, Any]) -> None:
+        """Raises StudyError for a change of what every body draws for itself."""
+        drawn = self.sample.quantities()
+        for key in changes:
+            path = path_of(key)
+            if path[:2] == ("problem", "forces") and len(path) == 4:
+                forces = [force.model_dump() for force in self.problem.forces]
+                force = self.problem.forces[index_of(forces, path[2], "problem.forces")]
+                path = "forces", force.label, path[3]
+            if ".".join(path) in drawn:
+                raise StudyError(
+                    f"{key}: has no effect, since each body draws its own; change "
+                    f"sample.{'.'.join(path)}"
+                )
 
     @property
     def design(self) -> Design:
@@ -346,10 +377,16 @@ class Study(Section):
             twist0 = np.broadcast_to(twist0, (count, 6))
         return Batch(problem, twist0, pose0, draws)
 
+    def changed(self, changes: Mapping[str, Any]) -> Study:
+        """The study with changes by dotted keys."""
+        return Study.of(self._tables(), changes=changes) if changes else self
+
     def to_toml(self) -> str:
         """The text of a file that says the same."""
-        tables = self.model_dump(exclude_none=True, exclude_defaults=True)
-        return tomli_w.dumps(tables)
+        return tomli_w.dumps(self._tables())
+
+    def _tables(self) -> dict[str, Any]:
+        return self.model_dump(exclude_none=True, exclude_defaults=True)
 
     def _check_shape(self, path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
         """Whether a draw is what its key takes: else bodies might be taken for components."""
@@ -500,7 +537,26 @@ def _suggestion(name: str, known: list[str]) -> str:
     return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
 
 
-def _message(error: Any, tables: dict[str, Any], source: str, text: str) -> str:
+@dataclass(frozen=True)
+class Given:
+    """What a study is made from: a file's name and text, and changes of what it says."""
+
+    source: str
+    text: str
+    changes: Mapping[str, Any]
+
+    def place(self, path: tuple[Any, ...]) -> str:
+        """Where a key was given: the file's line, and what of its table was changed."""
+        keys = [path_of(key) for key in self.changes]
+        names = tuple(map(str, path))
+        line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
+        place = f"{self.source}:{line}" if line else self.source
+        table = ("problem",) if names[:1] == ("forces",) else names[:1]
+        near = [each for key, each in zip(keys, written(self.changes)) if key[:1] == table]
+        return f"{place} with {', '.join(near)}" if near else place
+
+
+def _message(error: Any, tables: dict[str, Any], given: Given) -> str:
     """One of pydantic's errors as a line: where, key, what, got."""
     path = tuple(error["loc"])
     while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
@@ -513,7 +569,7 @@ def _message(error: Any, tables: dict[str, Any], source: str, text: str) -> str:
         what = "is missing"
     elif not isinstance(error["input"], dict):
         what += f", got {error['input']!r}"
-    return f"{_place(path, source, text)}: {key}: {what}"
+    return f"{given.place(path)}: {key}: {what}"
 
 
 def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
@@ -535,15 +591,10 @@ def _fields_at(path: tuple[Any, ...]) -> list[str]:
     return list(model.model_fields)
 
 
-def _located(message: str, source: str, text: str) -> str:
+def _located(message: str, given: Given) -> str:
     """`table.key: what` with the line before it."""
     key = message.partition(":")[0]
-    return f"{_place(tuple(key.split('.')), source, text)}: {message}"
-
-
-def _place(path: tuple[Any, ...], source: str, text: str) -> str:
-    line = line_of(text, path)
-    return f"{source}:{line}" if line else source
+    return f"{given.place(tuple(key.split('.')))}: {message}"
 
 
 def line_of(text: str, path: tuple[Any, ...]) -> int | None:

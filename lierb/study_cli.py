@@ -2,26 +2,60 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from lierb.changes import parsed, written
+from lierb.errors import StudyError
 from lierb.extras import require
+from lierb.shipped import example as text_of
+from lierb.shipped import examples
 from lierb.terminal import INTERRUPTED, body_steps, print_whole, wrapped
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from lierb.dataset import Dataset
+    from lierb.study import Study
 
+Changes = dict[str, Any]
 STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+
+
+def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
+    """Callback of --set: what is changed, by dotted keys."""
+    try:
+        pairs = [parsed(each) for each in given]
+    except StudyError as error:
+        raise click.BadParameter(str(error)) from None
+    return _merged(*({key: value} for key, value in pairs))
+
+
+def _merged(*given: Changes) -> Changes:
+    changes: Changes = {}
+    for each in given:
+        for key in changes.keys() & each.keys():
+            raise click.UsageError(f"{key} is set twice; choose")
+        changes |= each
+    return changes
+
+
+SET = click.option(
+    "--set", "changes", multiple=True, metavar="KEY=VALUE", callback=_changes,
+    help="Change a setting of the STUDY, as integrate.dt=1e-4; may be given more than once.",
+)  # fmt: skip
 
 
 @click.command()
 @STUDY
+@SET
+@click.option("--n", type=int, help="Bodies: as --set sample.n=N.")
+@click.option("--seed", type=int, help="Of the sampling: as --set sample.seed=SEED.")
 @click.option(
     "--out", type=click.Path(file_okay=False, path_type=Path),
     help="Folder for the results.  [default: results/NAME]",
@@ -46,6 +80,9 @@ STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, pat
 @click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
 def run(
     study: Path,
+    changes: Changes,
+    n: int | None,
+    seed: int | None,
     out: Path | None,
     resume: bool,
     threads: int | None,
@@ -67,18 +104,22 @@ def run(
 
     folder = out or Path("results") / study.stem
     _require_one_way(workers, scheduler, gather, report, only)
+    own = {"sample.n": n, "sample.seed": seed}
+    changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
+    loaded = Study.load(study, changes)  # what is wrong is said before any worker starts
     if only is not None:
-        _replay(study, folder, only, threads)
+        _replay(loaded, folder, only, threads)
         return
-    Study.load(study)  # what is wrong with it is said before any worker starts
     try:
         with _client(workers, scheduler) as client, body_steps() as progress:
             dataset = run_study(
-                study, folder, resume=resume, threads=threads, progress=progress,
-                client=client, gather=gather,
+                study, folder, changes=changes, resume=resume, threads=threads,
+                progress=progress, client=client, gather=gather,
             )  # fmt: skip
     except KeyboardInterrupt:
-        again = f"lierb run {study}{f' --out {out}' if out else ''} --resume"
+        options = [word for each in written(changes) for word in ("--set", each)]
+        options += ["--out", str(out)] if out else []
+        again = shlex.join(["lierb", "run", str(study), *options, "--resume"])
         click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
         raise click.exceptions.Exit(INTERRUPTED) from None
     _show(dataset)
@@ -159,7 +200,8 @@ def report_page(folder: Path, out: Path | None) -> None:
 
 @click.command()
 @STUDY
-def predict(study: Path) -> None:
+@SET
+def predict(study: Path, changes: Changes) -> None:
     """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
 
     Of its first body: where the joint is on the body can make a difference.
@@ -168,14 +210,14 @@ def predict(study: Path) -> None:
     import lierb
     from lierb.study import Study
 
-    batch = Study.load(study).batch(0, 1)
+    batch = Study.load(study, changes).batch(0, 1)
     found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
     click.echo(str(found))
     for prediction in found.values():
         click.echo(wrapped(f"{prediction.cspace}: {prediction.reason}"))
 
 
-def _replay(study: Path, folder: Path, body: int, threads: int | None) -> None:
+def _replay(study: Study, folder: Path, body: int, threads: int | None) -> None:
     """One body's history in files of its own, and its row of the summary."""
     import pyarrow.parquet as pq
 
@@ -201,12 +243,31 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
+    from lierb.dataset import STUDY as STUDY_FILE
     from lierb.findings import findings, table_of
 
     print_whole(table_of(findings(dataset)))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
-    state = "" if done == asked else "; the rest with: lierb run STUDY --resume"
-    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+    folder = dataset.folder
+    rest = shlex.join(["lierb", "run", f"{folder / STUDY_FILE}", "--out", f"{folder}", "--resume"])
+    state = "" if done == asked else f"; the rest with: {rest}"
+    click.echo(f"{folder}: {done} of {asked} parts{state}")
 
 
-COMMANDS = (run, show, plot, report_page, predict)
+@click.command()
+@click.argument("name", required=False)
+def example(name: str | None) -> None:
+    """Print the example study NAME, to be run or changed; without a name, list them.
+
+    \b
+    lierb example heavy_top > heavy_top.toml
+    lierb run heavy_top.toml --n 1000
+    """
+    if name is None:
+        for each, line in examples().items():
+            click.echo(f"{each:14}{line}")
+        return
+    click.echo(text_of(name).encode(), nl=False)  # bytes: TOML is UTF-8, whatever a terminal has
+
+
+COMMANDS = (run, show, plot, report_page, predict, example)

@@ -1,0 +1,121 @@
+"""Changes of a study's settings by dotted keys: `lierb run STUDY --set integrate.dt=1e-4`.
+
+    integrate.dt                 a key of a table
+    sample.initial.omega.mean    of a table in a table
+    problem.forces.0.damping     of one of several tables: by its number, its name or its type
+
+Tables and keys that are not there are added; whether there may be such is the study's to say.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
+from typing import Any
+
+from lierb.errors import StudyError
+
+WORD = re.compile(r"[^\W\d][^\s\"'\[\]{},=#]*")  # what is no number, list or table
+
+
+def parsed(text: str) -> tuple[str, Any]:
+    """Key and value of `KEY=VALUE`; VALUE as in a TOML file, where a word needs no quotes.
+
+    >>> parsed("integrate.dt=[1e-3, 1e-4]"), parsed("integrate.cspace=reduced")
+    (('integrate.dt', [0.001, 0.0001]), ('integrate.cspace', 'reduced'))
+
+    Raises StudyError for what is neither.
+    """
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise StudyError(f"{text!r} is no KEY=VALUE, such as integrate.dt=1e-4")
+    path_of(key)
+    return key.strip(), _value(key.strip(), value.strip())
+
+
+def _value(key: str, text: str) -> Any:
+    try:
+        tables = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError as error:
+        if WORD.fullmatch(text):
+            return text
+        if re.fullmatch(r"\[[^\[\]\"'{}]*\]", text):  # words perhaps: [SE3, reduced]
+            return [_value(key, item.strip()) for item in text[1:-1].rstrip(" ,").split(",")]
+        why = str(error).partition(" (at")[0]  # the column is that of a line of ours
+        raise StudyError(f"{key}={text}: no value of TOML ({why}); text needs quotes") from None
+    if tables.keys() != {"value"}:
+        raise StudyError(f"{key}={text}: expected one value")
+    return tables["value"]
+
+
+def path_of(key: str) -> tuple[str, ...]:
+    """The parts of a dotted key; one that has dots of its own is in quotes."""
+    found: Any = {}
+    with suppress(tomllib.TOMLDecodeError):
+        found = tomllib.loads(f"{key} = 0")
+    path = []
+    while isinstance(found, dict) and len(found) == 1:
+        ((part, found),) = found.items()
+        path.append(part)
+    if not path or isinstance(found, dict):
+        raise StudyError(f"{key!r} is no key of a study, such as sample.n or integrate.dt")
+    return tuple(path)
+
+
+def applied(tables: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A study's tables with changes made, in their order.
+
+    Raises StudyError where a key leads through what is no table.
+    """
+    changed = deepcopy(tables)
+    for key, value in changes.items():
+        *way, last = path_of(key)
+        place: Any = changed
+        for n, part in enumerate(way):
+            place = _entered(place, part, ".".join(way[:n]))
+            if not isinstance(place, (dict, list)):
+                raise StudyError(f"{key}: {'.'.join(way[: n + 1])} is {place!r}, no table")
+        if isinstance(place, list):
+            place[index_of(place, last, ".".join(way))] = deepcopy(value)
+        else:
+            place[last] = deepcopy(value)
+    return changed
+
+
+def _entered(place: dict[str, Any] | list[Any], part: str, of: str) -> Any:
+    if isinstance(place, list):
+        return place[index_of(place, part, of)]
+    return place.setdefault(part, {})
+
+
+def index_of(items: Sequence[Any], part: str, of: str) -> int:
+    """Of an item by its number, its name, or its type; `of` is the key of them all."""
+    if part.isdecimal() and int(part) < len(items):
+        return int(part)
+    names = [
+        str(item.get("name") or item.get("type")) if isinstance(item, dict) else str(n)
+        for n, item in enumerate(items)
+    ]
+    if part not in names:
+        raise StudyError(f"{of}.{part}: there is none; known: {', '.join(names)}")
+    return names.index(part)
+
+
+def written(changes: Mapping[str, Any]) -> list[str]:
+    """Changes as `parsed` reads them."""
+    return [f"{key}={_toml(value)}" for key, value in changes.items()]
+
+
+def _toml(value: Any) -> str:
+    """A value in one line of TOML."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value).lower() if isinstance(value, bool) else str(value)
