@@ -68,17 +68,23 @@ def test_written_changes_are_read_back(value):
 
 
 def test_path_of_quoted_keys():
-    assert path_of('sample.forces."my drag.1".linear') == ("sample", "forces", "my drag.1", "linear")
+    assert path_of('sample.forces."my drag.1".linear') == (
+        "sample",
+        "forces",
+        "my drag.1",
+        "linear",
+    )
 
 
+WITH_ANGULAR = "linear = 0.1\nangular = 2"
 SAME = {  # changes, and the text of the file that says the same
     "number": ({"sample.n": 3}, [("n = 50", "n = 3")]),
     "list": ({"integrate.dt": [1e-3]}, [("[1e-3, 2e-3]", "[1e-3]")]),
     "one for a list": ({"integrate.dt": 1e-3}, [("[1e-3, 2e-3]", "1e-3")]),
     "deep": ({"sample.body.mass.high": 9.0}, [("high = 7.0", "high = 9.0")]),
     "component": ({"problem.gravity.2": -1.62}, [("-9.81", "-1.62")]),
-    "by type": ({"problem.forces.drag.angular": 2}, [("linear = 0.1", "linear = 0.1\nangular = 2")]),
-    "by number": ({"problem.forces.0.angular": 2}, [("linear = 0.1", "linear = 0.1\nangular = 2")]),
+    "by type": ({"problem.forces.drag.angular": 2}, [("linear = 0.1", WITH_ANGULAR)]),
+    "by number": ({"problem.forces.0.angular": 2}, [("linear = 0.1", WITH_ANGULAR)]),
     "constant for a distribution": (
         {"sample.forces.drag.linear": 0.3},
         [('[sample.forces.drag.linear]\ndistribution = "uniform"\nlow = 0.0\nhigh = 0.2\n',

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -268,6 +269,62 @@ def test_importing_plots_without_matplotlib_is_one_sentence(monkeypatch):
     monkeypatch.delitem(sys.modules, "lierb.plots", raising=False)
     with pytest.raises(MissingExtraError, match="needs matplotlib, which is not installed: pip"):
         import lierb.plots  # noqa: F401
+
+
+# ---------------------------------------------------------------- examples
+
+ROOT = Path(__file__).parent.parent
+FILES = {path.stem: path for path in (ROOT / "examples").glob("*.toml")}
+
+
+def test_examples_are_listed_with_a_line_each():
+    lines = invoke("example").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == sorted(FILES)
+    for line in lines:
+        assert len(line) <= 80
+        assert line.split(maxsplit=1)[1].endswith(".")  # a sentence, whole
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_example_prints_the_study(name):
+    text = invoke("example", name).stdout_bytes.decode()
+    assert tomllib.loads(text) == tomllib.loads(FILES[name].read_text(encoding="utf-8"))
+    assert "#:schema" not in text  # its path is the checkout's
+
+
+def test_example_that_is_none_is_named():
+    result = invoke("example", "heavytop")
+    assert result.exit_code == 1
+    assert "Did you mean 'heavy_top'?" in result.stderr
+
+
+def test_example_is_utf8_whatever_the_terminal_has():
+    command = [sys.executable, "-m", "lierb", "example", "heavy_top"]
+    environment = {**os.environ, "PYTHONIOENCODING": "koi8-r"}
+    done = subprocess.run(command, capture_output=True, timeout=120, check=True, env=environment)
+    assert "SO(3)×R³" in done.stdout.decode()
+
+
+@pytest.mark.slow
+def test_a_wheel_has_the_examples_and_names_itself(tmp_path):
+    """Built, and installed beside what is here: it prints them, and its hint is its own path."""
+    pytest.importorskip("hatchling")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, capture_output=True, timeout=120, check=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    site = tmp_path / "site"
+    install = ["pip", "install", "--quiet", "--no-deps", "--no-index", "--target", site, wheel]
+    subprocess.run([sys.executable, "-m", *map(str, install)], timeout=120, check=True)
+    shown = [sys.executable, "-c", WITHOUT, "rich", "example", "heavy_top"]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site), *sys.path])}
+    options = {"cwd": tmp_path, "capture_output": True, "timeout": 120, "env": environment}
+    hint = subprocess.run(shown, check=False, text=True, **options).stderr
+    assert f"pip install 'lierb[cli] @ {wheel.as_uri()}'" in hint
+    command = [sys.executable, "-m", "lierb", "example"]
+    listed = subprocess.run(command, check=True, text=True, **options).stdout
+    assert [line.split()[0] for line in listed.splitlines()] == sorted(FILES)
+    printed = subprocess.run([*command, "satellite"], check=True, **options).stdout
+    assert tomllib.loads(printed.decode())["sample"]["n"] == 20_000
 
 
 # ---------------------------------------------------------------- as a process

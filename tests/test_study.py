@@ -8,6 +8,7 @@ import errno
 import json
 import os
 import random
+import shlex
 import shutil
 import signal
 import time
@@ -18,6 +19,7 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 from cases import column
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from studies import (
@@ -35,6 +37,7 @@ from studies import (
 import lierb
 from lierb import dataset as dataset_module
 from lierb import running
+from lierb.cli import cli
 from lierb.dataset import Dataset
 from lierb.errors import StudyError, StudyWarning
 from lierb.running import parts_of, replay
@@ -322,6 +325,123 @@ def test_other_libraries_read_the_parts(library, whole):
         count = module.sql(f"select count(*) from '{pattern}'").fetchall()[0][0]
     assert count == 200
     assert ds.dataset(whole / "summary").count_rows() == 200
+
+
+# ---- settings from the command line ------------------------------------------------------------
+
+CHANGED = ["--set", "integrate.dt=1e-3", "--set", "integrate.cspace=SO3xR3", "--n", 20, "--seed", 4]
+CHANGES = {"integrate.dt": 1e-3, "integrate.cspace": "SO3xR3", "sample.n": 20, "sample.seed": 4}
+
+
+def command(*arguments):
+    """`lierb …`; what it prints and its exit status."""
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments])
+
+
+def succeed(*arguments):
+    result = command(*arguments)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture(scope="module")
+def run_changed(tmp_path_factory):
+    """TEXT's file, and the folder of its run with CHANGED."""
+    folder = tmp_path_factory.mktemp("changed")
+    (folder / "top.toml").write_text(TEXT)
+    succeed("run", folder / "top.toml", "--out", folder / "out", *CHANGED)
+    return folder / "top.toml", folder / "out"
+
+
+def test_set_runs_the_study_that_says_so(run_changed, tmp_path):
+    _, out = run_changed
+    same = study(integrate={"dt": 1e-3, "cspace": "SO3xR3"}, sample={"n": 20, "seed": 4})
+    lierb.run(same, tmp_path)
+    assert bits(out) == bits(tmp_path)
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["set"] == CHANGES
+    assert manifest["digest"] == same.digest()
+    assert manifest["study"]["name"] == "top"
+
+
+def test_a_folder_has_the_study_as_it_was_run(run_changed, tmp_path):
+    file, out = run_changed
+    succeed("run", out / "study.toml", "--out", tmp_path / "again")
+    assert bits(tmp_path / "again") == bits(out)
+    assert "top.toml with integrate.dt=0.001" in (out / "study.toml").read_text()
+    lierb.run(file, tmp_path / "python", changes=CHANGES)
+    assert hashes(tmp_path / "python") == hashes(out)
+
+
+def test_resume_needs_the_same_settings(run_changed):
+    file, out = run_changed
+    before = hashes(out)
+    succeed("run", file, "--out", out, "--resume", *reversed_pairs(CHANGED))
+    refused = command("run", file, "--out", out, "--resume", *CHANGED[2:])
+    assert refused.exit_code == 1
+    assert "results of another study: integrate.dt = [0.001] there, [0.001, 0.002] here; it was r" \
+        "un with integrate.dt=0.001, integrate.cspace=" in refused.output  # fmt: skip
+    assert hashes(out) == before
+
+
+def reversed_pairs(options):
+    """Options and their values, the last first: their order does not matter."""
+    return [each for pair in reversed([*zip(options[::2], options[1::2])]) for each in pair]
+
+
+def test_only_replays_the_study_that_was_set(run_changed):
+    file, out = run_changed
+    printed = succeed("run", file, "--out", out, *CHANGED, "--only", 17)
+    (row,) = [row for row in sorted_rows(out) if row["trajectory"] == 17]
+    assert f"energy_drift_max            {row['energy_drift_max']!r}" in printed
+
+
+def test_commands_to_go_on_are_whole(run_changed, tmp_path, monkeypatch):
+    """What is printed, given to a shell, does the rest."""
+    file, whole_out = run_changed
+    out = tmp_path / "my results"
+
+    def stopped(*arguments, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(running, "run", stopped)
+        result = command("run", file, "--out", out, *CHANGED)
+    assert result.exit_code == 130
+    succeed(*shlex.split(result.output.partition("go on with:  lierb ")[2]))
+    assert bits(out) == bits(whole_out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    lost = manifest["parts"].popitem()[0]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    shown = succeed("show", out)
+    assert "2 of 3 parts; the rest with: lierb run" in shown
+    succeed(*shlex.split(shown.partition("the rest with: lierb ")[2]))
+    assert lost in json.loads((out / "manifest.json").read_text())["parts"]
+    assert bits(out) == bits(whole_out)
+
+
+def test_predict_and_warmup_take_settings(run_changed):
+    file, _ = run_changed
+    assert "SE3" in succeed("predict", file)
+    universal = succeed("predict", file, "--set", "joint.type=universal")
+    assert universal != succeed("predict", file)
+    assert succeed("warmup", file, *CHANGED[:4]).splitlines()[0].startswith("SO3xR3, RK4, dt = 0.0")
+    assert command("warmup", "spherical", "--set", "sample.n=3").exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--n", "3", "--set", "sample.n=4"], "sample.n is set twice"),
+        (["--set", "sample.n=4", "--set", "sample.n=5"], "sample.n is set twice"),
+        (["--set", "sample.n"], "is no KEY=VALUE"),
+        (["--n", "many"], "not a valid integer"),
+    ],
+)
+def test_settings_that_are_none_are_named(options, message, run_changed):
+    result = command("run", run_changed[0], *options)
+    assert result.exit_code == 2
+    assert message in result.output
 
 
 # ---- nothing is lost ---------------------------------------------------------------------------
