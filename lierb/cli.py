@@ -236,19 +236,19 @@ def _error_cells(findings: list[Finding]) -> list[list[str]]:
 
 def _number(error: float | None) -> str:
     if error is None:
-        return "-"
+        return "–"
     return f"{error:.1e}" if error else "0"
 
 
 def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
     """For each error: its name, the observed order, the verdict, the claim, whether they agree."""
-    agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "-"}
+    agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "–"}
     return [
         [
             finding.quantity[:3],
-            "-" if finding.order is None else str(finding.order),
+            "–" if finding.order is None else str(finding.order),
             finding.verdict,
-            finding.claim or "-",
+            finding.claim or "–",
             agreement[finding.agrees],
         ]
         for finding in findings

@@ -43,7 +43,8 @@ class Found:
     """One setting of a study.
 
     bodies : finished ones.   failed : those of them whose status is not ok.
-    quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok.
+    quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
+        there are none, and for an error that the joint has no rows for.
     """
 
     setting: Setting
@@ -72,16 +73,17 @@ def rows_of(setting: Setting) -> pc.Expression:
 def findings(dataset: Dataset) -> list[Found]:
     """What the finished parts say, setting by setting."""
     study = study_of(dataset)
-    return [_found(dataset, setting) for setting in study.settings]
+    kinds = (*study.batch(0, 1).problem.joint.error_kinds, "energy")
+    return [_found(dataset, setting, kinds) for setting in study.settings]
 
 
-def _found(dataset: Dataset, setting: Setting) -> Found:
+def _found(dataset: Dataset, setting: Setting, kinds: tuple[str, ...]) -> Found:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
     quantiles = {
         kind: np.quantile(rows[name].to_numpy()[ok], QUANTILES, method="inverted_cdf")
-        if ok.any()
+        if kind in kinds and ok.any()
         else np.full(len(QUANTILES), np.nan)
         for kind, name in ERRORS.items()
     }

@@ -62,6 +62,12 @@ class Joint:
     def __repr__(self) -> str:
         return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
 
+    @property
+    def error_kinds(self) -> tuple[str, ...]:
+        """Which constraint errors the joint has rows for: "position", "rotation", both or none."""
+        of_row = {"position" if row.is_translational else "rotation" for row in self.rows}
+        return tuple(sorted(of_row))
+
     @cached_property
     def closed_pose(self) -> Array:
         """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide.

@@ -77,10 +77,14 @@ class Example:
     claims: Mapping[str, Claim]  # by c-space
     point_velocity: Vector = (0.0, 0.0, 0.0)  # m/s, of the joint's point, ground frame
     figures: tuple[PaperFigure, ...] = ()
-    quantities: tuple[str, ...] = ("position", "rotation")  # the errors that this joint has
     reading: str = AS_STATED  # or "corrected", "as printed", "text", "formula"
     note: str = ""  # what was read differently, or is ours
     check: str = "raise"  # as `integrate` takes it
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The errors that this joint has."""
+        return self.joint().error_kinds
 
 
 def _hook_r23() -> Joint:
@@ -106,7 +110,6 @@ EXAMPLES = (
         omega0=(2 * pi, pi, 0.2 * pi),
         claims={"SE3": Claim("exact"), "SO3xR3": Claim("order 4")},
         figures=(PaperFigure(2, "position"),),
-        quantities=("position",),
     ),
     Example(
         key="revolute",

@@ -77,6 +77,14 @@ class TestPaper:
         for name in ("summary.parquet", "history.parquet", "figure_2_spherical_position.png"):
             assert (out / name).stat().st_size > 1000
 
+    def test_errors_that_a_joint_has_no_rows_for_are_dashes(self, tmp_path):
+        table = invoke("paper", "--no-figures", "--out", tmp_path).stdout.split("\npos, rot:")[0]
+        rows = [line.split() for line in table.splitlines() if " 1e-2 " in line]
+        assert rows[0][0] == "spherical"
+        assert (rows[1][:2], rows[1][3]) == (["SE3", "1e-2"], "–")
+        cells = [row[row.index("1e-2") + 1 :][:2] for row in rows]
+        assert [pair.count("–") for pair in cells] == [1, 1, 0, 0, 0, 0]
+
     @pytest.mark.slow
     @pytest.mark.usefixtures("every_example")
     def test_table_is_whole_in_eighty_columns(self, tmp_path):

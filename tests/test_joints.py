@@ -453,6 +453,24 @@ def test_jacobian_times_velocity_is_the_rate_of_the_row(cspace, name, seed):
     np.testing.assert_allclose(jacobian_of(joint, x) @ velocity, rates, rtol=0, atol=ROUNDING)
 
 
+@pytest.mark.parametrize(
+    "joint",
+    [
+        *(tilted(entry, np.random.default_rng(4)) for entry in JOINTS.values()),
+        *(from_rows(names) for names in (["Q21"], ["Qtd2"], ["cv"])),
+    ],
+    ids=repr,
+)
+def test_error_kinds_are_the_errors_of_a_body_in_a_wrong_pose(joint):
+    # any rows are violated where the body is put at random
+    x, _ = kinematics("SE3", joint, random_pose(np.random.default_rng(5)), np.zeros(6))
+    errors = {
+        "position": position_error_squared(joint.rows, x, parameters(joint)),
+        "rotation": rotation_error_squared(joint.rows, x, parameters(joint)),
+    }
+    assert joint.error_kinds == tuple(k for k, e in errors.items() if numbers([e]) > 0.0)
+
+
 @EVERY_CSPACE
 @pytest.mark.parametrize("name", PRIMITIVES)
 @pytest.mark.parametrize("seed", [10, 11])

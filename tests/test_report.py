@@ -110,6 +110,9 @@ def test_page_shows_what_was_found(dataset, text):
             assert shown[3:5] == [str(BODIES), "0"]
             assert shown[5] == "position, m"
             assert shown[8] == largest
+    rotation = [c for c in cells if c[5:6] == ["rotation"]]
+    assert [c[6:] for c in rotation] == [["–"] * 4] * 4  # a spherical joint restricts none
+    assert "no such rows" in text
     worst = max(rows, key=lambda row: row["energy_drift_max"])
     listed = next(c for c in cells if c[0] == "energy, J" and len(c) > 5)
     assert listed[1] == f"{worst['energy_drift_max']:.1e}"

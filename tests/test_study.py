@@ -553,6 +553,30 @@ def test_summary_of_a_study(whole):
     assert order is None or order.slope == pytest.approx(4.0, abs=0.3)
 
 
+def cells_of(shown: str) -> dict[tuple[str, ...], list[str]]:
+    """The numbers in a printed table's rows of an error, by c-space."""
+    found, cspace = {}, ""
+    for line in shown.splitlines():
+        words = line.split()
+        cspace = words[0] if len(words) > 1 and words[1] == "RK4" else cspace
+        for label in ("position, m", "rotation", "energy, J"):
+            if f"  {label}  " in line:
+                found[cspace, label] = line.rpartition(label)[2].split()
+    return found
+
+
+def test_errors_that_a_joint_has_no_rows_for_are_dashes(whole, tmp_path):
+    """A spherical joint restricts no rotation; on SE(3) it keeps its point, and that is a 0."""
+    shown = cells_of(succeed("show", whole))
+    assert shown["SE3", "rotation"] == shown["SO3xR3", "rotation"] == ["–"] * 3
+    assert shown["SE3", "position, m"] == ["0"] * 3
+    assert "–" not in "".join(shown["SO3xR3", "position, m"] + shown["SE3", "energy, J"])
+    free = study(joint={"type": "free"}, integrate={"cspace": "SE3", "dt": 1e-3}, sample={"n": 3})
+    lierb.run(free, tmp_path / "free")
+    shown = cells_of(succeed("show", tmp_path / "free"))
+    assert shown["SE3", "rotation"] == shown["SE3", "position, m"] == ["–"] * 3
+
+
 @pytest.mark.slow
 def test_figures_of_a_study_are_complete(tmp_path):
     study_plots = pytest.importorskip("lierb.study_plots")
