@@ -16,6 +16,7 @@ from lierb.convergence import Order, observed_order
 from lierb.dataset import Dataset
 from lierb.errors import StudyError
 from lierb.study import Setting, Study
+from lierb.units import each_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,14 +29,6 @@ ERRORS = {
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
 NEGLIGIBLE = 1e-18  # an error below this is none
-SAMPLED_UNITS = {
-    "omega": "rad/s", "point_velocity": "m/s", "place": "m", "mass": "kg", "com": "m",
-    "second_moments": "kg m²", "inertia": "kg m²", "size": "m", "radius": "m", "length": "m",
-    "density": "kg/m³", "body_point": "m", "ground_point": "m", "pitch": "m/rad",
-    "gravity": "m/s²", "stiffness": "N/m or N m/rad", "damping": "N s/m or N m s/rad",
-    "linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "torque": "N m", "force": "N",
-    "angle": "rad", "speed": "rad/s", "coordinates": "rad or m", "velocities": "rad/s or m/s",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -120,9 +113,10 @@ def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str
     return found
 
 
-def drawn_columns(dataset: Dataset) -> list[str]:
-    """The columns of what was sampled."""
-    return [name for name in dataset.table().schema.names if name.startswith("sample.")]
+def drawn_columns(dataset: Dataset) -> dict[str, str]:
+    """The columns of what was sampled, and their units."""
+    fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
+    return {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in fields}
 
 
 def some_rows(rows: int, most: int) -> Array:
@@ -144,21 +138,22 @@ def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
     return seen or {"energy": ERRORS["energy"]}
 
 
-def components(names: list[str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
-    """Sampled numbers one by one, but for matrices."""
-    for name in names:
+def components(drawn: dict[str, str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+    """Sampled numbers one by one, but for matrices, by a title with their unit.
+
+    drawn : as `drawn_columns` gives it.   rows : as `ok_columns` does.
+    """
+    for name, unit in drawn.items():
         values, title = rows[name], name.removeprefix("sample.")
-        unit = SAMPLED_UNITS.get(title.rpartition(".")[2])
         if values.ndim == 1:
             yield _with_unit(title, unit), values
         elif values.shape[1] <= 6:
-            for i in range(values.shape[1]):
-                own = unit if title != "initial.twist" else ("rad/s", "m/s")[i // 3]
+            for i, own in enumerate(each_unit(unit, values.shape[1])):
                 yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
 
 
-def _with_unit(title: str, unit: str | None) -> str:
-    return f"{title} [{unit}]" if unit else title
+def _with_unit(title: str, unit: str) -> str:
+    return title if unit == "1" else f"{title} [{unit}]"
 
 
 # ---- for a terminal ----------------------------------------------------------------------------

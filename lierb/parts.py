@@ -13,6 +13,7 @@ from lierb.arrays import Array
 from lierb.columns import numbers, repeated, vectors
 from lierb.sampling import Design
 from lierb.study import Batch, Setting, Study
+from lierb.units import unit_of
 
 Progress = Callable[[int, int], None]
 HISTORY_BYTES = 64e6  # of a part's history, at most
@@ -41,23 +42,20 @@ class Part:
             batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
             progress=progress or False, **study.options(self.setting),
         )  # fmt: skip
-        tables = {"summary": self._labelled(result.summary, batch)}
+        tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
         if result.history is not None:
-            tables["history"] = self._labelled(result.history, None)
+            tables["history"] = self._labelled(result.history)
         return tables
 
-    def _labelled(self, table: pa.Table, batch: Batch | None) -> pa.Table:
-        """With the trajectories' numbers in the study, the setting before, and the draws behind."""
+    def _labelled(self, table: pa.Table) -> pa.Table:
+        """With the trajectories' numbers in the study, and the setting before."""
         rows = table.num_rows
         own = numbers(table["trajectory"].to_numpy() + self.first)
         table = table.set_column(0, table.schema.field("trajectory"), own)
         dt = numbers(np.full(rows, self.setting.dt))
         table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)
         table = table.add_column(0, "method", repeated(self.setting.method, rows))
-        table = table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
-        for name, values in (batch.draws if batch else {}).items():
-            table = table.append_column(f"sample.{name}", _column(np.ascontiguousarray(values)))
-        return table
+        return table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
 
 
 def parts_of(study: Study) -> list[Part]:
@@ -78,6 +76,15 @@ def part_size(study: Study) -> int:
     row = HISTORY_ROW_BYTES + STATE_BYTES * ("state" in run.record)
     rows = run.t_end / min(run.dt) / run.save_every + 2
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
+
+
+def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
+    """With what its bodies drew behind, in its units."""
+    for name, values in batch.draws.items():
+        column = _column(np.ascontiguousarray(values))
+        unit = {"unit": unit_of(name, study, batch.problem.joint)}
+        table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=unit), column)
+    return table
 
 
 def _column(values: Array) -> pa.Array:

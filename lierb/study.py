@@ -299,7 +299,7 @@ class Study(Section):
         with _at("sample"):
             design = self.design
         batch = self.batch(0, min(PREVIEW, len(design)))
-        labels = [force.label for force in self.problem.forces]
+        labels = [force.label.lower() for force in self.problem.forces]  # SQL ignores case, too
         if len(set(labels)) < len(labels):
             raise StudyError("problem.forces: two have the same name; give each a name of its own")
         with _at("initial"), np.errstate(all="ignore"):

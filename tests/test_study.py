@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import copy
 import errno
+import inspect
 import json
 import os
 import random
+import re
 import shlex
 import shutil
 import signal
@@ -16,7 +18,9 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.dataset as ds
+import pyarrow.parquet as pq
 import pytest
 from cases import column
 from click.testing import CliRunner
@@ -40,8 +44,10 @@ from lierb import running
 from lierb.cli import cli
 from lierb.dataset import Dataset
 from lierb.errors import StudyError, StudyWarning
+from lierb.parts import _with_draws
 from lierb.running import parts_of, replay
-from lierb.study import Study, line_of
+from lierb.study import KEYS, Study, line_of
+from lierb.units import FORCE_UNITS, UNITS
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
 
@@ -115,6 +121,10 @@ WRONG = {
     ),
     "two forces": (
         [("[sample]\n", '[[problem.forces]]\ntype = "drag"\n[sample]\n')],
+        "problem.forces: two have the same name",
+    ),
+    "two forces but for case": (
+        [("[sample]\n", '[[problem.forces]]\ntype = "drag"\nname = "DRAG"\n[sample]\n')],
         "problem.forces: two have the same name",
     ),
     "list as a name": ([('"normal"', '["normal"]')], "sample.initial.omega: needs distribution"),
@@ -313,6 +323,83 @@ def test_one_body_is_replayed_bit_for_bit(whole):
         assert "lambda" in tables["history"].column_names
 
 
+def test_column_names_differ_where_case_is_ignored(whole):
+    assert_names_differ_in_sql(ds.dataset(whole / "summary").schema)
+    found = pytest.importorskip("duckdb").sql(
+        f"""select position, "sample.body.mass" from '{whole}/summary/*.parquet' where
+        cspace = 'SE3' and dt = 1e-3 and trajectory = 17"""
+    )
+    (row,) = [
+        row for row in sorted_rows(whole)
+        if (row["trajectory"], row["cspace"], row["dt"]) == (17, "SE3", 1e-3)
+    ]  # fmt: skip
+    assert found.fetchall() == [(row["position"], row["sample.body.mass"])]
+
+
+def units_of(schema) -> dict[str, str | None]:
+    told = {field.name: (field.metadata or {}).get(b"unit") for field in schema}
+    return {name: unit.decode() if unit else None for name, unit in told.items()}
+
+
+def test_sampled_columns_bear_their_units(whole):
+    found = units_of(ds.dataset(whole / "summary").schema)
+    assert {name: unit for name, unit in found.items() if name.startswith("sample.")} == {
+        "sample.body.mass": "kg", "sample.forces.drag.linear": "N s/m",
+        "sample.initial.omega": "rad/s",
+    }  # fmt: skip
+
+
+SCREWED = """
+[body]
+mass = 1.0
+inertia = [0.02, 0.03, 0.04]
+[joint]
+type = "cylindrical"
+[[problem.forces]]
+type = "torsional_spring"
+name = "a.b"
+[[problem.forces]]
+type = "spring_damper"
+[sample.initial]
+coordinates = [0.1, 0.2]
+velocities = [1.0, 2.0]
+[sample.forces]
+"a.b".damping = 0.1
+spring_damper.damping = 0.2
+[sample.joint]
+axis = [0.0, 0.0, 1.0]
+[sample]
+n = 3
+[integrate]
+dt = 0.1
+t_end = 0.1
+"""
+
+
+def test_units_are_those_of_the_joint_and_of_the_force():
+    """Of coordinates each its own; of a damping that of its force, whatever its name."""
+    given = Study.of(tomllib.loads(SCREWED))
+    rows = pa.table({"trajectory": [0, 1, 2]})
+    assert units_of(_with_draws(rows, given, given.batch(0, 3)).schema) == {
+        "trajectory": None, "sample.forces.a.b.damping": "N m s/rad",
+        "sample.forces.spring_damper.damping": "N s/m", "sample.initial.coordinates": "rad, m",
+        "sample.initial.velocities": "rad/s, m/s", "sample.joint.axis": "1",
+    }  # fmt: skip
+
+
+def test_whatever_can_be_sampled_has_a_unit():
+    for keys in KEYS.values():
+        assert set(keys) <= {*UNITS, "coordinates", "velocities", "body_frame", "ground_frame"}
+    for name, units in FORCE_UNITS.items():
+        force = getattr(lierb.forces, name)
+        parameters = inspect.signature(force).parameters.values()
+        names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD} - {"frame"}
+        assert set(units) == names
+        for parameter in names - {"point", "body_point", "ground_point"}:
+            told = re.search(rf"\b{parameter}(?: :|,) (.*?)[,.;](?:\s|$)", force.__doc__)
+            assert told[1] == units[parameter]  # as the function's own text has it
+
+
 @pytest.mark.parametrize("library", ["pandas", "polars", "duckdb"])
 def test_other_libraries_read_the_parts(library, whole):
     module = pytest.importorskip(library)
@@ -394,6 +481,15 @@ def test_only_replays_the_study_that_was_set(run_changed):
     printed = succeed("run", file, "--out", out, *CHANGED, "--only", 17)
     (row,) = [row for row in sorted_rows(out) if row["trajectory"] == 17]
     assert f"energy_drift_max            {row['energy_drift_max']!r}" in printed
+    replayed = pq.read_schema(out / "trajectory-17-00.parquet")
+    assert {"rotation", "position", "energy", "lambda", "reaction"} <= set(replayed.names)
+    assert_names_differ_in_sql(replayed)
+
+
+def assert_names_differ_in_sql(schema):
+    """SQL is blind to case: of two columns `R` and `r` it gives the first for either."""
+    lowered = [name.lower() for name in schema.names]
+    assert len(set(lowered)) == len(lowered)
 
 
 def test_commands_to_go_on_are_whole(run_changed, tmp_path, monkeypatch):
