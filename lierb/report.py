@@ -133,13 +133,13 @@ def _worst(dataset: Dataset, study: Study, seen: dict[str, str]) -> list[dict[st
             rows = ok_columns(dataset, setting, ["trajectory", name, *drawn])
             for i in np.argsort(-rows[name], kind="stable")[:WORST]:
                 draws = {each.removeprefix("sample."): _drawn(rows[each][i]) for each in drawn}
-                error, body = float(rows[name][i]), int(rows["trajectory"][i])
-                largest.append((error, setting, body, draws))
+                error, trajectory = float(rows[name][i]), int(rows["trajectory"][i])
+                largest.append((error, setting, trajectory, draws))
         largest.sort(key=lambda each: -each[0])
         listed += [
-            {"kind": LABELS[kind], "error": shown(error), "setting": setting.label, "body": body,
-             "draws": draws}
-            for error, setting, body, draws in largest[:WORST]
+            {"kind": LABELS[kind], "error": shown(error), "setting": setting.label,
+             "trajectory": trajectory, "draws": draws}
+            for error, setting, trajectory, draws in largest[:WORST]
         ]  # fmt: skip
     return listed
 
@@ -181,7 +181,7 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
             mode="markers", name=setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": style["color"],
                     "symbol": SYMBOLS[dts.index(setting.dt) % len(SYMBOLS)]},
-            hovertemplate="body %{customdata}<br>%{x:.4g}, %{y:.2e}",
+            hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
         )  # fmt: skip
     if not across[0]:
         return ""

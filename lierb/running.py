@@ -145,19 +145,19 @@ def compile_for(
 
 
 def replay(
-    study: Study | str | Path, body: int, *, save_every: int = 1, threads: int | None = None
+    study: Study | str | Path, trajectory: int, *, save_every: int = 1, threads: int | None = None
 ) -> list[tuple[Setting, dict[str, pa.Table]]]:
-    """One body of a study alone, with everything recorded, in each of the study's settings.
+    """One trajectory of a study alone, with everything recorded, in each of the study's settings.
 
     Its row of the summary is that of the study, bit for bit.
     """
     given, _ = _loaded(study, {})
-    bodies = len(given.design)
-    if not 0 <= body < bodies:
-        raise StudyError(f"body {body} is not in the study; it has bodies 0 … {bodies - 1}")
+    last = len(given.design) - 1
+    if not 0 <= trajectory <= last:
+        raise StudyError(f"there is no trajectory {trajectory} in the study; it has 0 … {last}")
     fixed = replace_integrate(given, save_every)
     return [
-        (setting, Part("", setting, body, 1).tables(fixed, given.design, threads))
+        (setting, Part("", setting, trajectory, 1).tables(fixed, given.design, threads))
         for setting in fixed.settings
     ]
 

@@ -77,7 +77,10 @@ SET = click.option(
     "--gather", is_flag=True, help="Workers send their parts here; they do not see the folder."
 )
 @click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
-@click.option("--only", type=int, help="Replay one body alone, everything recorded at each step.")
+@click.option(
+    "--only", type=int, metavar="TRAJECTORY",
+    help="Replay the trajectory of this number alone, everything recorded at each step.",
+)  # fmt: skip
 def run(
     study: Path,
     changes: Changes,
@@ -136,9 +139,9 @@ def _require_one_way(
     if gather and not spread:
         raise click.UsageError("--gather is for a cluster: --scheduler or --workers")
     if only is not None and spread:
-        raise click.UsageError("--only runs one body here: without --scheduler and --workers")
+        raise click.UsageError("--only runs one trajectory here: without --scheduler and --workers")
     if only is not None and report:
-        raise click.UsageError("--report is on a study, --only on one body of it; choose")
+        raise click.UsageError("--report is on a study, --only on one trajectory; choose")
 
 
 @contextmanager
@@ -217,15 +220,15 @@ def predict(study: Path, changes: Changes) -> None:
         click.echo(wrapped(f"{prediction.cspace}: {prediction.reason}"))
 
 
-def _replay(study: Study, folder: Path, body: int, threads: int | None) -> None:
-    """One body's history in files of its own, and its row of the summary."""
+def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
+    """A trajectory's history in files of its own, and its row of the summary."""
     import pyarrow.parquet as pq
 
     from lierb.running import replay
 
     folder.mkdir(parents=True, exist_ok=True)
-    for number, (setting, tables) in enumerate(replay(study, body, threads=threads)):
-        path = folder / f"trajectory-{body}-{number:02d}.parquet"
+    for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
+        path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
         pq.write_table(tables["history"], path)
         (row,) = tables["summary"].to_pylist()
         click.echo(f"{setting.label}: {row['status']}, history in {path}")

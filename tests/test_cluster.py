@@ -260,7 +260,7 @@ def invoke(*arguments):
     [
         (("--workers", 2, "--scheduler", "tcp://127.0.0.1:1"), "choose"),
         (("--gather",), "--gather is for a cluster"),
-        (("--only", 3, "--workers", 2), "--only runs one body here"),
+        (("--only", 3, "--workers", 2), "--only runs one trajectory here"),
         (("--only", 3, "--report"), "choose"),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
         (("--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),

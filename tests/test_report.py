@@ -117,6 +117,8 @@ def test_page_shows_what_was_found(dataset, text):
     listed = next(c for c in cells if c[0] == "energy, J" and len(c) > 5)
     assert listed[1] == f"{worst['energy_drift_max']:.1e}"
     assert listed[3] == str(worst["trajectory"])
+    head = cells[cells.index(next(c for c in cells if c[:2] == ["largest error of", "error"]))]
+    assert head[3] == "trajectory"  # as the tables have it
 
 
 def drawn(text: str) -> tuple[list, dict]:

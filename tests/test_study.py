@@ -525,6 +525,12 @@ def test_predict_and_warmup_take_settings(run_changed):
     assert command("warmup", "spherical", "--set", "sample.n=3").exit_code == 2
 
 
+def test_only_of_a_number_that_is_none_is_named(run_changed):
+    result = command("run", run_changed[0], *CHANGED, "--only", 20)
+    assert result.exit_code == 1
+    assert "there is no trajectory 20 in the study; it has 0 … 19" in result.output
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
