@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import math
 import tomllib
 
@@ -10,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from studies import TEXT, study
 
+import lierb.changes
 from lierb.changes import applied, parsed, path_of, written
 from lierb.errors import StudyError
 from lierb.study import Study
@@ -65,6 +67,10 @@ def test_written_changes_are_read_back(value):
     (line,) = written({'sample.forces."a.b".linear': value})
     assert "\n" not in line
     assert parsed(line) == ('sample.forces."a.b".linear', value)
+
+
+def test_examples_in_the_text_run():
+    assert doctest.testmod(lierb.changes).failed == 0
 
 
 def test_path_of_quoted_keys():
