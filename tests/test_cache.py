@@ -2,16 +2,19 @@
 
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numba
 import pytest
 
 import lierb
+from lierb.kernels import _jit
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -285,3 +288,153 @@ def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, bran
     assert (rescaled["compiled"], rescaled["v"]) == (1, [4.0, 4.0, 0.0])
     back = copy.run(push(branch=branch), **quiet)
     assert (back["loaded"], back["v"]) == (1, [2.0, 4.0, 0.0])
+    assert not needed_packages(copy.folder / "cache") - OWN
+
+
+# ---------------------------------------------------------------- what is on the disk
+
+OWN = {"builtins", "collections", "copyreg", "lierb", "llvmlite", "numba", "numpy"}
+
+
+class Recorder(pickle.Unpickler):
+    """Notes which packages the unpickled needs."""
+
+    def __init__(self, stream):
+        super().__init__(stream)
+        self.packages = set()
+
+    def find_class(self, module, name):
+        self.packages.add(module.split(".")[0])
+        if name == "_rebuild_env":  # Numba's environments import a module by its name
+            return lambda imported, *_: self.packages.add(imported.split(".")[0])
+        return super().find_class(module, name)
+
+
+def needed_packages(folder):
+    """What must be there for the cache's files to be read."""
+    found = set()
+    for path in folder.rglob("*.nb[ic]"):
+        with path.open("rb") as stream:
+            if path.suffix == ".nbc":
+                stream.seek(_jit.DIGEST_SIZE)
+            while stream.peek(1):
+                recorder = Recorder(stream)
+                recorder.load()
+                found |= recorder.packages
+    assert "numba" in found
+    return found
+
+
+SPRING = FALL.replace("import lierb\n", "import lierb, settings\n", 1).replace(
+    "gravity=", "forces=(spring(),), gravity="
+) + """
+@lierb.wrench
+def spring(t, R, r, omega, v, params):
+    return (0.0, 0.0, 0.0), (0.0, 0.0, settings.K)
+
+fall()
+"""
+
+
+@pytest.mark.slow  # two processes that compile
+def test_function_of_the_user_leaves_nothing_of_its_own_in_the_cache(copy):
+    project = copy.folder / "project"
+    project.mkdir()
+    (project / "settings.py").write_text("K = 16.0\n")
+    path = os.pathsep.join((str(copy.folder), str(project)))
+    assert fallen(copy.run(SPRING, PYTHONPATH=path)) == {"v": 0.0, "r": 0.0}  # it floats
+    assert not needed_packages(copy.folder / "cache") - OWN
+    # another project, without those settings, through the same cache
+    assert fallen(copy.run()) == FALLEN["Euler"]
+    again = copy.run(SPRING, PYTHONPATH=path)
+    assert (again["loaded"], fallen(again)) == (1, {"v": 0.0, "r": 0.0})
+
+
+@dataclass(frozen=True)
+class Times(_jit.Tag):
+    factor: float
+
+
+def times(tag, x):
+    return tag.factor * x
+
+
+_jit.kernel(times)
+
+
+def product(tag, x):
+    return times(tag, x)
+
+
+def computed(factor):
+    """factor · 2 by a new dispatcher, as a new process has it, and whether that was loaded."""
+    dispatcher = _jit.cached()(product)
+    found = _jit.compiled(dispatcher, Times(factor), 2.0)(Times(factor), 2.0)
+    return found, bool(dispatcher.stats.cache_hits)
+
+
+def cut(size, *files):
+    for file in files:
+        file.write_bytes(file.read_bytes()[:size])
+
+
+def flip_a_bit(file):
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def exchange(first, second):
+    contents = first.read_bytes(), second.read_bytes()
+    second.write_bytes(contents[0])
+    first.write_bytes(contents[1])
+
+
+DAMAGES = {
+    "index cut": lambda index, *data: cut(40, index),
+    "index empty": lambda index, *data: cut(0, index),
+    "index of something else": lambda index, *data: index.write_bytes(b"no pickle at all"),
+    "index that lists nothing": lambda index, *data: index.write_bytes(pickle.dumps(None)),
+    "data cut": lambda index, *data: cut(100, *data),
+    "data empty": lambda index, *data: cut(0, *data),
+    "data with a bit wrong": lambda index, *data: [flip_a_bit(file) for file in data],
+    "data exchanged": lambda index, *data: exchange(*data),
+    "data gone": lambda index, *data: [file.unlink() for file in data],
+    "stamp no text": lambda index, *data: next(index.parent.glob("*.stamp")).write_bytes(b"\xff"),
+}
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
+    return [*tmp_path.rglob("*.nbi"), *tmp_path.rglob("*.nbc")]
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_damaged_entry_is_compiled_anew_and_replaced(own_cache, name):
+    DAMAGES[name](*own_cache)
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
+
+
+class Gone:
+    """Something that no longer exists when the index is read again."""
+
+
+def read_index(index):
+    with index.open("rb") as file:
+        return pickle.load(file), *pickle.load(file)
+
+
+def test_foreign_entry_hides_no_other(own_cache, monkeypatch):
+    index = own_cache[0]
+    version, stamp, entries = read_index(index)
+    index.write_bytes(pickle.dumps(version) + pickle.dumps((stamp, {Gone(): "1.nbc"} | entries)))
+    monkeypatch.delattr(sys.modules[__name__], "Gone")
+    with pytest.raises(AttributeError):  # as Numba would read it
+        read_index(index)
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
+    assert computed(7.0) == (14.0, False)
+    assert entries.items() < read_index(index)[2].items()  # written again, without it

@@ -9,6 +9,8 @@ time, and Numba's type inference never sees the inside of a formula.
 from __future__ import annotations
 
 import hashlib
+import io
+import pickle
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,7 +26,7 @@ from filelock import FileLock
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.runtime import rtsys
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import (
@@ -72,10 +74,22 @@ class Tag:
 
 
 class TagType(types.Type):
+    """The type of a tag: a name, which is all of it that goes to the disk.
+
+    A tag may hold functions of the user's, whose modules no other process need have.
+    """
+
     def __init__(self, tag: Tag) -> None:
-        self.tag = tag
         digest = hashlib.sha256(repr(tag).encode()).hexdigest()[:16]
         super().__init__(name=f"{type(tag).__name__}<{source_stamp()},{digest}>")
+        _tags.setdefault(self.name, tag)
+
+    @property
+    def tag(self) -> Tag:
+        return _tags[self.name]
+
+
+_tags: dict[str, Tag] = {}  # of this process, by their types' names
 
 
 register_model(TagType)(models.OpaqueModel)
@@ -117,6 +131,60 @@ source_stamp()  # now: later, a file may differ from what this process has impor
 # ---- the disk cache ----------------------------------------------------------------------------
 
 
+class Unknown:
+    """What stands in an index for an object that is not plain data."""
+
+    def __init__(self, *_: Any, **__: Any) -> None: ...
+
+    def __setstate__(self, _: Any) -> None: ...
+
+
+class PlainUnpickler(pickle.Unpickler):
+    """Reads text, numbers and their collections; imports nothing and calls nothing."""
+
+    def find_class(self, module: str, name: str) -> type[Unknown]:
+        return Unknown
+
+
+class CacheFiles(IndexDataCacheFile):
+    """Numba's index and data files, of which a damaged or foreign one is as good as none.
+
+    The index is text: key → data file. A data file begins with the digest of the rest, and names
+    the key that it is of; only then is it unpickled.
+    """
+
+    def save(self, key: str, data: Any) -> None:
+        super().save(key, (key, data))
+
+    def load(self, key: str) -> Any:
+        found = super().load(key)
+        return found[1] if found is not None and found[0] == key else None
+
+    def _load_index(self) -> dict[str, str]:
+        try:
+            stream = io.BytesIO(Path(self._index_path).read_bytes())
+            version = PlainUnpickler(stream).load()
+            stamp, entries = PlainUnpickler(stream).load()
+            known = (version, stamp) == (self._version, self._source_stamp)
+            plain = {k: v for k, v in entries.items() if isinstance(k, str) and isinstance(v, str)}
+        except Exception:  # there is no telling what unpickling nonsense raises
+            return {}
+        return plain if known else {}
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+
+    def _load_data(self, name: str) -> Any:
+        stored = Path(self._data_path(name)).read_bytes()
+        digest, content = stored[:DIGEST_SIZE], stored[DIGEST_SIZE:]
+        return pickle.loads(content) if hashlib.sha256(content).digest() == digest else None
+
+
+DIGEST_SIZE = hashlib.sha256().digest_size
+
+
 class QuickCache(FunctionCache):
     """Numba's cache of a function, which loads machine code without what only a compiler needs.
 
@@ -124,10 +192,22 @@ class QuickCache(FunctionCache):
     thirds of the time to a process's first result.
     """
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = CacheFiles(
+            self.cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
+        )
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         rtsys.initialize(target_context)  # arrays count references
-        with self._guard_against_spurious_io_errors():
+        try:
             return self._load_overload(sig, target_context)
+        except Exception:  # what cannot be loaded is compiled, and saved in its place
+            return None
+
+    def _index_key(self, sig: Any, codegen: Any) -> str:
+        """Numba's key as text: it holds types, and these whatever they are made of."""
+        return hashlib.sha256(repr(super()._index_key(sig, codegen)).encode()).hexdigest()
 
 
 def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -230,18 +310,18 @@ def _cache_lock(dispatcher: Any) -> Iterator[None]:
 def _prune(folder: Path, function: Callable[..., Any]) -> None:
     """Delete code that other versions of the sources left behind: no tag can ask for it again."""
     mark = folder / f"{_stem(function)}.stamp"
-    if mark.exists() and mark.read_text() == source_stamp():
+    if mark.exists() and mark.read_bytes() == source_stamp().encode():
         return
     for entry in folder.glob(f"{_stem(function)}-*.nb[ic]"):
         entry.unlink(missing_ok=True)
-    mark.write_text(source_stamp())
+    mark.write_bytes(source_stamp().encode())
 
 
 def cached_kernels(dispatcher: Any) -> list[Path]:
     """The files of machine code that the disk cache holds for this version of the sources."""
     folder, stem = Path(dispatcher.stats.cache_path), _stem(dispatcher.py_func)
     mark = folder / f"{stem}.stamp"
-    if not mark.exists() or mark.read_text() != source_stamp():
+    if not mark.exists() or mark.read_bytes() != source_stamp().encode():
         return []
     return sorted(folder.glob(f"{stem}-*.nbc"))
 
