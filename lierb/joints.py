@@ -3,7 +3,7 @@
 Rows are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
-Q₂₁ = Q₁₂.
+Q turns about an axis ⊥ e₃.
 """
 
 from __future__ import annotations

@@ -213,7 +213,8 @@ def coefficients(theta) -> dict[str, float]:
 # on the body, s the vector from G's origin to B's, g_i and b_i their axes, in ground coordinates:
 #   d_i: g_i·s = 0      slot_i: b_i·s = 0      turn_i: b_i·ω = 0      cross_ij: g_i·b_j = 0
 #   screw: g_3·s − pitch·φ = 0, at velocity level g_3·ṡ − pitch b_3·ω = 0
-#   rod: (s·s − length²)/(2 length) = 0      equal: (g_2·b_1 − g_1·b_2)/2 = 0
+#   rod: (s·s − length²)/(2 length) = 0
+#   equal: n·ω = 0, n the unit bisector of g_3 and b_3: the same turn about both of them
 JOINT_ROWS: dict[str, str] = {
     "free": "",
     "spherical": "d1 d2 d3",
@@ -448,12 +449,8 @@ def _row(name: str, s, s_rate, arm, omega, g, b, pitch, length):
     if kind == "cross":
         gi, bj = g[index[0]], b[index[1]]
         return _cross(bj, gi), zero, -gi @ _cross(omega, _cross(omega, bj))
-    if kind == "equal":
-        parts = [
-            _row(cross, s, s_rate, arm, omega, g, b, pitch, length)
-            for cross in ("cross21", "cross12")
-        ]
-        return (parts[0][0] - parts[1][0]) / 2, zero, (parts[0][2] - parts[1][2]) / 2
+    if kind == "equal":  # ṅ·ω is along (ω×b_3)·ω, which is 0
+        return (g[2] + b[2]) / np.linalg.norm(g[2] + b[2]), zero, 0.0
     if kind == "rod":
         along = s / length
         return _cross(arm, along), along, -(s_rate @ s_rate / length + along @ centripetal)

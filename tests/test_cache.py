@@ -325,15 +325,14 @@ def needed_packages(folder):
     return found
 
 
-SPRING = FALL.replace("import lierb\n", "import lierb, settings\n", 1).replace(
-    "gravity=", "forces=(spring(),), gravity="
-) + """
+SPRING = """
+import lierb, settings
+
 @lierb.wrench
 def spring(t, R, r, omega, v, params):
     return (0.0, 0.0, 0.0), (0.0, 0.0, settings.K)
-
-fall()
 """
+SPRING += NOW.replace("gravity=", "forces=spring(), gravity=")
 
 
 @pytest.mark.slow  # two processes that compile

@@ -10,6 +10,7 @@ from cases import (
     BODY_FRAME,
     GRAVITY,
     SUBGROUP_JOINTS,
+    box,
     column,
     frame,
     integrate,
@@ -156,3 +157,27 @@ def test_kept_constraints_are_not_accuracy():
         for cspace in ("SE3", "SO3xR3")
     }
     assert energy["SE3"] > 1e3 * energy["SO3xR3"]
+
+
+@pytest.mark.parametrize("cspace", slow_but(["SE3", "SO3xR3"], "SE3"))
+def test_constant_velocity_joint_goes_on_where_its_shafts_fold_together(cspace):
+    """Half turns are in the way of ordinary motion: none of 200 boxes under gravity minds them."""
+    held = joint("constant_velocity")
+    problem = lierb.Problem(box(), held, GRAVITY)
+    omega = 5.0 * np.random.default_rng(0).normal(size=(200, 3))
+    twists = problem.project(held.twist(omega))
+    runs = [
+        integrate(problem, twist0=twists, dt=dt, t_end=2.0, cspace=cspace, save_every=20)
+        for dt in (1e-3, 5e-4)
+    ]
+    turned = column(runs[0].history, "rotation").reshape(-1, 3, 3)
+    shafts = turned @ held.body_frame[:3, 2] @ held.ground_frame[:3, 2]  # the cosine between them
+    passing = shafts.reshape(-1, 200).min(axis=0) < np.cos(np.pi - 0.2)
+    assert np.count_nonzero(passing) > 150
+    for run in runs:
+        assert set(run.summary["status"].to_pylist()) == {"ok"}
+    coarse, fine = (column(run.summary, "energy_drift_max") for run in runs)
+    order = np.log2(coarse / fine)
+    assert order.min() > 3.5
+    assert np.median(order) == pytest.approx(4.0, abs=0.1)
+    assert coarse.max() < 1e-4  # J; most have some 10

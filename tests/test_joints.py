@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.joints import JOINTS, from_rows
@@ -138,7 +139,7 @@ def row_by_definition(r, D, pitch=0.0, length=0.0):
     if r.kind == "rod":
         return (d @ d - length**2) / (2 * length)
     if r.kind == "cv":
-        return (Q[1, 0] - Q[0, 1]) / 2
+        return 2 * Rotation.from_matrix(Q).as_quat(canonical=True)[2]
     if r.kind == "d":
         return d[r.i]
     if r.kind == "Qtd":
@@ -407,7 +408,7 @@ def _exact_value(row, Q, d, pitch, length):
         length = mp.mpf(length)
         return ((d.T * d)[0] - length**2) / (2 * length)
     if row.kind == "cv":
-        return (Q[1, 0] - Q[0, 1]) / 2
+        return (Q[1, 0] - Q[0, 1]) / mp.sqrt(1 + Q[0, 0] + Q[1, 1] + Q[2, 2])
     if row.kind == "d":
         return d[row.i]
     if row.kind == "Qtd":
@@ -522,6 +523,75 @@ def test_rates_do_not_depend_on_the_cspace(entry):
         x, velocity = kinematics(cspace, joint, C, twist)
         both.append(jacobian_of(joint, x) @ velocity)
     np.testing.assert_allclose(both[0], both[1], rtol=0, atol=ROUNDING)
+
+
+def bent(bend, direction, twist):
+    """A quaternion, 50 digits: shafts bent by an angle about an axis ⊥ e₃, one then twisted."""
+    half, about = mp.mpf(bend) / 2, mp.mpf(direction)
+    sine = mp.sin(half)
+    return product(
+        (mp.cos(mp.mpf(twist) / 2), 0, 0, mp.sin(mp.mpf(twist) / 2)),
+        (mp.cos(half), sine * mp.cos(about), sine * mp.sin(about), 0),
+    )
+
+
+def product(p, q):
+    (a, *u), (b, *v) = p, q
+    return (
+        a * b - sum(x * y for x, y in zip(u, v, strict=True)),
+        *(a * v[i] + b * u[i] + u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)),
+    )
+
+
+@pytest.mark.parametrize("twist", [0.0, 0.6], ids=["closed", "off"])
+@pytest.mark.parametrize(
+    "bend", [0.0, 1e-9, 0.4, 2.5, mp.pi - mp.mpf("1e-9"), mp.pi, mp.pi + mp.mpf("1e-9"), 4.0]
+)
+def test_constant_velocity_row_is_regular_at_any_bend(bend, twist):
+    joint = from_rows(["cv"])
+    (row,) = joint.rows
+    start, omega = bent(bend, 0.7, twist), (0.9, -1.3, 0.8)
+
+    def at(t):
+        """2z of the quaternion that turns at ω."""
+        speed = mp.sqrt(sum(mp.mpf(w) ** 2 for w in omega))
+        sine = mp.sin(speed * t / 2) / speed
+        turned = product(start, (mp.cos(speed * t / 2), *(sine * mp.mpf(w) for w in omega)))
+        return 2 * turned[3]
+
+    w, x, y, z = start
+    Q = mp.matrix([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    C = pose_of(np.array(Q.tolist(), dtype=float), (0.0, 0.0, 0.0))
+    x, velocity = kinematics("SE3", joint, C, (*omega, 0.0, 0.0, 0.0))
+    found = [
+        value(row, x, parameters(joint)),
+        float(jacobian_of(joint, x)[0] @ velocity),
+        acceleration(row, x, parameters(joint)),
+    ]
+    rate, bending = mp.diff(at, 0), mp.diff(at, 0, 2)
+    expected = np.array([at(0), rate, -bending], dtype=float)
+    # a quaternion and its negative are one rotation, and which is meant is rounding's choice at a
+    # half turn: all three change sign together
+    sign = np.sign(found[1] * expected[1])
+    np.testing.assert_allclose(found, sign * expected, rtol=0, atol=ROUNDING)
+    # a unit vector on the constraint, shorter off it by what the twist leaves
+    length = np.linalg.norm(jacobian_of(joint, x))
+    assert length == pytest.approx(np.sqrt(1 - found[0] ** 2 / 4), abs=ROUNDING)
+
+
+def test_constant_velocity_row_is_the_twist_where_shafts_are_in_line():
+    """Scaled so that λ is the torque about e₃ there, as of an `Omega3` row."""
+    joint = from_rows(["cv"])
+    x, _ = kinematics("SE3", joint, np.eye(4), np.zeros(6))
+    np.testing.assert_array_equal(jacobian_of(joint, x), [[0, 0, 1, 0, 0, 0]])
+    small = pose_of(turn_z(1e-5), (0.0, 0.0, 0.0))
+    x, _ = kinematics("SE3", joint, small, np.zeros(6))
+    # 2 sin(φ/2) is φ but for φ³/24
+    assert value(joint.rows[0], x, parameters(joint)) == pytest.approx(1e-5, abs=1e-15)
 
 
 # ---------------------------------------------------------------- the catalogue

@@ -316,20 +316,18 @@ BODY_FRAME = frame((-0.15, 0.0375, 0.1), (-0.5, 0.3, 1.1))
 INERTIA = np.array([[0.05, 0.004, -0.003], [0.004, 0.07, 0.006], [-0.003, 0.006, 0.09]])
 MASS = 2.0
 GRAVITY = np.array([1.0, -4.0, -8.0])
-CALM = {"constant_velocity": 0.2}  # else it comes to where its shafts fold together
 
 
 def moving(joint, times, **options):
     """A body of full inertia on a joint of tilted frames, moving in every free direction."""
-    calm = CALM.get(joint, 1.0)
-    speeds = calm * np.random.default_rng(3).uniform(1.0, 3.0, 6)
+    speeds = np.random.default_rng(3).uniform(1.0, 3.0, 6)
     directions = [DIRECTIONS[name] for name in FREE_DIRECTIONS[joint].split()]
     relative = sum((s * d for s, d in zip(speeds, directions)), np.zeros(6))
     return on_tilted_joint(
         joint,
         times,
         relative,
-        gravity=calm**2 * GRAVITY,
+        gravity=GRAVITY,
         pitch=PITCH,
         length=LENGTH if "rod" in JOINT_ROWS[joint] else 0.0,
         **options,
@@ -365,7 +363,8 @@ def joint_values(joint, R, r):
     values = {f"d{i + 1}": d[i] for i in range(3)} | {"screw": remainder}
     values |= {"cross32": Q[2, 1], "cross23": Q[1, 2]}
     values |= {f"slot{i + 1}": (Q.T @ d)[i] for i in range(3)}
-    values |= {"rod": (d @ d - LENGTH**2) / (2 * LENGTH), "equal": (Q[1, 0] - Q[0, 1]) / 2}
+    values |= {"rod": (d @ d - LENGTH**2) / (2 * LENGTH)}
+    values |= {"equal": (Q[1, 0] - Q[0, 1]) / np.sqrt(1 + np.trace(Q))}  # 2z of Q's quaternion
     values |= {"turn1": Q[1, 2], "turn2": Q[0, 2], "turn3": Q[1, 0]}
     return np.array([values[name] for name in JOINT_ROWS[joint].split()])
 
@@ -375,14 +374,16 @@ def test_trajectory_keeps_joint_and_energy(joint):
     result = moving(joint, [0.0, 0.5, 1.0])
 
     def energy(R, r, omega, v):
-        weight = MASS * CALM.get(joint, 1.0) ** 2 * GRAVITY
+        weight = MASS * GRAVITY
         return 0.5 * (MASS * v @ v + omega @ INERTIA @ omega) - weight @ r
 
     states = list(zip(result.R, result.r, result.omega, result.v))
+    # nothing holds them but the accelerations: some 100 steps with rtol 3e-14, energy of 20 J;
+    # where shafts fold together, their bisector loses a digit
+    lost = 10 if joint == "constant_velocity" else 1
     for state, reported in zip(states, result.energy):
-        # nothing holds them but the accelerations: some 100 steps with rtol 3e-14, energy of 20 J
-        np.testing.assert_allclose(joint_values(joint, *state[:2]), 0, atol=1e-13)
-        assert energy(*state) == pytest.approx(energy(*states[0]), rel=0, abs=1e-12)
+        np.testing.assert_allclose(joint_values(joint, *state[:2]), 0, atol=lost * 1e-13)
+        assert energy(*state) == pytest.approx(energy(*states[0]), rel=0, abs=lost * 1e-12)
         assert reported == pytest.approx(energy(*state), rel=0, abs=1e-13)  # an ulp of 20: 4e-15
 
 
@@ -396,7 +397,7 @@ def test_multipliers_balance_body_in_its_own_frame(joint):
     V = np.hstack([result.omega, result.v])
     R, r = result.R[1], result.r[1]
     M = np.block([[INERTIA, np.zeros((3, 3))], [np.zeros((3, 3)), MASS * np.eye(3)]])
-    weight = MASS * CALM.get(joint, 1.0) ** 2 * GRAVITY
+    weight = MASS * GRAVITY
     W = np.concatenate([np.zeros(3), R.T @ weight])
     J = np.zeros((len(JOINT_ROWS[joint].split()), 6))
     for i in range(6):

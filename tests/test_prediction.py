@@ -134,8 +134,7 @@ def test_body_off_its_centre_of_mass_is_for_se3_only():
 # ---- against the measured drift ------------------------------------------------------------------
 
 COUNT = 54  # random frames of every joint; times 19 joints and two c-spaces: 2052 cases
-SPEED = {"constant_velocity": 0.4, "point_on_sphere": 0.1}  # away from singular configurations
-STEP = {"constant_velocity": 5e-2}  # so slow that a drift shows at long steps only
+SPEED = {"constant_velocity": 2.0, "point_on_sphere": 0.1}  # one drifts so little, one so fast
 
 
 @cache
@@ -154,12 +153,11 @@ def random_problems(name, count):
     options = {o: values[o] for o in entry.options & values.keys()}
     body, _ = tilted(name)
     body = body.body
-    gravity = (0.0, 0.0, 0.0) if name == "constant_velocity" else (1.0, -2.0, -3.0)
     twists = rng.normal(size=(count, 6)) * SPEED.get(name, 1.0) * (5.0, 5.0, 5.0, 1.0, 1.0, 1.0)
 
     def problem(chosen):
         held = entry(body_frame=frames[0][chosen], ground_frame=frames[1][chosen], **options)
-        return lierb.Problem(body, held, gravity)
+        return lierb.Problem(body, held, (1.0, -2.0, -3.0))
 
     whole = problem(slice(None))
     return whole, whole.project(twists), [lierb.predict(problem(i)) for i in range(count)]
@@ -178,9 +176,8 @@ def drift(problem, twists, cspace, dt):
 @pytest.mark.parametrize("cspace", CSPACES)
 def test_prediction_agrees_with_the_measured_drift(name, cspace):
     problem, twists, found = random_problems(name, COUNT)
-    dt = STEP.get(name, 1e-2)
-    coarse, reach = drift(problem, twists, cspace, dt)
-    fine, _ = drift(problem, twists, cspace, dt / 2)
+    coarse, reach = drift(problem, twists, cspace, 1e-2)
+    fine, _ = drift(problem, twists, cspace, 5e-3)
     predicted = [p[cspace] for p in found]
     for kind in ("position", "rotation"):
         exact = np.array([getattr(p, f"{kind}_exact") for p in predicted])

@@ -4,7 +4,7 @@ Rows act on D = (Q, d), the body's joint frame seen from the ground's:
 
     d1      d_i = 0                         screw   d₃ − pitch·φ = 0
     Qtd1    (Qᵀd)_i = 0                     rod     (d·d − length²)/(2 length) = 0
-    Q32     Q_ij = 0                        cv      (Q₂₁ − Q₁₂)/2 = 0: Q turns about an axis ⊥ e₃
+    Q32     Q_ij = 0                        cv      2z = 0: Q = R(w, x, y, z) has its axis ⊥ e₃
     Omega1  Ω_k = 0, a fixed axis, as a condition on velocity
 
 Each has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the acceleration
@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from typing import Any, NamedTuple
 
-from lierb.kernels import so3
+from lierb.kernels import quaternion, so3
 from lierb.kernels.arithmetic import PI, fma, rint, where
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.newton_euler import Body, Kinematics
@@ -108,7 +108,8 @@ def jacobian(r: Row | AddedRow, x: Kinematics, body: Body) -> Vec:
     if r.kind == "Q":
         return cross(UNIT[r.j], row(x.q, r.i)) + ZERO3
     if r.kind == "cv":
-        return scale(0.5, sub(cross(UNIT[0], row(x.q, 1)), cross(UNIT[1], row(x.q, 0)))) + ZERO3
+        p = quaternion.of_matrix(x.q)
+        return (-p[2], p[1], p[0]) + ZERO3
     if r.kind == "rod":
         direction = scale(1.0 / body.length, x.d)
         in_body = mat_t_vec(x.q, direction)
@@ -135,7 +136,7 @@ def acceleration(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
     if r.kind == "Q":
         return -_bend(x, r.i, r.j)
     if r.kind == "cv":
-        return 0.5 * (_bend(x, 0, 1) - _bend(x, 1, 0))
+        return 0.25 * dot(x.omega, x.omega) * value(r, x, body)
     if r.kind == "rod":
         bend = dot(x.point_rate, x.point_rate) + dot(mat_t_vec(x.q, x.d), x.point_bias)
         return -bend / body.length
@@ -170,7 +171,8 @@ def value(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
     if r.kind == "Q":
         return x.q[3 * r.i + r.j]
     if r.kind == "cv":
-        return 0.5 * (x.q[3] - x.q[1])
+        # not (Q₂₁ − Q₁₂)/2 = 2wz, which has no gradient at a half turn; of this J is a unit vector
+        return 2.0 * quaternion.of_matrix(x.q)[3]
     if r.kind == "rod":  # ‖d‖ − length, to first order
         return 0.5 * (dot(x.d, x.d) / body.length - body.length)
     turn = 2.0 * PI * body.pitch

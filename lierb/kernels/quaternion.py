@@ -18,9 +18,14 @@ Quaternion = tuple[Any, ...]
 Chart = tuple[Quaternion, Vec]
 
 
+def of_matrix(r: Mat) -> Quaternion:
+    """The unit quaternion p of this rotation with w ≥ 0."""
+    p = so3.quaternion(r)
+    return scale(1.0 / norm(p), p)
+
+
 def from_pose(c: Pose) -> Chart:
-    p = so3.quaternion(c[0])
-    return scale(1.0 / norm(p), p), c[1]
+    return of_matrix(c[0]), c[1]
 
 
 def pose(c: Chart) -> Pose:
