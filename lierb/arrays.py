@@ -21,6 +21,20 @@ SLICE = 16384  # bodies looked at together: bounds the memory of checks
 ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoever made R
 
 
+def as_floats(argument: str, value: ArrayLike, copy: bool | None = None) -> Array:
+    """`value` as float64, in its own shape; with copy=None the caller's own array where it is that.
+
+    Raises ArgumentError for complex numbers, text and whatever else is no real number.
+    """
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "biufO":
+            raise TypeError(given.dtype.name)
+        return np.array(given, dtype=np.float64, copy=copy)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
+
+
 def as_numbers(
     argument: str, value: ArrayLike, *tails: tuple[int, ...], copy: bool | None = True
 ) -> Array:
@@ -29,13 +43,7 @@ def as_numbers(
     A copy that nobody writes to, so that what was checked stays so; with copy=None a view of the
     caller's own array where it is float64, for use within a call.
     """
-    try:
-        given = np.asarray(value)
-        if np.iscomplexobj(given):
-            raise TypeError("complex")
-        array = np.array(given, dtype=np.float64, copy=copy).view()
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
+    array = as_floats(argument, value, copy).view()
     array.setflags(write=False)
     fits = any(
         array.ndim - len(tail) in (0, 1) and array.shape[array.ndim - len(tail) :] == tail
@@ -126,16 +134,32 @@ def pose_matrix(pose: Pose) -> Array:
 def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     """4×4 rigid motions from arrays or from SciPy's `RigidTransform` or `Rotation`."""
     if hasattr(value, "as_matrix"):
-        value = value.as_matrix()
-        if value.shape[-2:] == (3, 3):  # a Rotation: about the origin
-            value = pose_matrix((components(value, 2), (0.0, 0.0, 0.0)))
-    poses = as_numbers(argument, value, (4, 4), copy=copy)
+        given = value.as_matrix()
+        if given.shape[-2:] == (3, 3):  # a Rotation: about the origin
+            given = pose_matrix((components(given, 2), (0.0, 0.0, 0.0)))
+    else:
+        given = as_floats(argument, value)
+        if given.shape[-2:] == (3, 3):
+            raise ArgumentError(
+                f"{argument} has shape {given.shape}, rotations R without a place r: expected "
+                "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
+                "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
+            )
+    poses = as_numbers(argument, given, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     off = np.flatnonzero((poses[..., 3, :] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
     if off.size:
         label = body_label(argument, int(off[0]), poses.size // 16)
         raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
     return poses
+
+
+def as_rotations(argument: str, value: Any) -> Array:
+    """3×3 rotation matrices from arrays or from SciPy's `Rotation`."""
+    given = value.as_matrix() if hasattr(value, "as_matrix") else value
+    matrices = as_numbers(argument, given, (3, 3))
+    check_rotations(argument, matrices)
+    return matrices
 
 
 def check_rotations(argument: str, matrices: Array) -> None:

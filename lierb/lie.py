@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array
+from lierb.arrays import Array, as_floats
 from lierb.errors import ArgumentError
 from lierb.kernels import _jit
 from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
@@ -29,7 +29,8 @@ class Group:
 
     name: "so3", "se3" or "so3xr3".   size: 3 for 3×3 matrices, 4 for 4×4.   dim: 3 or 6.
     All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` (so3) or
-    `RigidTransform` (the others) for group elements, and raise ArgumentError for a wrong shape.
+    `RigidTransform` (the others) for group elements, and raise ArgumentError for a wrong shape, and
+    for what are no real numbers.
     """
 
     name: str
@@ -120,12 +121,7 @@ class Group:
         shape = (self.dim,) if kind == "x" else (self.size, self.size)
         if kind == "g" and hasattr(given, "as_matrix"):
             given = given.as_matrix()
-        try:
-            array = np.asarray(given, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(
-                f"{self.name}.{function}: an argument must be numbers, got {given!r}"
-            ) from error
+        array = as_floats(f"{self.name}.{function}: an argument", given)
         if array.shape[-len(shape) :] != shape:
             expected = ", ".join(map(str, shape))
             raise ArgumentError(

@@ -1,5 +1,7 @@
 """`lierb.lie` on arrays: batch shapes, broadcasting, SciPy's objects, the laws of a Lie group."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -188,6 +190,23 @@ def test_functions_refuse_batches_that_do_not_broadcast(name, function):
 def test_functions_refuse_what_is_not_a_number(given):
     with pytest.raises(ArgumentError):
         lierb.lie.so3.exp(given)
+
+
+@pytest.mark.parametrize("kind", [complex, "U8", "M8[s]", "m8[s]"])
+@pytest.mark.parametrize("name", ["so3", "se3", "so3xr3"])
+def test_functions_refuse_numbers_that_are_not_real(name, kind):
+    """NumPy would drop the imaginary part, with a warning at most, and read text."""
+    group = group_named(name)
+    vector, element = np.zeros(group.dim).astype(int), np.eye(group.size).astype(int)
+    for function, given in (
+        (group.exp, [vector]), (group.log, [element]), (group.Ad, [element]),
+        (group.ad, [vector]), (group.compose, [element, element]), (group.dexp, [vector, vector]),
+    ):  # fmt: skip
+        function(*given)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # for most users warnings are no errors
+            with pytest.raises(ArgumentError, match=f"{name}.{function.__name__}: .*be numbers"):
+                function(*given[:-1], given[-1].astype(kind))
 
 
 # ---------------------------------------------------------------- SciPy's objects
