@@ -67,6 +67,12 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNam
     return UnknownNameError(f"{argument}={got!r} is unknown; choose from {', '.join(names)}.{hint}")
 
 
+def two_readings(argument: str, shape: tuple[int, ...], **ways: str) -> ArgumentError:
+    """The error for a shape that may mean two things; ways: how to say each, by what it is."""
+    listed = ", ".join(f"{way} for {meaning.replace('_', ' ')}" for meaning, way in ways.items())
+    return ArgumentError(f"{argument} has shape {shape}, which may mean two things; give {listed}")
+
+
 def body_label(argument: str, body: int, count: int) -> str:
     """`twist0[17]`, or `twist0` where there is only one."""
     return f"{argument}[{body}]" if count > 1 else argument

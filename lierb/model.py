@@ -21,7 +21,14 @@ from lierb.arrays import (
     pose_matrix,
 )
 from lierb.elements import Constraint, Element, Force, reject_functions
-from lierb.errors import ArgumentError, ForceError, InertiaError, PoseError, body_label
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    InertiaError,
+    PoseError,
+    body_label,
+    two_readings,
+)
 from lierb.joints import MOST_ROWS, Joint
 from lierb.kernels import elements as kinds
 from lierb.kernels import se3, so3
@@ -43,6 +50,7 @@ SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
 CLOSED = 1e-13  # m and rad, over 1 + ‖r‖: where rounding ends it
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
+MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -51,7 +59,8 @@ class Body:
 
     mass : number or (n,), kg.
     inertia : (3,) or (n, 3) principal moments, (3, 3) or (n, 3, 3) matrices, kg m², about the body
-        frame's origin and in its axes. A shape (3, 3) is one matrix.
+        frame's origin and in its axes. A shape (3, 3) is one matrix, and refused where mass or com
+        are those of three bodies.
     com : (3,) or (n, 3), m, centre of mass in the body frame. Default: its origin.
 
     Raises InertiaError for a mass or inertia that no body has, ArgumentError for wrong shapes.
@@ -68,9 +77,14 @@ class Body:
     def __init__(self, mass: ArrayLike, inertia: ArrayLike, com: ArrayLike | None = None) -> None:
         masses = as_numbers("mass", mass, ())
         moments = as_numbers("inertia", inertia, (3,), (3, 3))
+        centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
+        if moments.shape == (3, 3) and batch_size(mass=masses, com=(centre, 1)) == 3:
+            raise two_readings(
+                "inertia", moments.shape, one_matrix_for_all="inertia[None]",
+                principal_moments_of_each=MOMENTS_OF_EACH,
+            )  # fmt: skip
         if not (moments.ndim >= 2 and moments.shape[-2:] == (3, 3)):
             moments = moments[..., :, None] * np.eye(3)
-        centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
         batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
         _check_mass(masses)
         moments = _checked_symmetric(moments)
@@ -102,7 +116,8 @@ def _checked_symmetric(moments: Array) -> Array:
         label = body_label("inertia", int(bad[0]), len(flat))
         raise InertiaError(
             f"{label} is not symmetric: entries differ by {skew[bad[0]]:.3g} kg m²; "
-            "give (I + I.T) / 2 (a shape (3, 3) is read as one matrix, not as three bodies)"
+            "give (I + I.T) / 2. A shape (3, 3) is read as one matrix, not as three bodies: "
+            f"give {MOMENTS_OF_EACH} for the principal moments of three"
         )
     return (0.5 * (flat + flat.transpose(0, 2, 1))).reshape(moments.shape)
 

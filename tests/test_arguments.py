@@ -130,6 +130,39 @@ def test_body_explains_three_by_three_as_one_matrix():
         lierb.Body(1.0, [BOX, BOX, BOX])
 
 
+@pytest.mark.parametrize("batched", [{"mass": [1, 2, 3]}, {"com": np.zeros((3, 3))}], ids=str)
+@pytest.mark.parametrize("inertia", [np.diag(BOX), [BOX, BOX, BOX]], ids=["matrix", "moments"])
+def test_body_refuses_three_by_three_for_three_bodies(batched, inertia):
+    given = {"mass": 6.0} | batched
+    both = r"inertia has shape \(3, 3\).*inertia\[None\].*inertia\[:, :, None\] \* np.eye\(3\)"
+    with pytest.raises(ArgumentError, match=both):
+        lierb.Body(inertia=inertia, **given)
+    inertia = np.array(inertia)
+    one, moments = inertia[None], inertia[:, :, None] * np.eye(3)  # as the message says
+    if (inertia == inertia.T).all():
+        assert lierb.Body(inertia=one, **given).inertia.shape == (1, 3, 3)
+    else:
+        np.testing.assert_array_equal(
+            lierb.Body(inertia=moments, **given).inertia, repeated(np.diag(BOX), 3)
+        )
+
+
+def test_body_takes_three_by_three_for_any_other_number_of_bodies():
+    assert lierb.Body(np.ones(4), np.diag(BOX)).inertia.shape == (3, 3)
+    assert lierb.Body(np.ones(3), BOX).inertia.shape == (3, 3)
+
+
+def test_matrix_for_three_bodies_is_that_of_each():
+    """As the message says to give it: (1, 3, 3)."""
+    masses = np.array((5.0, 6.0, 7.0))
+    three = lierb.Problem(lierb.Body(masses, np.diag(BOX)[None]), joints.spherical(POINT))
+    twist = three.joint.twist((1.0, 2.0, 3.0), point_velocity=(0.1, 0.2, 0.3))
+    found = three.project(twist)
+    for i in range(3):
+        one = lierb.Problem(lierb.Body(masses[i], np.diag(BOX)), joints.spherical(POINT))
+        np.testing.assert_array_equal(found[i], one.project(twist))
+
+
 @pytest.mark.parametrize(
     "inertia",
     [(1.0, 2.0, 3.0), (0.234375, 0.46875, 0.234375), (1.0, 2.0, 3.0 * (1 + 0.9e-12))],
