@@ -447,7 +447,9 @@ def _label(field: str, place: tuple[int, ...]) -> str:
 
 
 def _numbers(field: str, value: Any, axes: int = 1, infinite: bool = False) -> Array:
-    """float64 of at most so many axes: a copy that nobody writes to."""
+    """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
+    if hasattr(value, "as_matrix"):
+        value = value.as_matrix()
     try:
         if np.iscomplexobj(np.asarray(value)):
             raise TypeError("complex")

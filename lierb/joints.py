@@ -18,25 +18,41 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import (
     Array,
+    Pose,
+    as_floats,
     as_numbers,
     as_poses,
     as_positive,
+    as_rotations,
     assembled,
     batch_size,
     components,
     pose_components,
     pose_matrix,
 )
-from lierb.errors import ArgumentError, body_label, unknown_name
+from lierb.errors import ArgumentError, body_label, two_readings, unknown_name
 from lierb.kernels import se3, so3
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.constraints import WHOLE_ROWS, Row
 from lierb.kernels.newton_euler import closed_pose
 from lierb.kernels.subgroup import PITCHED, Slots, slots_of
-from lierb.kernels.vec import Vec, add, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels.vec import (
+    ZERO3,
+    Vec,
+    add,
+    cross,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    neg,
+    norm,
+    scale,
+    sub,
+)
 from lierb.kernels.zero import ZERO
 
 PERPENDICULAR_TOLERANCE = 1e-9
+TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
 
@@ -81,24 +97,42 @@ class Joint:
 
     def twist(
         self,
-        omega: ArrayLike = (0.0, 0.0, 0.0),
-        point_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        omega: ArrayLike | None = None,
+        point_velocity: ArrayLike | None = None,
         pose: Any = None,
+        *,
+        velocities: ArrayLike | None = None,
+        coordinates: ArrayLike | None = None,
     ) -> Array:
-        """Body-fixed twist (ω, v) from ω and the velocity of the joint's body point.
+        """Body-fixed twist (ω, v) from ω and the velocity of the joint's body point, or from rates.
 
-        omega : (3,) or (n, 3), rad/s, in the body frame.
-        point_velocity : (3,) or (n, 3), m/s, in the ground frame.
-        pose : 4×4, (n, 4, 4) or SciPy; the closed joint if not given.
-        Returns (6,) or (n, 6) with v = p×ω + Rᵀ·point_velocity; not made to satisfy the joint.
+        omega : (3,) or (n, 3), rad/s, in the body frame. Default: 0.
+        point_velocity : (3,) or (n, 3), m/s, in the ground frame. Default: 0.
+        velocities : (k,) or (n, k), instead: the rates of the joint's coordinates, rad/s and m/s.
+        pose : 4×4, (n, 4, 4) or SciPy.   coordinates : (k,) or (n, k), instead. Default: the closed
+            joint.
+        Returns (6,) or (n, 6). Of ω and a point's velocity: v = p×ω + Rᵀ·point_velocity, not made
+        to satisfy the joint. Rates do; `velocities` is the way back.
 
         >>> import lierb
         >>> lierb.joints.spherical(body_point=(1.0, 0.0, 0.0)).twist(omega=(0.0, 0.0, 2.0)).tolist()
         [0.0, 0.0, 2.0, 0.0, -2.0, 0.0]
+        >>> plane = lierb.joints.planar()
+        >>> plane.twist(velocities=(0.0, 1.0, 0.0), coordinates=(np.pi, 0.0, 0.0)).round(9).tolist()
+        [0.0, 0.0, 0.0, -1.0, -0.0, 0.0]
         """
-        turning = as_numbers("omega", omega, (3,))
-        moving = as_numbers("point_velocity", point_velocity, (3,))
-        placed = self.closed_pose if pose is None else as_poses("pose", pose)
+        if pose is not None and coordinates is not None:
+            raise ArgumentError("give pose or coordinates, not both")
+        if velocities is not None:
+            for name, given in (("omega", omega), ("point_velocity", point_velocity)):
+                if given is not None:
+                    raise ArgumentError(f"give velocities or {name}, not both")
+            return self._twist_of_rates(velocities, pose, coordinates)
+        turning = as_numbers("omega", (0.0, 0.0, 0.0) if omega is None else omega, (3,))
+        moving = as_numbers(
+            "point_velocity", (0.0, 0.0, 0.0) if point_velocity is None else point_velocity, (3,)
+        )
+        placed = self._placed(pose) if coordinates is None else self.pose(coordinates=coordinates)
         batch_size(
             omega=(turning, 1),
             point_velocity=(moving, 1),
@@ -110,6 +144,54 @@ class Joint:
         _, point = pose_components(self.body_frame)
         return assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
 
+    def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
+        slots, rates = self._slots(), self._numbers("velocities", velocities)
+        frames = {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
+        if coordinates is None:
+            placed = self._placed(pose)
+            batch_size(velocities=(rates, 1), pose=(placed, 2), pitch=(self.pitch, 0), **frames)
+            q, _ = self._relative(placed)
+            xi = so3.log(q)
+        else:  # as they are: a rotation vector beyond π has other rates than the pose's own
+            given = self._numbers("coordinates", coordinates)
+            batch_size(velocities=(rates, 1), coordinates=(given, 1), pitch=self.pitch, **frames)
+            xi, _ = self._lifted(given)
+            q = so3.exp(xi)
+        turning, sliding = self._lifted(rates)
+        if slots[0] >= 0:
+            turning = so3.dexp(neg(xi), turning)
+        relative = turning + mat_t_vec(q, sliding)  # D⁻¹Ḋ of D = (exp ξ, d)
+        return assembled(se3.Ad(pose_components(self.body_frame), relative))
+
+    def velocities(self, twist: ArrayLike, pose: Any = None) -> Array:
+        """The rates of the joint's coordinates, (k,) or (n, k), in the order of `coordinate_names`.
+
+        twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : 4×4, (n, 4, 4) or SciPy;
+            the closed joint if not given. That they satisfy the joint is not checked.
+
+        `twist(velocities=…, pose=…)` is the way back. Raises ArgumentError for a joint whose
+        motions are no group.
+
+        >>> import lierb
+        >>> plane = lierb.joints.planar()
+        >>> turned = plane.pose((np.pi, 0.0, 0.0))
+        >>> plane.velocities((0.0, 0.0, 0.0, 1.0, 0.0, 0.0), turned).round(9).tolist()
+        [0.0, -1.0, 0.0]
+        """
+        slots, moving = self._slots(), as_numbers("twist", twist, (6,))
+        placed = self._placed(pose)
+        batch_size(twist=(moving, 1), pose=(placed, 2), body_frame=(self.body_frame, 2))
+        q, _ = self._relative(placed)
+        in_body = se3.inverse(pose_components(self.body_frame))
+        relative = se3.Ad(in_body, components(moving))  # D⁻¹Ḋ
+        rates: Vec = ()
+        if slots[0] >= 0:
+            rates = so3.dexpinv(neg(so3.log(q)), relative[:3])
+        elif slots[2] >= 0:
+            rates = (relative[2],)
+        drift = mat_vec(q, relative[3:])
+        return assembled(rates + tuple(drift[i] for i in range(3) if slots[3 + i] >= 0))
+
     @property
     def coordinate_names(self) -> tuple[str, ...]:
         """Names of the joint's coordinates, for the lower pairs and all motion groups.
@@ -118,7 +200,7 @@ class Joint:
         joint frame; `d1` … `d3`: the place of the body's joint frame in the ground's, m.
         """
         slots = self._slots()
-        turning = ("xi1", "xi2", "xi3") if slots[0] >= 0 else ("phi",) if slots[2] >= 0 else ()
+        turning = TURNS if slots[0] >= 0 else ("phi",) if slots[2] >= 0 else ()
         return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
 
     def coordinates(self, pose: Any) -> Array:
@@ -135,13 +217,7 @@ class Joint:
         [0.5]
         """
         slots = self._slots()
-        placed = as_poses("pose", pose)
-        batch_size(
-            pose=(placed, 2), ground_frame=(self.ground_frame, 2), body_frame=(self.body_frame, 2)
-        )
-        ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        seen = se3.compose(se3.inverse(ground), pose_components(placed))
-        q, d = se3.compose(seen, body)
+        q, d = self._relative(as_poses("pose", pose))
         turning: Vec = ()
         if slots[0] >= 0:
             turning = so3.log(q)
@@ -149,26 +225,94 @@ class Joint:
             turning = (self._turn(atan2(q[3], q[0]), d[2], slots),)
         return assembled(turning + tuple(d[i] for i in range(3) if slots[3 + i] >= 0))
 
-    def pose(self, coordinates: ArrayLike) -> Array:
-        """The pose with these coordinates, (4, 4) or (n, 4, 4); see `coordinate_names`.
+    def pose(
+        self, place: Any = None, /, *, coordinates: ArrayLike | None = None, rotation: Any = None
+    ) -> Array:
+        """The pose with these coordinates, (4, 4) or (n, 4, 4), or so turned.
 
-        coordinates : (k,) or (n, k).
+        coordinates : (k,) or (n, k), see `coordinate_names`.
+        rotation : (3, 3), (n, 3, 3) or SciPy's `Rotation`, instead, for a joint that turns about a
+            point: the body's joint frame seen from the ground's.
+        place : either of them. A shape that may be both is refused: a matrix, and the rotation
+            vectors of three bodies, are (3, 3).
+
+        >>> import lierb
+        >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, -1.0))
+        >>> turned = ball.pose(rotation=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+        >>> ball.coordinates(turned).round(3).tolist(), turned[:3, 3].tolist()
+        ([1.571, 0.0, 0.0], [0.0, -1.0, 0.0])
         """
-        slots = self._slots()
-        numbers = as_numbers("coordinates", coordinates, (len(self.coordinate_names),))
-        batch_size(
-            coordinates=(numbers, 1), ground_frame=(self.ground_frame, 2),
-            body_frame=(self.body_frame, 2), pitch=self.pitch,
-        )  # fmt: skip
-        given = components(numbers)
+        if sum(given is not None for given in (place, coordinates, rotation)) != 1:
+            raise ArgumentError("give coordinates, or a rotation: one of the two")
+        if place is not None:
+            coordinates, rotation = self._either(place)
+        if rotation is not None:
+            if self.coordinate_names != TURNS:
+                raise ArgumentError(
+                    f"a {self.name} joint takes no rotation: its coordinates are "
+                    f"{', '.join(self.coordinate_names)}; give those"
+                )
+            turns = as_rotations("rotation", rotation)
+            batch_size(
+                rotation=(turns, 2), ground_frame=(self.ground_frame, 2),
+                body_frame=(self.body_frame, 2),
+            )  # fmt: skip
+            relative = components(turns, 2), ZERO3
+        else:
+            numbers = self._numbers("coordinates", coordinates)
+            batch_size(
+                coordinates=(numbers, 1), ground_frame=(self.ground_frame, 2),
+                body_frame=(self.body_frame, 2), pitch=self.pitch,
+            )  # fmt: skip
+            turning, places = self._lifted(numbers)
+            relative = so3.exp(turning), places
+        ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
+        return pose_matrix(se3.compose(se3.compose(ground, relative), se3.inverse(body)))
+
+    def _either(self, place: Any) -> tuple[Any, Any]:
+        """`place` as (coordinates, rotation), of which one is None."""
+        if hasattr(place, "as_matrix"):
+            return None, place
+        given = as_floats("coordinates", place)
+        if given.shape == (3, 3) and self.coordinate_names == TURNS:
+            raise two_readings(
+                "coordinates", given.shape, a_rotation_matrix="rotation=R",
+                three_rotation_vectors="coordinates=xi",
+            )  # fmt: skip
+        return (None, given) if given.ndim == 3 else (given, None)
+
+    def _numbers(self, argument: str, given: ArrayLike | None) -> Array:
+        """One number for each of the joint's coordinates, or its rates."""
+        names = self.coordinate_names
+        array = as_floats(argument, given)  # type: ignore[arg-type]
+        if array.ndim not in (1, 2) or array.shape[-1] != len(names):
+            k = len(names)
+            raise ArgumentError(
+                f"{argument} has shape {array.shape}; expected ({k},) or (n, {k}), of "
+                f"{', '.join(names)}"
+            )
+        return as_numbers(argument, array, (len(names),))
+
+    def _lifted(self, numbers: Array) -> tuple[Vec, Vec]:
+        """Coordinates, or their rates, as a rotation and a place, or theirs: what is bound is 0."""
+        slots, given = self._slots(), components(numbers)
         turning = tuple(given[slot] if slot >= 0 else ZERO for slot in slots[:3])
         places = tuple(
             given[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
             for slot in slots[3:]
         )
+        return turning, places
+
+    def _placed(self, pose: Any) -> Array:
+        return self.closed_pose if pose is None else as_poses("pose", pose)
+
+    def _relative(self, placed: Array) -> Pose:
+        """D = G⁻¹CB: the body's joint frame seen from the ground's."""
+        batch_size(
+            pose=(placed, 2), ground_frame=(self.ground_frame, 2), body_frame=(self.body_frame, 2)
+        )
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        placed = se3.compose(ground, (so3.exp(turning), places))
-        return pose_matrix(se3.compose(placed, se3.inverse(body)))
+        return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)
 
     def _slots(self) -> Slots:
         if self.subgroup is None:

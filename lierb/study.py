@@ -38,14 +38,22 @@ from pydantic import (
 )
 
 from lierb import api, bodies, checks, forces, joints, sampling
-from lierb.arrays import Array, Pose, assembled, components, pose_components, pose_matrix
+from lierb.arrays import (
+    Array,
+    Pose,
+    as_floats,
+    as_numbers,
+    as_poses,
+    as_rotations,
+    components,
+    pose_components,
+    pose_matrix,
+)
 from lierb.changes import applied, index_of, path_of, written
 from lierb.elements import Force
 from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
 from lierb.joints import Joint
 from lierb.kernels import se3
-from lierb.kernels.newton_euler import SE3
-from lierb.kernels.subgroup import lifted, slots_of
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 
@@ -53,6 +61,17 @@ NOTHING = "nothing"  # a design draws something
 PREVIEW = 8  # bodies that are made when a study is checked
 Numbers = float | list[float] | list[list[float]]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+def _as_matrix(value: Any) -> Any:
+    return value.as_matrix().tolist() if hasattr(value, "as_matrix") else value
+
+
+def _as_frame(value: Any) -> Any:
+    return as_poses("a frame", value).tolist() if hasattr(value, "as_matrix") else value
+
+
+Frame = Annotated[list[list[float]], BeforeValidator(_as_frame)]
 
 
 def _as_list(value: Any) -> Any:
@@ -84,13 +103,16 @@ class BodySection(Section):
 
     def make(self, sampled: dict[str, Array]) -> Body:
         values = self.given() | sampled
-        if "inertia" in sampled and sampled["inertia"].ndim == 2:
-            # principal moments: those of three bodies are no matrix
+        if "inertia" in sampled and sampled["inertia"].ndim == 2:  # principal moments
             values["inertia"] = sampled["inertia"][:, :, None] * np.eye(3)
         if "second_moments" in values:
             if "inertia" in values:
                 raise ArgumentError("give inertia or second_moments, not both")
             values["inertia"] = inertia_of(values.pop("second_moments"))
+        if sampled and "inertia" in values:
+            given = as_floats("inertia", values["inertia"])
+            # a matrix is that of all, also where there are three
+            values["inertia"] = given[None] if given.shape == (3, 3) else given
         solid = values.pop("solid", None)
         made: Body = _called("body", Body if solid is None else getattr(bodies, solid), values)
         return made
@@ -108,8 +130,8 @@ class JointSection(Section):
     second_axis: Vector | None = None
     pitch: float | None = None
     length: float | None = None
-    body_frame: list[list[float]] | None = None
-    ground_frame: list[list[float]] | None = None
+    body_frame: Frame | None = None
+    ground_frame: Frame | None = None
 
     def make(self, sampled: dict[str, Array]) -> Joint:
         values = self.given() | sampled
@@ -147,8 +169,8 @@ class ProblemSection(Section):
 class InitialSection(Section):
     """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
 
-    velocities, coordinates : of the joint, in the order of `Joint.coordinate_names`.
-    rotation, place : the body's joint frame seen from the ground's, 3×3 and m.
+    coordinates : of the joint, in the order of `Joint.coordinate_names`; velocities : their rates.
+    rotation, place : the body's joint frame seen from the ground's, 3×3 or SciPy's, and m.
     """
 
     omega: Vector | None = None
@@ -156,7 +178,7 @@ class InitialSection(Section):
     twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     velocities: list[float] | None = None
     coordinates: list[float] | None = None
-    rotation: list[Vector] | None = None
+    rotation: Annotated[list[Vector] | None, BeforeValidator(_as_matrix)] = None
     place: Vector | None = None
 
 
@@ -437,15 +459,10 @@ def _started(problem: Problem, initial: dict[str, Any]) -> tuple[Array, Array | 
     if len(kinds) > 1 or ("point_velocity" in initial and kinds not in ([], ["omega"])):
         raise ArgumentError("give omega and point_velocity, or twist, or velocities")
     if "velocities" in initial:
-        rates = np.asarray(initial["velocities"], dtype=float)
-        if rates.shape[-1] != len(joint.coordinate_names):
-            names = ", ".join(joint.coordinate_names)
-            raise ArgumentError(
-                f"velocities has {rates.shape[-1]} numbers; expected the rates of {names}"
-            )
-        velocity = lifted(slots_of(joint.rows), components(rates), joint.pitch)
-        _, body_twist = SE3.to_user_axes(problem.parameters(), se3.identity, velocity)
-        return assembled(body_twist), pose
+        where = {"pose": pose}
+        if "coordinates" in initial:
+            where = {"coordinates": initial["coordinates"]}
+        return joint.twist(velocities=initial["velocities"], **where), pose
     if "twist" in initial:
         return problem.project(initial["twist"], pose), pose
     turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
@@ -463,11 +480,11 @@ def _placed(joint: Joint, initial: dict[str, Any]) -> Array | None:
     if "coordinates" in initial:
         if placed:
             raise ArgumentError(f"give coordinates or {placed[0]}, not both")
-        return joint.pose(initial["coordinates"])
+        return joint.pose(coordinates=initial["coordinates"])
     if not placed:
         return None
-    turn = np.asarray(initial.get("rotation", np.eye(3)), dtype=float)
-    place = np.asarray(initial.get("place", (0.0, 0.0, 0.0)), dtype=float)
+    turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
+    place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
     ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
     relative: Pose = components(turn, 2), components(place)
     return pose_matrix(se3.compose(se3.compose(ground, relative), se3.inverse(body)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import PITCH, SUBGROUP_JOINTS, frame, integrate, joint
+from cases import PITCH, SUBGROUP_JOINTS, column, frame, integrate, joint
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
@@ -97,6 +97,8 @@ def test_joint_without_a_group_has_no_coordinates(name):
         lambda held: held.coordinate_names,
         lambda held: held.coordinates(np.eye(4)),
         lambda held: held.pose([0.0]),
+        lambda held: held.velocities(np.zeros(6)),
+        lambda held: held.twist(velocities=[0.0]),
     ):
         with pytest.raises(ArgumentError, match="no coordinates"):
             call(joint(name))
@@ -107,12 +109,181 @@ def test_wrong_number_of_coordinates_is_refused():
         joint("planar").pose([0.1, 0.2])
 
 
-# ---- closing -----------------------------------------------------------------------------------
+# ---- rates of coordinates ----------------------------------------------------------------------
+
+STEP = 1e-3
+# Central differences of order 4: STEP⁴ times fifth derivatives of up to a few hundred, and rounding
+# of 1e-14/STEP.
+DIFFERENCED = 1e-9
+
+
+def derivative(function):
+    """dx/dt at t = 0, by central differences."""
+    ahead, before = (function(s * STEP) - function(-s * STEP) for s in (1, 2))
+    return (8 * ahead - before) / (12 * STEP)
+
+
+def moved(pose, twist, t):
+    """C exp(tV)."""
+    screw = np.zeros((4, 4))
+    screw[:3, :3], screw[:3, 3] = hat(twist[:3]), twist[3:]
+    return pose @ expm(t * screw)
 
 
 def hat(w):
     """The matrix of w ×."""
     return np.cross(w, np.eye(3)).T
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_velocities_are_the_rates_of_coordinates_along_the_motion(name, seed):
+    held, rng = joint(name), np.random.default_rng(seed)
+    k = len(NAMES[name])
+    pose = held.pose(rng.uniform(-1.7, 1.7, size=k))  # far from closed; ‖ξ‖ < π
+    rates = rng.uniform(-2.0, 2.0, size=k)
+    twist = held.twist(velocities=rates, pose=pose)
+    found = derivative(lambda t: held.coordinates(moved(pose, twist, t)))
+    np.testing.assert_allclose(found, rates, rtol=0, atol=DIFFERENCED)
+    # and it is on the joint: nothing moves but the coordinates
+    later = moved(pose, twist, 0.01)
+    np.testing.assert_allclose(held.pose(held.coordinates(later)), later, rtol=0, atol=1e-14)
+    # products of some matrices, and dexp of up to 3 rad
+    np.testing.assert_allclose(held.velocities(twist, pose), rates, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_velocities_at_given_coordinates_are_the_rates_of_the_pose(name):
+    """Of a rotation vector beyond π, too, whose pose has another one."""
+    held, rng = joint(name), np.random.default_rng(12)
+    values, rates = (rng.uniform(-3.5, 3.5, size=len(NAMES[name])) for _ in range(2))
+    twist = held.twist(velocities=rates, coordinates=values)
+    change = np.linalg.inv(held.pose(values)) @ derivative(lambda t: held.pose(values + t * rates))
+    omega = (change[2, 1], change[0, 2], change[1, 0])
+    np.testing.assert_allclose(twist, (*omega, *change[:3, 3]), rtol=0, atol=DIFFERENCED)
+
+
+def test_velocities_follow_the_integrated_motion():
+    held = joint("spherical")
+    problem = lierb.Problem(BODY, held, (0.0, 0.0, -9.81))
+    values, rates = (0.4, -0.9, 1.3), (1.0, 2.0, -1.5)
+    run = integrate(
+        problem, pose0=held.pose(values), twist0=held.twist(velocities=rates, coordinates=values),
+        dt=STEP, t_end=0.1, save_every=1,
+    )  # fmt: skip
+    poses = np.tile(np.eye(4), (101, 1, 1))
+    poses[:, :3, :3] = column(run.history, "rotation").reshape(-1, 3, 3)
+    poses[:, :3, 3] = column(run.history, "position")
+    twists = np.hstack([column(run.history, "omega"), column(run.history, "v")])
+    along, found = held.coordinates(poses), held.velocities(twists, poses)
+    np.testing.assert_allclose(found[0], rates, rtol=0, atol=1e-13)
+    ahead, before = along[3:-1] - along[1:-3], along[4:] - along[:-4]
+    differenced = (8 * ahead - before) / (12 * STEP)
+    # as above; RK4's own error of a step is the smaller
+    np.testing.assert_allclose(found[2:-2], differenced, rtol=0, atol=10 * DIFFERENCED)
+
+
+def test_velocities_of_a_batch_are_those_of_its_members():
+    held, rng = joint("free"), np.random.default_rng(13)
+    values, rates = (rng.uniform(-1.0, 1.0, size=(4, 6)) for _ in range(2))
+    poses = held.pose(values)
+    twists = held.twist(velocities=rates, pose=poses)
+    found = held.velocities(twists, poses)
+    for i in range(4):
+        np.testing.assert_array_equal(twists[i], held.twist(velocities=rates[i], pose=poses[i]))
+        np.testing.assert_array_equal(found[i], held.velocities(twists[i], poses[i]))
+    one = held.twist(velocities=rates[0], coordinates=values)  # the same rates everywhere
+    np.testing.assert_array_equal(one[0], held.twist(velocities=rates[0], coordinates=values[0]))
+
+
+def test_closed_joint_is_meant_where_no_pose_is_given():
+    held = joint("cylindrical")
+    twist = held.twist(velocities=(2.0, 0.5))
+    np.testing.assert_allclose(held.velocities(twist), (2.0, 0.5), rtol=0, atol=1e-15)
+    again = held.twist(velocities=(2.0, 0.5), coordinates=(0.0, 0.0))
+    np.testing.assert_allclose(twist, again, rtol=0, atol=1e-15)  # its pose is rounded
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"velocities": (1.0,), "omega": (0, 0, 1)}, "velocities or omega"),
+        ({"velocities": (1.0,), "point_velocity": (0, 0, 1)}, "velocities or point_velocity"),
+        ({"velocities": (1.0, 2.0)}, r"velocities has shape \(2,\); expected \(1,\).* of phi"),
+        ({"velocities": (1.0,), "pose": np.eye(4), "coordinates": (1.0,)}, "pose or coordinates"),
+        ({"velocities": np.ones((2, 1)), "coordinates": np.ones((4, 1))}, "differ in their number"),
+    ],
+)
+def test_velocities_that_make_no_twist_are_refused(given, told):
+    with pytest.raises(ArgumentError, match=told):
+        joint("revolute").twist(**given)
+
+
+# ---- rotations, and shapes with two readings ---------------------------------------------------
+
+TURN = Rotation.from_rotvec((0.3, -1.1, 0.8))
+TURNS = Rotation.from_rotvec([(0.3, -1.1, 0.8), (0.1, 0.2, 0.3), (1.0, 0.0, -1.0)])
+
+
+def test_pose_takes_a_rotation_that_says_that_it_is_one():
+    held = joint("spherical")
+    expected = held.pose(TURN.as_rotvec())
+    for given in (
+        held.pose(TURN),
+        held.pose(rotation=TURN),
+        held.pose(rotation=TURN.as_matrix()),
+        held.pose(TURN.as_matrix()[None])[0],
+    ):
+        np.testing.assert_allclose(given, expected, rtol=0, atol=1e-15)
+    three = held.pose(coordinates=TURNS.as_rotvec())
+    np.testing.assert_allclose(three[0], expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(held.pose(TURNS), three, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(held.pose(TURNS.as_matrix()), three, rtol=0, atol=1e-15)
+
+
+def test_pose_refuses_what_may_be_a_matrix_or_three_rotation_vectors():
+    for given in (TURN.as_matrix(), TURNS.as_rotvec()):
+        with pytest.raises(ArgumentError, match=r"\(3, 3\).*rotation=R.*coordinates=xi"):
+            joint("spherical").pose(given)
+    assert joint("planar").pose(np.ones((3, 3))).shape == (3, 4, 4)  # which turns about an axis
+
+
+@pytest.mark.parametrize("name", ["revolute", "planar", "free"])
+def test_pose_takes_a_rotation_only_of_a_joint_that_turns_about_a_point(name):
+    with pytest.raises(ArgumentError, match="takes no rotation: its coordinates are"):
+        joint(name).pose(TURN)
+
+
+def test_pose_needs_coordinates_or_a_rotation():
+    held = joint("spherical")
+    for given in ({}, {"coordinates": (0, 0, 0), "rotation": TURN}):
+        with pytest.raises(ArgumentError, match="one of the two"):
+            held.pose(**given)
+    with pytest.raises(PoseError, match="is a reflection"):
+        held.pose(rotation=-np.eye(3))
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (5, 3, 3)])
+def test_rotation_in_place_of_a_pose_is_told_both_ways(shape):
+    given = np.broadcast_to(np.eye(3), shape)
+    problem = lierb.Problem(BODY, joint("spherical"))
+    for call in (
+        lambda: lierb.integrate(problem, twist0=np.zeros(6), pose0=given, dt=1e-2, t_end=1.0),
+        lambda: problem.close(given),
+        lambda: problem.joint.coordinates(given),
+        lambda: lierb.joints.spherical(body_frame=given),
+    ):
+        with pytest.raises(ArgumentError, match=r"C\[:3, :3\] = R.*joint.pose\(rotation=R\)"):
+            call()
+
+
+def test_frames_take_rotations():
+    held = lierb.joints.revolute(body_frame=TURN, ground_frame=TURN)
+    np.testing.assert_array_equal(held.body_frame[:3, :3], TURN.as_matrix())
+    np.testing.assert_array_equal(held.ground_frame[:3, 3], np.zeros(3))
+
+
+# ---- closing -----------------------------------------------------------------------------------
 
 
 def off_the_joint(held, seed, size):

@@ -26,6 +26,8 @@ from cases import column
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
 from studies import (
     PARTS,
     TEXT,
@@ -190,6 +192,108 @@ def test_any_file_is_a_study_or_an_error_that_says_so(data):
 def test_schema_is_that_of_the_code():
     stored = json.loads((EXAMPLES[0].parent.parent / "docs" / "study.schema.json").read_text())
     assert stored == Study.model_json_schema()
+
+
+# ---- bodies and starts -------------------------------------------------------------------------
+
+FRAME = [[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, -0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]]
+
+
+def started(name, initial, **changes):
+    """The problem, twists and poses of three bodies on a joint of turned frames."""
+    pitch = {"pitch": 0.2} if "pitch" in lierb.joints.JOINTS[name].options else {}
+    frames = {"body_frame": FRAME, "ground_frame": np.eye(4).tolist()}
+    tables = {
+        "body": {"mass": 1.0, "inertia": [1.0, 1.1, 1.2]},
+        "joint": {"type": name, **frames, **pitch},
+        "initial": initial,
+        "sample": {"n": 3},
+        "integrate": {"dt": 0.1, "t_end": 1.0},
+    }
+    made = Study.of(tables | changes).batch(0, 3)
+    return made.problem, made.twist0, made.pose0
+
+
+@pytest.mark.parametrize("name", [n for n, e in lierb.joints.JOINTS.items() if e.subgroup])
+def test_velocities_of_a_study_are_the_rates_of_its_coordinates(name):
+    problem, *_ = started(name, {})
+    k = len(problem.joint.coordinate_names)
+    coordinates, rates = np.linspace(0.5, 1.5, k), np.linspace(-1.0, 2.0, k)
+    start = {"coordinates": coordinates.tolist(), "velocities": rates.tolist()}
+    problem, twists, pose = started(name, start)
+
+    def moved(t):
+        w, v = twists[0, :3], twists[0, 3:]
+        screw = np.zeros((4, 4))
+        screw[:3, :3], screw[:3, 3] = np.cross(w, np.eye(3)).T, v
+        return problem.joint.coordinates(pose @ expm(t * screw))
+
+    np.testing.assert_allclose(moved(0.0), coordinates, rtol=0, atol=1e-14)
+    # central differences: a square of 1e-4 times third derivatives of up to ten, 1e-15 over 1e-4
+    found = (moved(1e-4) - moved(-1e-4)) / 2e-4
+    np.testing.assert_allclose(found, rates, rtol=0, atol=1e-6)
+
+
+def test_velocities_go_with_a_rotation_and_place():
+    turn = Rotation.from_rotvec((0.4, -1.0, 2.0))
+    start = {
+        "rotation": turn,
+        "place": [1.0, 2.0, 3.0],
+        "velocities": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+    }
+    problem, twists, pose = started("free", start)
+    found = problem.joint.velocities(twists, pose)
+    np.testing.assert_allclose(found, [start["velocities"]] * 3, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        problem.joint.coordinates(pose), (*turn.as_rotvec(), 1.0, 2.0, 3.0), rtol=0, atol=1e-14
+    )
+
+
+@pytest.mark.parametrize("key", ["coordinates", "velocities"])
+def test_wrong_number_of_coordinates_in_a_study_is_told(key):
+    with pytest.raises(StudyError, match=rf"initial: {key} has shape \(2,\); expected \(3,\).*xi1"):
+        started("spherical", {key: [1.0, 2.0]})
+
+
+def test_three_bodies_of_a_study_may_draw_rotation_vectors():
+    """(3, 3), like a matrix."""
+    drawn = {"coordinates": {"distribution": "uniform", "low": [0.0] * 3, "high": [1.0] * 3}}
+    problem, _, pose = started("spherical", {}, sample={"n": 3, "initial": drawn})
+    assert pose.shape == (3, 4, 4)
+    found = problem.joint.coordinates(pose)
+    assert ((found > 0.0) & (found < 1.0)).all()
+
+
+@pytest.mark.parametrize("key", ["inertia", "second_moments"])
+def test_three_bodies_of_a_study_may_have_one_inertia_matrix(key):
+    given = np.diag((1.0, 1.1, 1.2)).tolist() if key == "inertia" else [0.5, 0.6, 0.7]
+    masses = {"distribution": "uniform", "low": 1.0, "high": 2.0}
+    problem, *_ = started(
+        "free", {}, body={"mass": 1.0, key: given}, sample={"n": 3, "body": {"mass": masses}}
+    )
+    assert problem.body.mass.shape == (3,)
+    assert problem.body.inertia.shape == (1, 3, 3)
+    assert problem.batch_size() == 3
+
+
+@pytest.mark.parametrize(
+    ("rotation", "told"),
+    [
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.1, 1.0]], "the rotation of rotation has"),
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], r"rotation has shape \(2, 3\)"),
+    ],
+)
+def test_rotation_of_a_study_must_be_one(rotation, told):
+    with pytest.raises(StudyError, match=f"initial: {told}"):
+        started("free", {"rotation": rotation})
+
+
+def test_rotations_may_be_scipys():
+    turn = Rotation.from_rotvec((0.4, -1.0, 2.0))
+    problem, *_ = started("free", {}, joint={"type": "free", "ground_frame": turn})
+    np.testing.assert_array_equal(problem.joint.ground_frame[:3, :3], turn.as_matrix())
+    values = lierb.sampling.Values(Rotation.from_rotvec([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0)]))
+    assert values.shape == (3, 3)
 
 
 # ---- runs --------------------------------------------------------------------------------------
