@@ -228,13 +228,16 @@ class Joint:
     def pose(
         self, place: Any = None, /, *, coordinates: ArrayLike | None = None, rotation: Any = None
     ) -> Array:
-        """The pose with these coordinates, (4, 4) or (n, 4, 4), or so turned.
+        """The pose with these coordinates, or turned by this rotation, (4, 4) or (n, 4, 4).
 
         coordinates : (k,) or (n, k), see `coordinate_names`.
         rotation : (3, 3), (n, 3, 3) or SciPy's `Rotation`, instead, for a joint that turns about a
             point: the body's joint frame seen from the ground's.
         place : either of them. A shape that may be both is refused: a matrix, and the rotation
             vectors of three bodies, are (3, 3).
+
+        Raises ArgumentError for a joint whose motions are no group, PoseError for a matrix that is
+        no rotation.
 
         >>> import lierb
         >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, -1.0))
