@@ -10,7 +10,6 @@ from lierb.arrays import Array
 from lierb.engine import Inputs
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.constraints import (
-    held_axes,
     jacobian,
     position_error_squared,
     prescribed_rate,
@@ -18,9 +17,10 @@ from lierb.kernels.constraints import (
     rotation_error_squared,
     value,
 )
-from lierb.kernels.driver import START_TOLERANCE, body_of, parameters_of
+from lierb.kernels.driver import body_of, parameters_of
 from lierb.kernels.newton_euler import SE3, Body, Kinematics
-from lierb.kernels.vec import Vec, dot, norm
+from lierb.kernels.scale import Tolerances, bearings, start_tolerances
+from lierb.kernels.vec import Vec, dot
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
 
@@ -65,26 +65,27 @@ def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
-    return _pose_violation(problem, x, body, 1.0 + norm(pose[1]), labels[0]) or _twist_violation(
-        problem, x, body, velocity, 1.0 + norm(twist), labels[1]
+    allowed = start_tolerances(problem.rows, parameters, pose, twist, x, body)
+    return _pose_violation(problem, x, body, allowed, labels[0]) or _twist_violation(
+        problem, x, body, velocity, allowed, labels[1]
     )
 
 
 def _pose_violation(
-    problem: Problem, x: Kinematics, body: Body, size: float, label: str
+    problem: Problem, x: Kinematics, body: Body, allowed: Tolerances, label: str
 ) -> PoseError | None:
     rows, joint = problem.rows, problem.joint
-    if any(x.q[4 * axis] <= 0.0 for axis in held_axes(rows)):  # 180°: no error sees it
+    if any(bearing <= 0.0 for bearing in bearings(rows, x.q)):
         return PoseError(
-            f"{label} holds the {joint.name} joint the wrong way round: its axis on the body "
-            "points against that on the ground; turn pose0 or one of the joint's frames by 180°"
+            f"{label} holds the {joint.name} joint the wrong way round, half a turn off, which no "
+            "row sees; turn pose0 or one of the joint's frames by 180°"
         )
-    for what, unit, squared, allowed in (
-        ("position", " m", position_error_squared(rows, x, body), START_TOLERANCE * size),
-        ("rotation", "", rotation_error_squared(rows, x, body), START_TOLERANCE),
+    for what, unit, squared, most in (
+        ("position", " m", position_error_squared(rows, x, body), allowed.position),
+        ("rotation", "", rotation_error_squared(rows, x, body), allowed.rotation),
     ):
         error = _root(squared)
-        if error <= allowed < np.inf:
+        if error <= most < np.inf:
             continue
         values = [
             f"{r} = {_plain(value(r, x, body)):.3g}"
@@ -99,22 +100,21 @@ def _pose_violation(
         )
         return PoseError(
             f"{label} does not close the {_held_by(problem)}: {what} error {error:.3g}{unit} > "
-            f"{allowed:.3g}{detail}; {remedy} "
+            f"{most:.3g}{unit}{detail}; {remedy} "
             '(check="warn" integrates it all the same)'
         )
     return None
 
 
 def _twist_violation(
-    problem: Problem, x: Kinematics, body: Body, velocity: Vec, size: float, label: str
+    problem: Problem, x: Kinematics, body: Body, velocity: Vec, allowed: Tolerances, label: str
 ) -> TwistError | None:
-    allowed = START_TOLERANCE * size
     squares = rate_errors_squared(problem.rows, x, body, velocity)
-    for what, unit, squared in zip(
-        ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, strict=True
+    for what, unit, squared, most in zip(
+        ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, allowed[2:], strict=True
     ):
         error = _root(squared)
-        if error <= allowed < np.inf:
+        if error <= most < np.inf:
             continue
         rows = ", ".join(
             f"{r}: {dot(jacobian(r, x, body), velocity) - prescribed_rate(r, x, body):.3g}"
@@ -122,9 +122,9 @@ def _twist_violation(
             if r.is_translational == (what == "velocity")
         )
         return TwistError(
-            f"{label} violates the {_held_by(problem)}: {what} {error:.3g} {unit} > {allowed:.3g} "
-            f"({rows}); use problem.project(twist0, pose0) for the nearest twist that the joint "
-            'allows, or check="warn" to integrate it all the same'
+            f"{label} violates the {_held_by(problem)}: {what} {error:.3g} {unit} > {most:.3g} "
+            f"{unit} ({rows}); use problem.project(twist0, pose0) for the nearest twist that the "
+            'joint allows, or check="warn" to integrate it all the same'
         )
     return None
 

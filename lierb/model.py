@@ -32,7 +32,7 @@ from lierb.errors import (
 from lierb.joints import MOST_ROWS, Joint
 from lierb.kernels import elements as kinds
 from lierb.kernels import se3, so3
-from lierb.kernels.arithmetic import where
+from lierb.kernels.arithmetic import absolute, where
 from lierb.kernels.constraints import (
     AddedRow,
     Row,
@@ -44,11 +44,11 @@ from lierb.kernels.constraints import (
 from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
 from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import solve
-from lierb.kernels.vec import norm
+from lierb.kernels.scale import bearings, length_of, rounding_of
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
-CLOSED = 1e-13  # m and rad, over 1 + ‖r‖: where rounding ends it
+CLOSED = 1e-13  # rad, and relative to the problem's length: where rounding ends it
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
@@ -298,8 +298,9 @@ class Problem:
         pose : (4, 4), (n, 4, 4) or SciPy.   Returns (4, 4) or (n, 4, 4).
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that makes up for
-        the constraints' values. Raises PoseError where that leads nowhere: from too far away, or in
-        a singular configuration.
+        the constraints' values. Ends where rounding does, relative to the problem's own length.
+        Raises PoseError where that leads nowhere: from too far away, in a singular configuration,
+        or from exactly half a turn off.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
@@ -312,12 +313,15 @@ class Problem:
         self.batch_size(pose=(poses, 2))
         rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
         placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
-        size = 1.0 + norm(components(poses[..., :3, 3]))
+        # Each row to what it is a part of: a metre is neither large nor small.
+        near = CLOSED * length_of(parameters) + rounding_of(parameters, pose_components(poses))
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
                 x = SE3.kinematics(body, placed, still)
-                off = tuple(residuals(rows, x, body))
-                closed = norm((0.0, *off)) <= CLOSED * size
+                off = residuals(rows, x, body)
+                closed = np.bool_(True)
+                for r, h in zip(rows, off, strict=True):
+                    closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
                 if np.all(closed):
                     break
                 directions = [jacobian(r, x, body) for r in rows]
@@ -332,6 +336,14 @@ class Problem:
                 "pose that does, such as problem.joint.closed_pose"
             )
         q, d = placed
+        turned = [bearing <= 0.0 for bearing in bearings(rows, q)]
+        against = np.flatnonzero(np.any(np.broadcast_arrays(np.bool_(False), *turned), axis=0))
+        if against.size:
+            raise PoseError(
+                f"{body_label('pose', int(against[0]), np.size(closed))} holds the "
+                f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
+                "back is the shortest; turn it by less, or one of the joint's frames by 180°"
+            )
         return pose_matrix(SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0])
 
     def project(self, twist: ArrayLike, pose: Any = None) -> Array:

@@ -18,6 +18,7 @@ from lierb.arrays import Array, as_poses, pose_components
 from lierb.errors import ArgumentError, PoseError
 from lierb.kernels.constraints import AddedRow, jacobian, residuals
 from lierb.kernels.newton_euler import CSPACES, SE3, Body, Pose, SO3xR3
+from lierb.kernels.scale import ROUNDING, START_TOLERANCE, bearings, length_of, rounding_of
 from lierb.kernels.vec import norm
 from lierb.kernels.zero import is_zero
 from lierb.model import Problem
@@ -25,7 +26,7 @@ from lierb.model import Problem
 # Singular values below this part of the largest count as none. Dependent directions leave 1e-13, by
 # the error of Newton's method; independent ones 1e-3 and more, unless they are to a user as well.
 RANK_TOLERANCE = 1e-8
-CONSTANT = 1e-9  # how far a row that is constant on C₀K may be off, over 1 + ‖d‖
+CONSTANT = 1e-9  # how far a row that is constant on C₀K may be off, over 1 + ‖d‖/ℓ
 BATCH = 8  # configurations between two looks at the rank; it is stable after two without a rise
 STEP = 0.7  # rad, or so many times the problem's length, from one sample to the next
 SEED = 2016
@@ -132,15 +133,20 @@ class _Explorer:
         self.body: Body = problem.in_joint_axes(self.space)
         self.start, _ = self.space.to_joint_axes(parameters, pose_components(pose), (0.0,) * 6)
         self.random = np.random.default_rng(SEED)
-        gyration = np.sqrt(sum(self.body.inertia[::4]) / (2.0 * self.body.mass))
-        lengths = (gyration, norm((0.0, *self.body.arm)), abs(self.body.pitch), self.body.length)
-        self.length = max(map(_float, lengths))  # m; what displacements are compared with
+        # All lengths are in units of the problem's own: nothing depends on the unit of length.
+        self.length = float(length_of(parameters))  # m
         self.units = np.repeat((1.0, self.length), 3)
+        self.row_units = np.array([self.length if r.is_translational else 1.0 for r in self.rows])
+        # Of the user's places, which only functions of the user's see: joint rows see d alone.
+        rounding = float(rounding_of(parameters, pose_components(pose))) / self.length
+        self.rounding = np.array([rounding * isinstance(r, AddedRow) for r in self.rows])
         values, _ = self._at(self.start)
-        if np.abs(values).max(initial=0.0) > CONSTANT * (1.0 + norm(self.start[1])):
+        off = np.abs(values).max(initial=0.0) > START_TOLERANCE + rounding
+        if off or any(bearing <= 0.0 for bearing in bearings(self.rows, self.start[0])):
             raise PoseError(
                 f"pose0 does not close the {problem.joint.name} joint; problem.close(pose0) does"
             )
+        self.start = self._closed(self.start) or self.start
 
     def prediction(self) -> Prediction:
         algebra = self._completion()
@@ -160,11 +166,12 @@ class _Explorer:
         )  # fmt: skip
 
     def _at(self, pose: Pose) -> tuple[Array, Array]:
-        """h and J (its translational columns times the length) at a configuration."""
+        """h and J at a configuration, lengths in units of the problem's own."""
         x = self.space.kinematics(self.body, pose, (0.0,) * 6)
         values = np.array([_float(h) for h in residuals(self.rows, x, self.body)])
         jac = np.array([list(map(_float, jacobian(r, x, self.body))) for r in self.rows])
-        return values, jac.reshape(-1, 6) * self.units
+        units = self.units / self.row_units[:, None]
+        return values / self.row_units, jac.reshape(-1, 6) * units
 
     def _moved(self, pose: Pose, motion: Array) -> Pose:
         group = self.space.group
@@ -192,16 +199,21 @@ class _Explorer:
         """Newton's method onto the joint; None where it does not get there."""
         for _ in range(20):
             values, jac = self._at(pose)
-            if np.abs(values).max(initial=0.0) <= 1e-14 * (1.0 + self.length):
+            if self._vanish(values, pose, 2e-14):
                 return pose
             step = np.asarray(-np.linalg.lstsq(jac, values, rcond=None)[0], dtype=np.float64)
             if not np.isfinite(step).all() or np.linalg.norm(step) > 1.0:
                 return None
             pose = self._moved(pose, step)
-        return pose if np.abs(values).max() <= 1e-12 * (1.0 + self.length) else None
+        return pose if self._vanish(values, pose, 1e-12) else None
+
+    def _vanish(self, values: Array, pose: Pose, most: float) -> bool:
+        """Whether the values of all rows are that small, or rounding."""
+        far = norm((0.0, *pose[1])) / self.length
+        return bool(np.all(np.abs(values) <= most + ROUNDING * far + self.rounding))
 
     def _completion(self) -> Array:
-        """Basis, (k, 6), of the algebra that the feasible velocities generate."""
+        """Basis, (k, 6), of the algebra that the feasible velocities generate, per unit length."""
         algebra = np.empty((0, 6))
         stable = 0
         velocities = self._configurations()
@@ -210,8 +222,7 @@ class _Explorer:
             larger = self._closed_under_brackets(np.vstack([algebra, *found]))
             stable = stable + 1 if len(larger) == len(algebra) else 0
             algebra = larger
-        scaled: Array = algebra * self.units
-        return scaled
+        return algebra
 
     def _closed_under_brackets(self, vectors: Array) -> Array:
         basis = _row_space(vectors)
@@ -235,11 +246,11 @@ class _Explorer:
             pose = self.start
             for _ in range(3):
                 weights = self.random.normal(size=len(algebra))
-                pose = self._moved(pose, weights @ algebra / self.units)
+                pose = self._moved(pose, weights @ algebra)
             x = self.space.kinematics(self.body, pose, (0.0,) * 6)
-            size = 1.0 + _float(norm(x.d))
+            size = 1.0 + _float(norm(x.d)) / self.length
             values, _ = self._at(pose)
-            exact &= np.abs(values) <= CONSTANT * size
+            exact &= np.abs(values) <= CONSTANT * size + self.rounding
         return tuple(exact.tolist())
 
 
@@ -255,7 +266,7 @@ def _split(names: tuple[str, ...], exact: tuple[bool, ...]) -> tuple[str, str]:
 
 def _null_space(jac: Array) -> Array:
     _, sizes, vectors = np.linalg.svd(np.vstack([jac, np.zeros((1, 6))]))
-    rank = int((sizes > RANK_TOLERANCE * max(sizes[0], 1e-300)).sum()) if len(jac) else 0
+    rank = int((sizes > RANK_TOLERANCE * sizes[0]).sum()) if len(jac) else 0
     return vectors[rank:].T
 
 
@@ -270,25 +281,28 @@ def _row_space(vectors: Array) -> Array:
 # ---- names -------------------------------------------------------------------------------------
 
 POWERS = ("", "R", "R²", "R³")
-TWISTED = 1e-6  # m/rad, over the algebra's own size, from which on a turn displaces
+TWISTED = 1e-9  # ℓ/rad, from which on a turn displaces; Newton's method leaves 1e-13
 
 
 def _name(cspace: str, algebra: Array) -> str:
-    """The name of a subgroup of SE(3), as in Müller's table 1, or of SO(3)×R³."""
+    """The name of a subgroup of SE(3), as in Müller's table 1, or of SO(3)×R³.
+
+    algebra : (k, 6), lengths in units of the problem's own.
+    """
     turning = _row_space(algebra[:, :3])
     shifts = _pure_translations(algebra)
     if not len(turning):
         return POWERS[len(shifts)] or "{I}"
     if cspace == "SO3xR3":
         base = f"SO({2 if len(turning) == 1 else 3})"
-        if _drift(algebra, shifts) > TWISTED * np.abs(algebra).max():
+        if _drift(algebra, shifts) > TWISTED:
             base = "{(exp tê, ta)}"  # turns that displace in proportion (errata E17)
         return "×".join(filter(None, (base, POWERS[len(shifts)])))
     if len(turning) == 3:
         return "SE(3)" if len(shifts) else "SO(3)"
     if len(shifts) in (1, 3):
         return ("SO(2)×R", "SO(2)⋉R³")[len(shifts) // 2]
-    rising = abs(_pitch(algebra, turning[0])) > TWISTED * np.abs(algebra).max()
+    rising = abs(_pitch(algebra, turning[0])) > TWISTED
     if len(shifts) == 2:
         return "H_p⋉R²" if rising else "SE(2)"
     return "H_p" if rising else "SO(2)"
@@ -309,7 +323,7 @@ def _drift(algebra: Array, shifts: Array) -> float:
 
 
 def _pitch(algebra: Array, axis: Array) -> float:
-    """v·e over ω·e of the turns about `axis`, m/rad."""
+    """v·e over ω·e of the turns about `axis`, ℓ/rad."""
     rates = algebra[:, :3] @ axis
     best = int(np.abs(rates).argmax())
     return float(algebra[best, 3:] @ axis / rates[best])

@@ -30,11 +30,11 @@ from lierb.kernels.arithmetic import (
     where,
 )
 from lierb.kernels.coefficients import TINY, angles_taken_for_tiny
-from lierb.kernels.constraints import held_axes
 from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3, closed_pose
 from lierb.kernels.plan import Plan
+from lierb.kernels.scale import bearings, start_tolerances
 from lierb.kernels.stepper import (
     TIDY_EVERY,
     State,
@@ -80,7 +80,6 @@ OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V or μ, Record
 SUMMARY_COLUMNS = 11 + 1  # Record; whether the start is on the joint
 UNSEEN = -1  # in place of step 0, for a start that is to be looked at
-START_TOLERANCE = 1e-9  # m, rad, m/s, rad/s; relative to 1 + the size of what is checked
 ERROR_COLUMNS = (
     "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
     "orthogonality_error", "energy",
@@ -404,16 +403,15 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     numbers = _columns(plan, inputs, input_columns(plan.elements), first)
     parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    off = measure(plan, body_of(plan.space, plan.elements, numbers), chart, velocity, ZERO, ZERO)
-    place, speed = 1.0 + sqrt(dot(pose[1], pose[1])), 1.0 + sqrt(dot(twist, twist))
-    fine = (place >= 1.0) & (speed >= 1.0)  # false for NaN
-    for error in (
-        sqrt(off.position) / place, sqrt(off.rotation),
-        sqrt(off.velocity) / speed, sqrt(off.rotation_rate) / speed,
-    ):  # fmt: skip
-        fine = fine & (error <= START_TOLERANCE)
-    for axis in held_axes(plan.rows):
-        fine = fine & (chart[0][4 * axis] > 0.0)  # the right way round
+    body = body_of(plan.space, plan.elements, numbers)
+    x = plan.space.kinematics(body, chart, velocity)
+    off = measure(plan, body, chart, velocity, ZERO, ZERO)
+    allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
+    fine = (allowed.position <= LARGEST) & (allowed.velocity <= LARGEST)  # false for NaN
+    for square, most in zip(off, allowed):  # energy and orthogonality are not looked at
+        fine = fine & (sqrt(square) <= most)
+    for bearing in bearings(plan.rows, chart[0]):
+        fine = fine & (bearing > 0.0)
     store(summary, (SUMMARY_COLUMNS - 1, first), where(fine, 1.0, 0.0), plan.lanes)
 
 
