@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 ROUNDING_FLOOR = 1e-11
-"""Errors up to this times (1 + the size of the motion / 1 m) count as rounding."""
+"""Errors up to this, relative to the size of what they are errors of, count as rounding."""
 
 ORDER_TOLERANCE = 0.25
 """How far an observed order may lie from a whole number and still be given as that number. With
@@ -38,7 +38,7 @@ class Order:
 
 
 def observed_order(
-    dts: Sequence[float], errors: Sequence[float], size: float | Sequence[float] = 0.0
+    dts: Sequence[float], errors: Sequence[float], size: float | Sequence[float] = 1.0
 ) -> Order | None:
     """Order of convergence observed in `errors`, or None when all of them are at rounding.
 
@@ -46,7 +46,8 @@ def observed_order(
     not resolve the motion yet, errors at rounding say nothing. When only one error is above, its
     slope to the next finer step bounds the order.
 
-    dts : step sizes, s.   errors : one for each.   size : largest distance in the motion, m.
+    dts : step sizes, s.   errors : one for each.   size : what they are errors of, in their unit:
+    the body's lengths and distances, m; 1 for angles; the motion's energies, J.
 
     >>> str(observed_order([1e-2, 1e-3, 1e-4], [3.5e-5, 3.5e-9, 3.8e-13]))
     '4.00'
@@ -56,7 +57,7 @@ def observed_order(
     coarse_first = np.argsort(dts)[::-1]
     log_dt = np.log10(np.asarray(dts, dtype=float)[coarse_first])
     error = np.asarray(errors, dtype=float)[coarse_first]
-    floor = ROUNDING_FLOOR * (1.0 + np.broadcast_to(size, error.shape)[coarse_first])
+    floor = ROUNDING_FLOOR * np.broadcast_to(size, error.shape)[coarse_first]
     above = np.flatnonzero(np.isfinite(error) & (error > floor))
     if above.size == 0:
         return None

@@ -15,6 +15,7 @@ from lierb.arrays import Array
 from lierb.convergence import Order, observed_order
 from lierb.dataset import Dataset
 from lierb.errors import StudyError
+from lierb.sizes import as_array, rows_of, sizes_of
 from lierb.study import Setting, Study
 from lierb.units import each_unit
 
@@ -28,7 +29,7 @@ ERRORS = {
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
-NEGLIGIBLE = 1e-18  # an error below this is none
+NEGLIGIBLE = 1e-18  # an error below this is none, relative to the problem's own size
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,14 @@ class Found:
     bodies : finished ones.   failed : those of them whose status is not ok.
     quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
         there are none, and for an error that the joint has no rows for.
+    sizes : of what each of ERRORS is an error of; see `lierb.sizes`.
     """
 
     setting: Setting
     bodies: int
     failed: int
     quantiles: dict[str, Array]
+    sizes: dict[str, float]
 
 
 def study_of(dataset: Dataset) -> Study:
@@ -54,23 +57,14 @@ def study_of(dataset: Dataset) -> Study:
         raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
 
 
-def rows_of(setting: Setting) -> pc.Expression:
-    """The filter for a setting's rows."""
-    return (
-        (pc.field("cspace") == setting.cspace)
-        & (pc.field("method") == setting.method)
-        & (pc.field("dt") == setting.dt)
-    )
-
-
 def findings(dataset: Dataset) -> list[Found]:
     """What the finished parts say, setting by setting."""
     study = study_of(dataset)
     kinds = (*study.batch(0, 1).problem.joint.error_kinds, "energy")
-    return [_found(dataset, setting, kinds) for setting in study.settings]
+    return [_found(dataset, study, setting, kinds) for setting in study.settings]
 
 
-def _found(dataset: Dataset, setting: Setting, kinds: tuple[str, ...]) -> Found:
+def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
@@ -80,7 +74,8 @@ def _found(dataset: Dataset, setting: Setting, kinds: tuple[str, ...]) -> Found:
         else np.full(len(QUANTILES), np.nan)
         for kind, name in ERRORS.items()
     }
-    return Found(setting, len(ok), int((~ok).sum()), quantiles)
+    sizes = sizes_of(dataset, study, setting)
+    return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes)
 
 
 def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
@@ -92,7 +87,12 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
     dts = [f.setting.dt for f in same]
     if len(set(dts)) < 2:
         return dict.fromkeys(ERRORS)
-    return {kind: observed_order(dts, [f.quantiles[kind][0] for f in same]) for kind in ERRORS}
+    return {
+        kind: observed_order(
+            dts, [f.quantiles[kind][0] for f in same], [f.sizes[kind] for f in same]
+        )
+        for kind in ERRORS
+    }
 
 
 # ---- columns -----------------------------------------------------------------------------------
@@ -103,14 +103,7 @@ def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str
     table = dataset.table().to_table(
         columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
     )
-    found = {}
-    for name in names:
-        column = table[name].combine_chunks()
-        if pa.types.is_fixed_size_list(column.type):
-            found[name] = column.flatten().to_numpy().reshape(-1, column.type.list_size)
-        else:
-            found[name] = column.to_numpy()
-    return found
+    return {name: as_array(table, name) for name in names}
 
 
 def drawn_columns(dataset: Dataset) -> dict[str, str]:
@@ -128,14 +121,18 @@ def some_rows(rows: int, most: int) -> Array:
 def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
     """The errors of which there are any, and their columns."""
     seen = {
-        kind: name
-        for kind, name in ERRORS.items()
-        if any(
-            ok_columns(dataset, s, [name])[name].max(initial=0.0) > NEGLIGIBLE
-            for s in study.settings
-        )
+        kind
+        for s in study.settings
+        for kind, size in sizes_of(dataset, study, s).items()
+        if ok_columns(dataset, s, [ERRORS[kind]])[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size
     }
-    return seen or {"energy": ERRORS["energy"]}
+    return {kind: name for kind, name in ERRORS.items() if kind in (seen or {"energy"})}
+
+
+def least_drawn(dataset: Dataset, study: Study) -> dict[str, float]:
+    """Where errors of each kind are drawn that are below it: zero has no place on a log axis."""
+    sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
+    return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}
 
 
 def components(drawn: dict[str, str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 from lierb import Body, Problem, extras, integrate, joints
 from lierb.columns import numbers, repeated
 from lierb.convergence import Order, observed_order, verdict
+from lierb.kernels.scale import length_of
 
 if TYPE_CHECKING:
     from lierb.joints import Joint
@@ -265,7 +266,7 @@ class _Run:
     dt: float
     summary: pa.Table
     history: pa.Table
-    size: float  # largest coordinate of the body's position, m
+    sizes: Mapping[str, float]  # by quantity, what its errors are errors of
 
 
 # ---------------------------------------------------------------- the run
@@ -349,8 +350,9 @@ def _run(
     example: Example, cspace: str, dt: float, t_end: float, gravity: float, update: str
 ) -> _Run:
     joint = example.joint()
+    problem = Problem(Body(mass=MASS, inertia=INERTIA), joint, gravity=(0.0, 0.0, -gravity))
     result = integrate(
-        Problem(Body(mass=MASS, inertia=INERTIA), joint, gravity=(0.0, 0.0, -gravity)),
+        problem,
         twist0=joint.twist(omega=example.omega0, point_velocity=example.point_velocity),
         dt=dt,
         t_end=t_end,
@@ -363,10 +365,11 @@ def _run(
         solver="saddle",  # what the paper does
     )
     assert result.history is not None  # save_every was given
-    size = float(np.abs(result.history["position"].combine_chunks().flatten().to_numpy()).max())
+    places = result.history["position"].combine_chunks().flatten().to_numpy()
+    size = float(length_of(problem.parameters()) + np.abs(places).max())
     # The states serve for that size only; without them the files are small.
     history = result.history.drop_columns(["rotation", "position", "omega", "v"])
-    return _Run(example, cspace, dt, result.summary, history, size)
+    return _Run(example, cspace, dt, result.summary, history, {"position": size, "rotation": 1.0})
 
 
 def _findings(runs: Sequence[_Run], chosen: Sequence[Example]) -> Iterator[Finding]:
@@ -375,7 +378,7 @@ def _findings(runs: Sequence[_Run], chosen: Sequence[Example]) -> Iterator[Findi
         dts = tuple(run.dt for run in own)
         for quantity in example.quantities:
             errors = tuple(_largest_error(run.summary, quantity) for run in own)
-            order = observed_order(dts, errors, [run.size for run in own])
+            order = observed_order(dts, errors, [run.sizes[quantity] for run in own])
             yield Finding(example, cspace, quantity, dts, errors, order)
 
 

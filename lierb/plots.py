@@ -25,7 +25,8 @@ CSPACE_NAMES = {"SO3xR3": r"$SO(3)\times\mathbb{R}^3$", "SE3": r"$SE(3)$"}
 UNITS = {"position": "m", "rotation": "1"}
 
 LEAST = 1e-18
-"""Errors below this are drawn here: zero has no place on a logarithmic axis, and is common."""
+"""Errors below this, relative to what they are errors of, are drawn here: zero has no place on a
+logarithmic axis, and is common."""
 MOST = 1e250
 """Errors above this are drawn here: Matplotlib's ticks reach further, and numbers end at 1e308."""
 
@@ -50,24 +51,28 @@ def error_figure(
     title: str,
     subtitle: str = "",
     cspaces: Sequence[str] = ("SO3xR3", "SE3"),
+    size: float = 1.0,
 ) -> Figure:
     """An error over time, logarithmic: a panel for each c-space, a line for each step size.
 
     errors : columns "cspace", "dt" (s), "t" (s) and "<quantity>_error", of one body.
     summary : columns "cspace", "dt" and "<quantity>_error_max", a row for each line.
     quantity : "position" or "rotation".
+    size : what the errors are relative to, m or 1, to a power of ten: see LEAST.
     """
+    least = LEAST * 10.0 ** round(math.log10(size))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.6), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
         panels = figure.subplots(1, len(cspaces), sharey=True, squeeze=False)[0]
         lowest, highest = math.inf, 0.0
         for panel, cspace in zip(panels, cspaces):
-            low, high = _draw_panel(panel, _of(errors, cspace), _of(summary, cspace), quantity)
+            runs = _of(errors, cspace), _of(summary, cspace)
+            low, high = _draw_panel(panel, *runs, quantity, least)
             panel.set_title(CSPACE_NAMES.get(cspace, cspace), loc="left")
             lowest, highest = min(lowest, low), max(highest, high)
         panels[0].set_ylabel(f"{quantity} error [{UNITS[quantity]}]")
-        _scale(panels, lowest, highest)
+        _scale(panels, lowest, highest, least)
         figure.supxlabel(subtitle, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
 
@@ -79,9 +84,9 @@ def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) ->
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)
 
 
-def drawable(errors: ArrayLike) -> NDArray[np.float64]:
-    """What a logarithmic axis has room for: between LEAST and MOST."""
-    return np.clip(errors, LEAST, MOST)
+def drawable(errors: ArrayLike, least: float) -> NDArray[np.float64]:
+    """What a logarithmic axis has room for: between `least`, see LEAST, and MOST."""
+    return np.clip(errors, least, MOST)
 
 
 def _of(table: pa.Table, cspace: str) -> pa.Table:
@@ -89,7 +94,7 @@ def _of(table: pa.Table, cspace: str) -> pa.Table:
 
 
 def _draw_panel(
-    panel: Axes, errors: pa.Table, summary: pa.Table, quantity: str
+    panel: Axes, errors: pa.Table, summary: pa.Table, quantity: str, least: float
 ) -> tuple[float, float]:
     """Draw the lines of one c-space; return the smallest and the largest value drawn."""
     lowest, highest = math.inf, 0.0
@@ -98,7 +103,7 @@ def _draw_panel(
         run = errors.filter(pc.equal(errors["dt"], dt))
         # The start is left out: the joint is closed there, its error is nothing but zero.
         t, error = (run[name].to_numpy()[1:] for name in ("t", f"{quantity}_error"))
-        drawn = drawable(error)
+        drawn = drawable(error, least)
         label = f"Δt = {_power_of_ten(dt)} s:  max {_number(largest)}"
         panel.plot(t, drawn, color=colour, linewidth=1.1, label=label)
         finite = drawn[np.isfinite(drawn)]
@@ -110,19 +115,19 @@ def _draw_panel(
     return lowest, highest
 
 
-def _scale(panels: Sequence[Axes], lowest: float, highest: float) -> None:
+def _scale(panels: Sequence[Axes], lowest: float, highest: float, least: float) -> None:
     """Whole decades around what is drawn; mark where the least are drawn, if there are any."""
-    bottom = 10.0 ** math.floor(math.log10(min(lowest, 1e-16)))
-    top = 10.0 ** math.ceil(math.log10(max(1.5 * highest, 1e-15)))
+    bottom = 10.0 ** math.floor(math.log10(min(lowest, 100 * least)))
+    top = 10.0 ** math.ceil(math.log10(max(1.5 * highest, 1000 * least)))
     panels[0].set_yscale("log")
     panels[0].set_ylim(bottom / 3, top)
-    if lowest > LEAST:
+    if lowest > least:
         return
     for panel in panels:
-        panel.axhline(LEAST, color="#888888", linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+        panel.axhline(least, color="#888888", linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
         panel.annotate(
-            r"$10^{-18}$ or less",
-            (1.0, LEAST),
+            rf"$10^{{{round(math.log10(least))}}}$ or less",
+            (1.0, least),
             xycoords=panel.get_yaxis_transform(),
             xytext=(-2, 3),
             textcoords="offset points",

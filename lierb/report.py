@@ -22,6 +22,7 @@ from lierb.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    least_drawn,
     ok_columns,
     orders,
     shown,
@@ -37,7 +38,7 @@ import jinja2  # noqa: E402
 import plotly.graph_objects as go  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.plots import LEAST, save  # noqa: E402
+from lierb.plots import save  # noqa: E402
 from lierb.study_plots import AXES, figures, styles  # noqa: E402
 
 TEMPLATE = "report.html"
@@ -167,7 +168,7 @@ def _failures(dataset: Dataset) -> list[dict[str, Any]]:
 
 def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     """Any error against any sampled number, body by body; "" where nothing was sampled."""
-    drawn = drawn_columns(dataset)
+    drawn, least = drawn_columns(dataset), least_drawn(dataset, study)
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()
@@ -176,7 +177,7 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
         rows = ok_columns(dataset, setting, ["trajectory", *seen.values(), *drawn])
         some = _chosen([rows[name] for name in seen.values()])
         across.append({title: values[some] for title, values in components(drawn, rows)})
-        up.append({AXES[k]: np.maximum(rows[name][some], LEAST) for k, name in seen.items()})
+        up.append({AXES[k]: np.maximum(rows[name][some], least[k]) for k, name in seen.items()})
         figure.add_scatter(
             mode="markers", name=setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": style["color"],

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lierb.arrays import Array
+from lierb.convergence import ROUNDING_FLOOR
 from lierb.dataset import Dataset
 from lierb.extras import require
 from lierb.findings import (
@@ -18,11 +19,12 @@ from lierb.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    least_drawn,
     ok_columns,
-    rows_of,
     some_rows,
     study_of,
 )
+from lierb.sizes import rows_of
 from lierb.study import Setting, Study
 
 require("plot")
@@ -78,7 +80,7 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
     Of the largest errors thick, of those at the end of the run thin; a colour for each c-space and
     method, a dash for each dt.
     """
-    shown = errors_seen(dataset, study)
+    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
     across = len(shown)
     figure, panels = _panels(
         study, "Errors over the bodies: largest (thick), at the end (thin)", across, 2
@@ -89,7 +91,7 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
             for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
                 if name is None:
                     continue
-                values = np.sort(drawable(ok_columns(dataset, setting, [name])[name]))
+                values = np.sort(drawable(ok_columns(dataset, setting, [name])[name], least[kind]))
                 if not values.size:
                     continue
                 ranks = np.unique(np.linspace(0, values.size - 1, RANKS).astype(int))
@@ -121,7 +123,7 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
     """Errors over time: median, 5 to 95 %, and extremes over the bodies; None without a history."""
     if study.integrate.save_every is None:
         return None
-    shown = errors_seen(dataset, study)
+    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
     figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
     for panel, kind in zip(panels, shown):
         for setting, style in styles(study):
@@ -129,7 +131,7 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
             if times.size < 2:
                 continue
             times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
-            low, median, high, most = drawable(bands)
+            low, median, high, most = drawable(bands, least[kind])
             panel.plot(times, median, **style)
             panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
             panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
@@ -144,7 +146,7 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
     """Quantiles of the errors over dt, with a line of order 4; None for a single dt."""
     if len(set(study.integrate.dt)) < 2:
         return None
-    shown = errors_seen(dataset, study)
+    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
     figure, panels = _panels(study, "Errors over the step: median, 95 % and largest", len(shown))
     found = findings(dataset)
     for panel, kind in zip(panels, shown):
@@ -153,13 +155,13 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
             of.sort(key=lambda f: f.setting.dt)
             dts = np.array([f.setting.dt for f in of])
             for n, marker in zip(range(len(QUANTILES)), "o^s"):
-                errors = drawable([f.quantiles[kind][n] for f in of])
+                errors = drawable([f.quantiles[kind][n] for f in of], least[kind])
                 label = _label(cspace, method) if n == 0 else None
                 panel.plot(
                     dts, errors, color=colour, marker=marker, markersize=4, label=label,
                     linestyle=DASHES[n],
                 )  # fmt: skip
-                if n == 0 and errors[-1] > 1e-12:
+                if n == 0 and errors[-1] > ROUNDING_FLOOR * of[-1].sizes[kind]:
                     panel.plot(dts, errors[-1] * (dts / dts[-1]) ** 4, color="#999999", zorder=0)
         panel.set_xscale("log")
         panel.set_yscale("log")
@@ -178,7 +180,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
     columns = list(components(drawn, rows))
     if not columns:
         return None
-    kind = next(iter(errors_seen(dataset, study)))
+    kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
     across = min(len(columns), 4)
     figure, panels = _panels(
         study, "The largest error against what was sampled", across, -(-len(columns) // across)
@@ -188,7 +190,7 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
             continue
         rows = ok_columns(dataset, setting, [ERRORS[kind], *drawn])
         some = some_rows(len(rows[ERRORS[kind]]), POINTS)
-        errors = drawable(rows[ERRORS[kind]][some])
+        errors = drawable(rows[ERRORS[kind]][some], least[kind])
         for panel, (name, values) in zip(panels, components(drawn, rows)):
             panel.plot(
                 values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
