@@ -60,12 +60,17 @@ part = 8
 PARTS = 2 * 2 * 7
 
 
+def tables() -> dict:
+    """What TEXT says."""
+    return tomllib.loads(TEXT)
+
+
 def study(**changes) -> Study:
     """The study of TEXT with some tables changed: `sample={"seed": 4}`."""
-    tables = tomllib.loads(TEXT)
+    changed = tables()
     for name, values in changes.items():
-        tables[name] = tables.get(name, {}) | values
-    return Study.of(tables)
+        changed[name] = changed.get(name, {}) | values
+    return Study.of(changed)
 
 
 def sorted_rows(folder, name="summary") -> list[dict]:
