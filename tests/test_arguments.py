@@ -557,7 +557,8 @@ def test_pose_of_a_universal_joint_names_its_row():
 
 
 def test_pose_may_err_by_rounding():
-    C = shifted(joints.spherical(POINT).closed_pose, (0.0, 0.9e-9, 0.0))
+    by = 0.9e-9 * np.linalg.norm(POINT)  # 1e-9 of the arm, the longest length here
+    C = shifted(joints.spherical(POINT).closed_pose, (0.0, by, 0.0))
     with pytest.raises(DriverReached):
         integrate(pose0=C)
 

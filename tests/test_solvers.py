@@ -203,6 +203,6 @@ def test_a_joint_held_the_wrong_way_round_is_an_error(name, cspace):
 def test_a_start_off_by_less_than_the_tolerance_is_put_on_the_subgroup(solver):
     problem, twist0 = tilted("spherical")
     pose0 = problem.joint.closed_pose.copy()
-    pose0[:3, 3] += 5e-10
+    pose0[:3, 3] += 5e-11  # 8.7e-11 in all; 1e-9 of the arm, 0.156 m, is allowed
     result = integrate(problem, twist0=twist0, pose0=pose0, dt=1e-2, t_end=0.1, **FAST[solver])
     assert result.summary["position_error_max"][0].as_py() < 1e-15
