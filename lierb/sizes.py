@@ -50,7 +50,7 @@ def sizes_of(dataset: Dataset, study: Study, setting: Setting) -> dict[str, floa
         filter=rows_of(setting) & (pc.field("status") == "ok"),
     )
     ended = as_array(rows, "trajectory")
-    first = int(ended.min(initial=len(study.design) - 1))
+    first = int(ended.min()) if rows.num_rows else 0
     batch = study.batch(first, min(BODIES, len(study.design) - first))
     poses = batch.problem.joint.closed_pose if batch.pose0 is None else batch.pose0
     lengths, energies = _sizes(batch.problem, poses, batch.twist0)
@@ -72,14 +72,16 @@ def sizes_of(dataset: Dataset, study: Study, setting: Setting) -> dict[str, floa
 def _sizes(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Array]:
     """Of each body in its own pose and motion: m and J."""
     parameters, body = problem.parameters(), problem.in_joint_axes(SE3)
-    length = length_of(parameters)
-    placed, velocity = SE3.to_joint_axes(parameters, pose_components(poses), components(twists))
-    motion = SE3.motion(placed, velocity, ZERO)
-    energies = [
-        SE3.kinetic_energy(body, velocity),
-        SE3.potential_energy(body, placed),
-        parameters.mass * norm(parameters.gravity) * length,
-        *(e.energy(own, motion) for e, own in zip(problem.kinds, body.elements, strict=True)),
-    ]
-    total = sum(np.abs(plain(energy)) for energy in energies)
-    return length + norm(components(poses[..., :3, 3])), np.broadcast_to(total, len(twists))
+    with np.errstate(all="ignore"):  # a body that runs away is ok as long as it is finite
+        length = length_of(parameters)
+        placed, velocity = SE3.to_joint_axes(parameters, pose_components(poses), components(twists))
+        motion = SE3.motion(placed, velocity, ZERO)
+        energies = [
+            SE3.kinetic_energy(body, velocity),
+            SE3.potential_energy(body, placed),
+            parameters.mass * norm(parameters.gravity) * length,
+            *(e.energy(own, motion) for e, own in zip(problem.kinds, body.elements, strict=True)),
+        ]
+        total = sum(np.abs(plain(energy)) for energy in energies)
+        reach = length + norm(components(poses[..., :3, 3]))
+    return reach, np.broadcast_to(total, len(twists))

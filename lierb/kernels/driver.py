@@ -407,9 +407,9 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
     x = plan.space.kinematics(body, chart, velocity)
     off = measure(plan, body, chart, velocity, ZERO, ZERO)
     allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
-    fine = (allowed.position <= LARGEST) & (allowed.velocity <= LARGEST)  # false for NaN
+    fine = allowed.position <= LARGEST  # false for NaN
     for square, most in zip(off, allowed):  # energy and orthogonality are not looked at
-        fine = fine & (sqrt(square) <= most)
+        fine = fine & (sqrt(square) <= most) & (most <= LARGEST)
     for bearing in bearings(plan.rows, chart[0]):
         fine = fine & (bearing > 0.0)
     store(summary, (SUMMARY_COLUMNS - 1, first), where(fine, 1.0, 0.0), plan.lanes)
