@@ -44,7 +44,8 @@ from lierb.kernels.constraints import (
 from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
 from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import solve
-from lierb.kernels.scale import bearings, length_of, rounding_of
+from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.vec import norm
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -313,14 +314,17 @@ class Problem:
         self.batch_size(pose=(poses, 2))
         rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
         placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
-        # Each row to what it is a part of: a metre is neither large nor small.
-        near = CLOSED * length_of(parameters) + rounding_of(parameters, pose_components(poses))
+        small = CLOSED * length_of(parameters)  # m
+        # Functions of the user's see the place from the origins of the user's frames.
+        rounding = rounding_of(parameters, pose_components(poses))
         with np.errstate(all="ignore"):
             for _ in range(NEWTON_STEPS):
                 x = SE3.kinematics(body, placed, still)
                 off = residuals(rows, x, body)
+                here = ROUNDING * norm((0.0, *placed[1]))
                 closed = np.bool_(True)
                 for r, h in zip(rows, off, strict=True):
+                    near = small + (rounding if isinstance(r, AddedRow) else here)
                     closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
                 if np.all(closed):
                     break

@@ -174,6 +174,33 @@ def test_motor_that_starts_from_rest_is_met_by_a_body_at_rest(name):
         require_consistent(driven, 1e-9 * still.project(LIVELY)[None], None)
 
 
+@lierb.constraint(length=LENGTH, anchor=(0.0, 0.0, 0.0))
+def tether(R, r, params):
+    line = r - params.anchor
+    return (line @ line / params.length - params.length) / 2
+
+
+@pytest.mark.parametrize(("scale", "far"), [*((scale, 0.0) for scale in SCALES), (ONE, 1e6)])
+def test_constraints_of_the_user_s_own_are_judged_likewise(scale, far):
+    like, anchor = problem("spherical", scale), np.full(3, far)
+    ball = tether(length=LENGTH * scale.length, anchor=anchor)
+    held = lierb.Problem(like.body, lierb.joints.free(), like.gravity, constraints=[ball])
+    start = np.eye(4)
+    start[:3, 3] = (0.2, 0.21, 0.19)
+    pose = moved(start, scale)
+    pose[:3, 3] += anchor
+    pose = held.close(pose)
+    assert np.linalg.norm(pose[:3, 3] - anchor) == pytest.approx(
+        LENGTH * scale.length, rel=1e-12, abs=1e-15 * far
+    )
+    twist = held.project(spun(LIVELY, scale), pose)
+    require_consistent(held, twist[None], pose)
+    assert not lierb.predict(held, pose)["SE3"].position_exact
+    pose[:3, 3] += 1e-7 * (pose[:3, 3] - anchor)
+    with pytest.raises(PoseError, match="free joint with tether: position error"):
+        require_consistent(held, twist[None], pose)
+
+
 # ---- closing, projecting, predicting -----------------------------------------------------------
 
 
