@@ -171,15 +171,22 @@ def check_rotations(argument: str, matrices: Array) -> None:
 
 
 def _check_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
+    with np.errstate(all="ignore"):  # of entries that are far too large
+        _check_few_rotations(argument, matrices, first, count)
+
+
+def _check_few_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
     r = components(matrices, 2)
     gram = mat_t_mat(r, r)
     excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(gram))
     errors = np.sqrt(dot(excess, excess))
     handed = np.linalg.det(matrices)
-    bad = np.flatnonzero((errors > ROTATION_TOLERANCE) | (handed < 0.0))
+    bad = np.flatnonzero(~((errors <= ROTATION_TOLERANCE) & (handed > 0.0)))  # false for NaN
     if bad.size:
         body = int(bad[0])
-        what = "is a reflection" if handed[body] < 0.0 else f"has ‖RᵀR − I‖ = {errors[body]:.2g}"
+        far = f"{errors[body]:.2g}" if np.isfinite(errors[body]) else "beyond all numbers"
+        is_mirrored = errors[body] <= ROTATION_TOLERANCE
+        what = "is a reflection" if is_mirrored else f"has ‖RᵀR − I‖ = {far}"
         raise PoseError(
             f"the rotation of {body_label(argument, first + body, count)} {what}; "
             f"expected a rotation matrix to {ROTATION_TOLERANCE:g}"

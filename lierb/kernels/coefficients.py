@@ -38,6 +38,8 @@ TINY_TERMS = 3
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
 MEDIUM = 0.5**2  # and eight
 SERIES = PI**2  # θ² up to which the entire series is used
+NAN = float("nan")
+SINCOS_RANGE = 1e5  # rad, of `sincos`: beyond, reducing an angle loses digits, at 1e16 rad all
 
 
 class Coefficients(NamedTuple):
@@ -103,7 +105,8 @@ def step_coefficients(z: Any) -> Coefficients:
     """The same for a time step, in which θ is small: what they multiply there is smaller still.
 
     Up to 0.0215 rad three terms, and four of sinc, leave out less than 2⁻⁵⁴ of exp X and dexp⁻¹ V,
-    though a coefficient itself may be off by 3e-15.
+    though a coefficient itself may be off by 3e-15. Beyond SINCOS_RANGE they are NaN: what such a
+    step leads to is seen to be no motion.
     """
     return Coefficients(*_in_step(z, 1.0, _taylor, _long))
 
@@ -153,10 +156,14 @@ def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any,
     if conditions is not None:
         conditions.append(tiny)
         return taylor(z, TINY_TERMS, ())
+
+    def within_range(z: Any) -> tuple[Any, ...]:
+        return beyond(where(z <= share * SINCOS_RANGE**2, z, NAN))
+
     found: tuple[Any, ...] = branch(
         all_lanes(tiny),
         lambda: taylor(z, TINY_TERMS, ()),
-        lambda: _anywhere(z, share, taylor, beyond, ((tiny, TINY_TERMS),)),
+        lambda: _anywhere(z, share, taylor, within_range, ((tiny, TINY_TERMS),)),
     )
     return found
 
@@ -274,7 +281,7 @@ _TAN_PI_8 = 0.41421356237309503
 
 
 def sincos(x: Any) -> tuple[Any, Any]:
-    """sin x and cos x for |x| ≤ 1e5 rad, by Cody–Waite reduction to [−π/4, π/4]."""
+    """sin x and cos x for |x| ≤ SINCOS_RANGE, by Cody–Waite reduction to [−π/4, π/4]."""
     quarters = rint(x * (2.0 / PI))
     y = x
     for part in _HALF_PI:

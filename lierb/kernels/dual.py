@@ -18,11 +18,9 @@ from lierb.kernels import lanes
 from lierb.kernels.arithmetic import absolute, all_lanes, branch, fma, plain
 from lierb.kernels.arithmetic import sqrt as root
 from lierb.kernels.arithmetic import where as select
-from lierb.kernels.coefficients import atan2, sincos
+from lierb.kernels.coefficients import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.lanes import Lane
 from lierb.kernels.zero import ZERO, is_zero
-
-SINCOS_RANGE = 1e5  # rad, of `sincos`; beyond, the C library's
 
 
 class Dual:
