@@ -7,7 +7,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
 from lierb.columns import each_row, numbers, texts, vectors
+from lierb.elements import Force
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -23,7 +24,7 @@ from lierb.errors import (
     unknown_name,
 )
 from lierb.joints import JOINTS
-from lierb.kernels.driver import ERROR_COLUMNS, NON_FINITE, OK, SINGULAR
+from lierb.kernels.driver import NON_FINITE, OK, SINGULAR, error_columns
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
 from lierb.kernels.plan import Plan, block_lanes, plan_of
@@ -42,12 +43,13 @@ STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 SUMMARY_ORDER = (
     "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
-    "velocity_error_max", "rotation_rate_error_max", "energy_drift_max", "orthogonality_error_max",
+    "velocity_error_max", "rotation_rate_error_max", "energy_drift_max", "work_final",
+    "orthogonality_error_max",
 )  # fmt: skip
 UNITS = {
     "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
     "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
-    "energy": "J", "rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s",
+    "energy": "J", "work": "J", "rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s",
     "reaction": "N m, N m, N m, N, N, N",
 }  # fmt: skip
 
@@ -177,7 +179,7 @@ def integrate(
     output = engine.integrate(
         plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
     )
-    covers = _energy_of(problem)
+    covers = _covers(problem)
     return Result(
         _summary_table(output, metadata, covers),
         _history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
@@ -299,41 +301,65 @@ def _report(error: ValueError | None, check: str) -> None:
 _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
 
 
-def _table(columns: dict[str, pa.Array], metadata: str, covers: str, units: str = "") -> pa.Table:
-    """covers : what the energy is made of.   units : of the components of `lambda`, if any."""
-    key = (*columns, covers, units)
+def _table(
+    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: str = ""
+) -> pa.Table:
+    """units : of the components of `lambda`, if any."""
+    key = (*columns, *covers, units)
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)
     schema = _schemas[key].with_metadata({"lierb": metadata})
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
 
 
-def _schema(columns: dict[str, pa.Array], covers: str, units: str) -> pa.Schema:
+def _schema(columns: dict[str, pa.Array], covers: Covers, units: str) -> pa.Schema:
     fields = []
     for name, array in columns.items():
         plain = name.removesuffix("_max").removesuffix("_final")
         unit = units if name == "lambda" else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
-        if plain in ("energy", "energy_drift"):
-            described["covers"] = covers
+        if plain in Covers._fields:
+            described["covers"] = getattr(covers, plain)
         fields.append(pa.field(name, array.type, metadata=described or None))
     return pa.schema(fields)
 
 
-def _energy_of(problem: Problem) -> str:
-    """What the energy is made of, and what else does work and so shows as drift."""
+class Covers(NamedTuple):
+    """In words, what is in the columns of that name."""
+
+    energy: str
+    energy_drift: str
+    work: str
+
+
+def _covers(problem: Problem) -> Covers:
     stored = [force.name for force in problem.forces if force.kind.is_conservative]
-    working = [force.name for force in problem.forces if not force.kind.is_conservative]
-    working += [
-        f"{force.name}'s damping"
-        for force in problem.forces
-        if "damping" in force.parameters and np.any(force.parameters["damping"] != 0.0)
-    ]
-    text = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
-    return f"{text}; not the work of {', '.join(working)}" if working else text
+    working = [w for force in problem.forces if (w := _work_of(force))]
+    energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
+    if not working:
+        return Covers(energy, energy, "nothing: all that acts has a potential")
+    work = f"work of {', '.join(working)}"
+    return Covers(energy, f"{energy}; less the {work}", work)
 
 
-def _summary_table(output: engine.Output, metadata: str, covers: str) -> pa.Table:
+def _no_work(energy: pa.Array) -> pa.Array:
+    """Zero; NaN after a failure, as everything is."""
+    return numbers(np.where(np.isnan(energy.to_numpy()), np.nan, 0.0))
+
+
+def _work_of(force: Force) -> str:
+    """What of a force does work that its potential does not have, if anything."""
+    if not force.kind.is_conservative:
+        return force.name
+    if force.kind.is_users:
+        return f"{force.name} beyond its potential"
+    for part in ("damping", "torque"):
+        if part in force.parameters and np.any(force.parameters[part] != 0.0):
+            return f"{force.name}'s {part}"
+    return ""
+
+
+def _summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Table:
     scalars = dict(zip(engine.SUMMARY_SCALARS, each_row(output.scalars), strict=True))
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
@@ -351,7 +377,7 @@ def _history_table(
     recorded: tuple[str, ...],
     plan: Plan,
     metadata: str,
-    covers: str,
+    covers: Covers,
 ) -> pa.Table:
     saved = grid.saved_steps()
     count = output.errors.shape[2]
@@ -360,14 +386,15 @@ def _history_table(
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(saved * grid.dt, count)),
     }
-    scalars = dict(zip(ERROR_COLUMNS, each_row(output.errors), strict=True))
-    energy = scalars.pop("energy")
+    scalars = dict(zip(error_columns(plan), each_row(output.errors), strict=True))
+    energy, work = scalars.pop("energy"), scalars.pop("work", None)
     columns |= scalars
     if "state" in recorded:
         for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
             columns[name] = vectors(array)
     if "energy" in recorded:
         columns["energy"] = energy
+        columns["work"] = _no_work(energy) if work is None else work
     units = ""
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = vectors(output.multipliers)

@@ -107,12 +107,18 @@ class Wrench(_Decorated):
         """The force with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
         function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH)
-        potential = self._potential and user_function(self._potential, POSE, shapes, ((),))
+        potential = self._potential and user_function(
+            self._potential, POSE, shapes, ((),), differentiated=True
+        )
         kind = kinds.UserWrench(function, potential)
         return Force.of(self.function.__name__, kind, **self.defaults | parameters)
 
     def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy."""
+        """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
+
+        It may be that of a part of the wrench: what the rest does counts as work. For that it is
+        differentiated, and so must run on dual numbers, as a constraint does.
+        """
         if not inspect.isfunction(function):
             raise ForceError(f"expected a function to decorate, got {function!r}")
         self._potential = function

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numba
@@ -24,12 +24,15 @@ from lierb.extras import remedy
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
-    ERROR_COLUMNS,
     INPUT_COLUMNS,
     INPUT_SLICES,
     OK,
+    RESUMED,
+    STATE_COLUMNS,
     SUMMARY_COLUMNS,
     UNSEEN,
+    end_columns,
+    error_columns,
     input_columns,
     integrate_block,
     integrate_blocks,
@@ -42,6 +45,7 @@ Progress = bool | Callable[[int, int], None] | None
 SUMMARY_SCALARS = (
     "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
     "orthogonality_error_max", "energy_drift_max", "position_error_final", "rotation_error_final",
+    "work_final",
 )  # fmt: skip
 STATE_WIDTHS = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
@@ -59,12 +63,21 @@ FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast a plan runs
 
 @dataclass(frozen=True)
 class Grid:
-    """The times of a run: `steps` steps of `dt` s, measured and saved every so many (0: never)."""
+    """The times of a run: `steps` steps of `dt` s, measured and saved every so many (0: never).
+
+    origin, first_step : the start is `first_step` steps after `origin`, s.
+    """
 
     dt: float
     steps: int
     measure_every: int
     save_every: int
+    origin: float = 0.0
+    first_step: int = 0
+
+    def time(self, step: Any) -> Any:
+        """Of a step, or of an array of steps, s; to the bit as the driver has it."""
+        return self.origin + self.dt * (self.first_step + step)
 
     @property
     def saved_rows(self) -> int:
@@ -147,12 +160,17 @@ class Inputs:
     """Everything about every body, as given; packed chunk by chunk, never copied as a whole.
 
     poses : (4, 4) or (n, 4, 4); None for the closed joint.   twists : (6,) or (n, 6).
+    time : s, of the start.
+    state : to start from instead of pose and twist, if any: the driver's own, `end_columns` of the
+        plan, [column][body or 1].
     """
 
     problem: Problem
     poses: Array | None
     twists: Array
     count: int
+    time: float = 0.0
+    state: Array | None = None
 
     def packed(self, start: int, stop: int, packed: Array, is_new: bool = True) -> Array:
         """Bodies start … stop as [column][body], the last one repeated to fill `packed`.
@@ -166,6 +184,17 @@ class Inputs:
             if is_new or not field.is_shared:
                 field.put(packed, start, stop)
         return packed
+
+    def put_state(self, plan: Plan, chunk: Chunk) -> None:
+        """Carry the state to start from."""
+        assert self.state is not None
+        width = chunk.stop - chunk.start
+        is_shared = self.state.shape[1] == 1
+        own = self.state if is_shared else self.state[:, chunk.start : chunk.stop]
+        columns = list(end_columns(plan))
+        chunk.carried[:STATE_COLUMNS] = 0.0
+        chunk.carried[columns, :width] = own
+        chunk.carried[columns, width:] = own[:, -1:]
 
     @cached_property
     def _start(self) -> tuple[Field, ...]:
@@ -234,6 +263,7 @@ class Output:
 
     status, t (s), scalars : [body].
     errors : [column][time][body].   states, multipliers, reactions : [time][body][component].
+    ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
     """
 
     status: NDArray[np.int8]
@@ -243,6 +273,7 @@ class Output:
     states: tuple[Array, ...]  # in the order of STATE_WIDTHS; if not recorded, the last row alone
     multipliers: Array
     reactions: Array
+    ends: Array
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
@@ -252,15 +283,17 @@ class Output:
             np.empty(count, dtype=np.int8),
             np.empty(count),
             np.empty((len(SUMMARY_SCALARS), count)),
-            np.empty((len(ERROR_COLUMNS), rows, count)),
+            np.empty((len(error_columns(plan)), rows, count)),
             tuple(np.empty((states, count, width)) for width in STATE_WIDTHS.values()),
             np.empty((rows * plan.multipliers, count, len(plan.rows))),
             np.empty((rows * plan.reaction, count, 6)),
+            np.empty((len(end_columns(plan)), count)),
         )
 
     @property
-    def histories(self) -> tuple[Array, ...]:
-        return (self.errors, *self.states, self.multipliers, self.reactions)
+    def arrays(self) -> tuple[Array, ...]:
+        """As the driver takes them."""
+        return (self.errors, *self.states, self.multipliers, self.reactions, self.ends)
 
     @property
     def state(self) -> tuple[Array, ...]:
@@ -272,9 +305,11 @@ class Output:
         bodies, found = slice(chunk.start, chunk.stop), chunk.found
         first = len(SUMMARY_SCALARS)
         self.scalars[:, bodies] = found[:first]
-        _first_energy, status, failed_step = found[first : first + 3]
+        status, failed_step = found[first : first + 2]
         self.status[bodies] = status
-        self.t[bodies] = np.where(status == OK, grid.steps, failed_step) * grid.dt
+        self.t[bodies] = grid.time(grid.steps)
+        if (failed := status != OK).any():
+            self.t[bodies][failed] = grid.time(failed_step[failed])
 
 
 def integrate(
@@ -305,6 +340,9 @@ def integrate(
     with _reporter(progress, inputs.count * grid.steps) as report:
         for chunk in chunks:
             begin = 0 if check is None else UNSEEN
+            if inputs.state is not None:
+                inputs.put_state(plan, chunk)
+                begin = RESUMED
             for done in _run_chunk(plan, chunk, grid, output, used, begin):
                 if check is not None:
                     check(chunk.starts, chunk.start)
@@ -333,7 +371,7 @@ def _run_chunk(
 ) -> Iterator[int]:
     """Run a chunk to the end; yields the steps done after each call of the driver.
 
-    begin : 0 or UNSEEN.
+    begin : 0, UNSEEN or RESUMED.
     """
     done, blocks, pace = 0, chunk.inputs.shape[1] // plan.lanes, _pace(plan, grid.dt)
     ahead = pace.steps(0.5 * CALL_SECONDS)  # these bodies may be slower than the last ones
@@ -373,8 +411,8 @@ def _call_driver(
 ) -> float:
     """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
     arguments = (
-        chunk.inputs, chunk.carried, chunk.summary, *output.histories,
-        chunk.start, begin, end, grid.steps, grid.dt, grid.measure_every, grid.save_every,
+        chunk.inputs, chunk.carried, chunk.summary, *output.arrays, chunk.start, begin, end,
+        grid.steps, grid.origin, grid.first_step, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
     entry = _jit.entry_of(integrate_block, plan, 0, *arguments)
     counter = np.zeros(1, dtype=np.int64)

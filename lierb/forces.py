@@ -45,7 +45,8 @@ def constant_wrench(
     torque, force : (3,) or (n, 3), in the axes of `frame`: "ground", or "body" (a thruster).
     point : (3,) or (n, 3), m, in the body frame.
 
-    A force that is constant in the ground has a potential, −force·x, and counts in the energy.
+    A force that is constant in the ground has a potential, −force·x, and counts in the energy; what
+    a torque, or a thruster, does is work.
 
     >>> import lierb
     >>> lierb.forces.constant_wrench(force=(0.0, 0.0, 2.0), frame="body")
@@ -70,7 +71,7 @@ def spring_damper(
     stiffness : N/m.   damping : N s/m.   length : m, at which the spring is slack.
 
     Its force on the body is −(k (ℓ − length) + c ℓ̇) along the line; nothing where ℓ = 0. The
-    spring's ½k(ℓ − length)² counts in the energy.
+    spring's ½k(ℓ − length)² counts in the energy, what the damper takes in the work.
     """
     _not_negative(stiffness=stiffness, damping=damping, length=length)
     return Force.of(
@@ -125,7 +126,7 @@ def motor(
 
     torque or speed : number or (n,), or a function (t) or (t, params) with t in s; see
         `lierb.wrench` for what such a function may do. A speed is a constraint of its own, on which
-        the twist at t = 0 must be; −λ of its row is the torque that the motor needs.
+        the twist at the start must be; −λ of its row is the torque that the motor needs.
     parameters : of the function, each a number or (n,).
 
     For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like.

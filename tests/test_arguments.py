@@ -34,10 +34,10 @@ def stop_before_running(monkeypatch):
     """Nothing in this file shall run a step, or compile: a stub checks starts in plain Python."""
 
     def stub(sources, plan, counter, lanes, threads, inputs, carried, summary, *others):
-        *_, begin, stop, _last, _h, _measure_every, _save_every = others
+        *_, begin, stop, _last, origin, first_step, h, _measure_every, _save_every = others
         if begin == UNSEEN:
             for body in range(inputs.shape[1]):
-                store_start(plan, inputs, summary, body)
+                store_start(plan, inputs, summary, body, origin + h * first_step)
         if stop > 0 and (begin != UNSEEN or summary[-1].all()):
             raise DriverReached
 

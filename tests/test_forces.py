@@ -7,7 +7,7 @@ import math
 import numpy as np
 import oracle
 import pytest
-from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, column, joint, tilted
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, column, joint, rotation, tilted
 
 import lierb
 from lierb.errors import ArgumentError, ForceError, TwistError, UnknownNameError
@@ -124,7 +124,16 @@ def assert_moves_as(problem, twist0, held, acting, cspace):
     history = run(problem, twist0, cspace).history
     columns = {
         name: column(history, name).reshape(2, BODIES, -1)
-        for name in ("rotation", "position", "omega", "v", "lambda", "reaction", "energy")
+        for name in (
+            "rotation",
+            "position",
+            "omega",
+            "v",
+            "lambda",
+            "reaction",
+            "energy",
+            "work",
+        )
     }
     for body in range(BODIES):
         ref = expected(held, acting, twist0, body)
@@ -141,6 +150,8 @@ def assert_moves_as(problem, twist0, held, acting, cspace):
         )
         gained = columns["energy"][-1, body] - columns["energy"][0, body]
         np.testing.assert_allclose(gained, ref.energy[-1] - ref.energy[0], atol=1e-9)
+        # nothing else changes E: what was gained is the work
+        np.testing.assert_allclose(columns["work"][-1, body], gained, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -243,6 +254,153 @@ def test_speed_motor_has_no_place_in_the_reduced_space():
         lierb.integrate(driven(1.0), twist0=np.zeros(6), dt=1e-3, t_end=0.1, cspace="reduced")
 
 
+# ---- work --------------------------------------------------------------------------------------
+
+MASS, MOMENT = 2.0, 0.5  # kg; kg m² about every axis
+SPEED, SPIN = 3.0, 4.0  # m/s along the body's e₁; rad/s about e₃
+LOSSES = ("linear", "quadratic", "angular")
+
+
+def lone_forces():
+    """One free body for each force, on which that one acts alone, and the work that it does."""
+    x, z = np.array((1.0, 0.0, 0.0)), np.array((0.0, 0.0, 1.0))
+    strength = 0.7
+    slow, still = math.exp(-2.0 * strength / MASS), math.exp(-2.0 * strength / MOMENT)
+    braked = SPEED / (1.0 + strength * SPEED / MASS)  # v′ = −(q/m) v²
+    pushed = strength * (SPEED + 0.5 * strength / MASS)
+    turned = strength * (SPIN + 0.5 * strength / MOMENT)
+    work = {
+        "linear": 0.5 * MASS * SPEED**2 * (slow - 1.0),
+        "quadratic": 0.5 * MASS * (braked**2 - SPEED**2),
+        "angular": 0.5 * MOMENT * SPIN**2 * (still - 1.0),
+        "thrust": pushed,
+        "twist": turned,
+        "ground torque": turned,
+        "ground force": 0.0,  # of a potential
+    }
+    alone = np.eye(len(work)) * strength
+
+    def of(name, direction=1.0):
+        return np.multiply.outer(alone[list(work).index(name)], direction)
+
+    forces = [
+        lierb.forces.drag(**{name: of(name) for name in LOSSES}),
+        lierb.forces.constant_wrench(of("twist", z), of("thrust", x), frame="body"),
+        lierb.forces.constant_wrench(of("ground torque", z), of("ground force", x)),
+    ]
+    spins = np.array([name in ("angular", "twist", "ground torque") for name in work])
+    twist0 = np.zeros((len(work), 6))
+    twist0[spins, 2], twist0[~spins, 3] = SPIN, SPEED
+    body = lierb.Body(MASS, (MOMENT,) * 3)
+    return lierb.Problem(body, lierb.joints.free(), forces=forces), twist0, list(work.values())
+
+
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_work_is_that_of_the_closed_form(cspace):
+    problem, twist0, work = lone_forces()
+    options = {"twist0": twist0, "cspace": cspace, "t_end": 1.0, "record": "energy"}
+    result = lierb.integrate(problem, dt=1e-3, save_every=500, **options)
+    # RK4 on rates up to 3 1/s: (3e-3)⁴/120 of 20 J, and rounding of 1000 steps
+    np.testing.assert_allclose(result.summary["work_final"], work, rtol=0, atol=1e-11)
+    assert max(result.summary["energy_drift_max"].to_pylist()) < 1e-11
+    history = {n: column(result.history, n).reshape(3, -1) for n in ("energy", "work")}
+    drift = column(result.history, "energy_drift").reshape(3, -1)
+    gained = history["energy"] - history["energy"][0]
+    np.testing.assert_array_equal(drift, gained - history["work"])
+    np.testing.assert_array_equal(history["work"][-1], result.summary["work_final"])
+
+
+def test_energy_drift_falls_with_the_order_of_the_method():
+    """With all forces at once: what they take and give, several J, is no drift."""
+    problem, twist0 = case("revolute", tuple(FORCES))
+    runs = [
+        lierb.integrate(problem, twist0=twist0, dt=dt, t_end=T_END, cspace="reduced").summary
+        for dt in (8e-3, 4e-3)
+    ]
+    coarse, fine = (column(summary, "energy_drift_max") for summary in runs)
+    assert np.abs(column(runs[0], "work_final")).min() > 0.1
+    # Each halving of the step takes 2⁴ off, as far as terms of order 5 let it.
+    np.testing.assert_array_less(8.0, coarse / fine)
+    for body in range(BODIES):
+        ref = expected("revolute", tuple(FORCES), twist0, body)
+        gained = ref.energy[-1] - ref.energy[0]
+        # RK4's own error at 4e-3, which the drift tells the size of
+        assert abs(runs[1]["work_final"][body].as_py() - gained) < 20 * fine.max()
+
+
+def test_work_of_a_function_is_what_its_potential_lacks():
+    """A spring and a damper in one wrench, of which the potential is the spring's alone."""
+
+    @lierb.wrench(stiffness=20.0, damping=0.0)
+    def strut(t, R, r, omega, v, params):
+        return (0.0, 0.0, 0.0), -params.stiffness * R.T @ r - params.damping * v
+
+    @strut.potential
+    def stretched(R, r, params):
+        return params.stiffness * (r @ r) / 2
+
+    stiffness, damping, speed = 20.0, np.array((0.0, 1.5)), 3.0
+    body, held = lierb.Body(MASS, (MOMENT,) * 3), lierb.joints.free()
+    problem = lierb.Problem(body, held, forces=strut(damping=damping))
+    turn = rotation(0.3, -0.8, 0.5)
+    pose0 = np.block([[turn, np.zeros((3, 1))], [np.zeros(3), 1.0]])
+    twist0 = (0.0, 0.0, 0.0, speed, 0.0, 0.0)
+    summary = lierb.integrate(problem, twist0=twist0, pose0=pose0, dt=1e-3, t_end=1.0).summary
+    decay = damping / (2.0 * MASS)
+    pace = np.sqrt(stiffness / MASS - decay**2)
+    place = speed / pace * np.exp(-decay) * np.sin(pace)
+    rate = speed * np.exp(-decay) * (np.cos(pace) - decay / pace * np.sin(pace))
+    energy = 0.5 * MASS * rate**2 + 0.5 * stiffness * place**2
+    # RK4 on 3 rad/s: (3e-3)⁴/120 of 9 J a period, and rounding of 1000 steps
+    found = column(summary, "work_final")
+    np.testing.assert_allclose(found, energy - 0.5 * MASS * speed**2, rtol=0, atol=1e-11)
+    assert abs(found[0]) < 1e-13  # no damping: rounding of power and potential, 1000 times
+    assert max(summary["energy_drift_max"].to_pylist()) < 1e-11
+
+
+def test_potential_has_to_be_differentiable():
+    @lierb.wrench
+    def push(t, R, r, omega, v, params):
+        return (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
+
+    @push.potential
+    def wall(R, r, params):
+        return -r[0] if r[0] > 0.0 else 0.0
+
+    with pytest.raises(ForceError, match=r"wall must run on dual numbers.*lierb\.where"):
+        push()
+
+
+def swaying(t, params):
+    return params.start + math.sin(t)
+
+
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_work_of_a_speed_motor_is_that_of_a_driven_pendulum(cspace):
+    """φ̇ = w(t) takes ½I(w² − w₀²) + m g ℓ (cos φ₀ − cos φ) from the motor."""
+    held = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.4))
+    start = np.array((1.0, -2.0))
+    motor = lierb.forces.motor(speed=swaying, start=start)
+    body = lierb.Body(MASS, (MOMENT,) * 3)
+    problem = lierb.Problem(body, held, (0.0, 0.0, -9.81), motor)
+    runs = [
+        lierb.integrate(
+            problem, twist0=problem.project(np.zeros(6)), dt=dt, t_end=2.0, cspace=cspace
+        ).summary
+        for dt in (2e-2, 1e-2)
+    ]
+    angle, speed = start * 2.0 + 1.0 - math.cos(2.0), start + math.sin(2.0)
+    kinetic = 0.5 * (MOMENT + MASS * 0.4**2) * (speed**2 - start**2)
+    work = kinetic + MASS * 9.81 * 0.4 * (1.0 - np.cos(angle))
+    # RK4's own: 3e-9 J of 16 J in fine steps, 16 times as much in coarse ones
+    errors = [np.abs(column(summary, "work_final") - work).max() for summary in runs]
+    drifts = [max(summary["energy_drift_max"].to_pylist()) for summary in runs]
+    assert errors[1] < 1e-8
+    assert errors[0] > 8.0 * errors[1]
+    assert drifts[0] > 8.0 * drifts[1]
+    assert drifts[1] < 1e-8
+
+
 # ---- what the energy covers --------------------------------------------------------------------
 
 
@@ -252,8 +410,8 @@ def test_energy_says_what_it_covers():
     covers = result.summary.schema.field("energy_drift_max").metadata[b"covers"].decode()
     assert covers == (
         "kinetic energy; potential energy of gravity, constant_wrench, spring_damper, "
-        "torsional_spring; not the work of constant_wrench, drag, motor, odd_wrench, "
-        "spring_damper's damping, torsional_spring's damping"
+        "torsional_spring; less the work of constant_wrench, constant_wrench's torque, "
+        "spring_damper's damping, torsional_spring's damping, drag, motor, odd_wrench"
     )
 
 
@@ -273,7 +431,10 @@ def test_potential_of_a_function_counts_in_the_energy():
     # DOP853's error at 1e-3 is below rounding; energies are about 5 J
     assert summary["energy_drift_max"][0].as_py() < 1e-12
     covers = summary.schema.field("energy_drift_max").metadata[b"covers"].decode()
-    assert covers == "kinetic energy; potential energy of gravity, tether"
+    assert covers == (
+        "kinetic energy; potential energy of gravity, tether; "
+        "less the work of tether beyond its potential"
+    )
 
 
 # ---- arguments ---------------------------------------------------------------------------------

@@ -3,11 +3,13 @@
 Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body], with the
 bodies padded to a multiple of L; histories are [column][time][body] or [time][body][component],
 unpadded, and become Arrow columns as they are. Between two calls everything about a body lives in
-`carried`: cutting a run into calls changes no bit.
+`carried`: cutting a run into calls changes no bit. At the end the state itself goes to `ends`, for
+a run that goes on from there: it changes no bit either.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
 
@@ -77,13 +79,20 @@ def input_columns(elements: tuple[Element, ...]) -> int:
 
 OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 
-CARRIED_COLUMNS = 12 + 6 + 6 + 11  # chart, X, V or μ, Record
-SUMMARY_COLUMNS = 11 + 1  # Record; whether the start is on the joint
-UNSEEN = -1  # in place of step 0, for a start that is to be looked at
+X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
+STATE_COLUMNS = 25
+SUMMARY_COLUMNS = 11 + 1  # as `store_summary` says; whether the start is on the joint
+# In place of step 0: for a start that is to be looked at, and for one that goes on from `carried`.
+UNSEEN, RESUMED = -1, -2
 ERROR_COLUMNS = (
     "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
     "orthogonality_error", "energy",
 )  # fmt: skip
+
+
+def error_columns(plan: Plan) -> tuple[str, ...]:
+    """Scalar columns of a history: `work` where something does any."""
+    return (*ERROR_COLUMNS, "work") if plan.does_work else ERROR_COLUMNS
 
 
 class Record(NamedTuple):
@@ -102,6 +111,7 @@ class Record(NamedTuple):
     failed_step: Any
 
 
+CARRIED_COLUMNS = STATE_COLUMNS + len(Record._fields)
 LARGEST = 1.7976931348623157e308
 NAN = float("nan")
 
@@ -178,24 +188,24 @@ def _start(plan: Plan, body: Body, inputs: Any, first: Any) -> tuple[Parameters,
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
     parameters, pose, twist = _start(plan, Body(*body), inputs, first)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    still = tuple(0.0 * v for v in velocity)
+    still, none = tuple(0.0 * v for v in velocity), 0.0 * parameters.mass
     if plan.slots is None:
-        return _structured(plan, State(chart, still, velocity), parameters.pitch)
+        return _structured(plan, State(chart, still, velocity, none), parameters.pitch)
     chart = quaternion.from_pose(chart)
     velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
     momentum = momentum_of(plan.slots, Body(*body), velocity)
-    start = _structured(plan, State(chart, still, momentum), parameters.pitch)
+    start = _structured(plan, State(chart, still, momentum, none), parameters.pitch)
     return tidied(plan, Body(*body), start)
 
 
 def _structured(plan: Plan, state: State, pitch: Any) -> State:
     """The state with the structural zeros of its plan."""
-    chart, x, v_or_mu = state
+    chart, x, v_or_mu, work = state
     if plan.slots is not None:
         x = in_subalgebra(plan.slots, x, pitch)
         v_or_mu = projected(plan.slots, v_or_mu, pitch)
         chart = on_subgroup(plan.slots, chart)
-    return State(chart, ZERO6 if plan.is_local else x, v_or_mu)
+    return State(chart, ZERO6 if plan.is_local else x, v_or_mu, work if plan.does_work else ZERO)
 
 
 def initial_record(plan: Plan, body: Body, state: State) -> Record:
@@ -205,30 +215,67 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
     return Record(*(nothing,) * 8, start.energy, nothing, nothing)
 
 
-def load_carried(plan: Plan, body: Body, carried: Any, first: Any) -> tuple[State, Record]:
-    numbers = tuple(_columns(plan, carried, CARRIED_COLUMNS, first))
+def load_state(plan: Plan, body: Body, carried: Any, first: Any) -> State:
+    numbers = _columns(plan, carried, STATE_COLUMNS, first)
+    return _state_of(plan, tuple(numbers), Body(*body).pitch)
+
+
+def _state_of(plan: Plan, numbers: tuple[Any, ...], pitch: Any) -> State:
     width = 9 if plan.slots is None else 4
     chart = numbers[:width], numbers[width : width + 3]
-    x, v_or_mu, record = numbers[12:18], numbers[18:24], numbers[24:]
-    return _structured(plan, State(chart, x, v_or_mu), Body(*body).pitch), Record(*record)
+    state = State(chart, numbers[X], numbers[V_OR_MU], numbers[WORK])
+    return _structured(plan, state, pitch)
+
+
+def load_record(plan: Plan, carried: Any, first: Any) -> Record:
+    return Record(*_columns(plan, carried, CARRIED_COLUMNS, first)[STATE_COLUMNS:])
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    chart, x, v_or_mu = state
-    for place, numbers in ((0, chart[0] + chart[1]), (12, x + v_or_mu + tuple(record))):
-        for c, number in enumerate(numbers, place):
-            store(carried, (c, first), number, plan.lanes)
+    for c, number in (*_placed(state), *enumerate(record, STATE_COLUMNS)):
+        store(carried, (c, first), number, plan.lanes)
+
+
+def _placed(state: State) -> list[tuple[int, Any]]:
+    """A state's numbers, each with its column."""
+    chart, x, v_or_mu, work = state
+    return [
+        *enumerate(chart[0] + chart[1]), *enumerate(x, X.start), *enumerate(v_or_mu, V_OR_MU.start),
+        (WORK, work),
+    ]  # fmt: skip
+
+
+def store_end(plan: Plan, state: State, ends: Any, first: Any) -> None:
+    """What `end_columns` names, [column][body]."""
+    numbers = [number for _, number in _going_on(state)]
+    places = [(c, first) for c in range(len(numbers))]
+    scatter(ends, 1, places, numbers, plan.lanes)
+
+
+def _going_on(state: State) -> list[tuple[int, Any]]:
+    """Of a state's numbers those with which a run goes on: W counts from its own start."""
+    return [(c, number) for c, number in _placed(state) if c != WORK and not is_zero(number)]
+
+
+@lru_cache(64)
+def end_columns(plan: Plan) -> tuple[int, ...]:
+    """The columns of a carried state that are kept at the end: those that its plan has."""
+    return tuple(c for c, _ in _going_on(_state_of(plan, (1.0,) * STATE_COLUMNS, 1.0)))
 
 
 def advance(
-    plan: Plan, body: Body, state: State, record: Record, k: Any, h: Any
+    plan: Plan, body: Body, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
-    """Step number k; a body that fails keeps its status and step, and is NaN from then on."""
+    """Step number k, from `time` on.
+
+    A body that fails keeps its status and step, and is NaN from then on.
+    """
     state, record = State(*state), Record(*record)
-    moved, singular = step(plan, Body(*body), state, h * (real(k) - 1.0), h)
+    moved, singular = step(plan, Body(*body), state, time, h)
     q, d = moved.chart
     # An angle that is not finite spoils all of Q.
-    fine = _are_finite(q[0], *moved.v_or_mu, *moved.x, *d) & (singular <= 0.5)
+    numbers = (q[0], *moved.v_or_mu, *moved.x, *d, moved.work)
+    fine = _are_finite(*numbers) & (singular <= 0.5)
 
     def marked() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
@@ -263,16 +310,16 @@ def is_gentle(plan: Plan, body: Body, state: State, h: Any) -> Any:
     return all_lanes(h * h * plain(dot(omega, omega)) <= 0.8 * TINY)
 
 
-def advance_gently(plan: Plan, body: Body, state: State, k: Any, h: Any) -> tuple[State, Any]:
-    """Step number k without a branch, and whether it is the step that `advance` makes.
+def advance_gently(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
+    """A step without a branch, and whether it is the step that `advance` makes.
 
     A branch for each stage's angle takes a spherical joint's step a twentieth of its time.
     """
     if not plan.takes_gentle_steps:
         return State(*state), all_lanes(h < h)  # never
     with angles_taken_for_tiny() as conditions:
-        moved, _ = step(plan, Body(*body), State(*state), h * (real(k) - 1.0), h)
-    fine = _are_finite(*moved.v_or_mu, *moved.chart[1])
+        moved, _ = step(plan, Body(*body), State(*state), time, h)
+    fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
     return moved, all_lanes(fine)
@@ -284,38 +331,56 @@ def tidy(plan: Plan, body: Body, state: State) -> State:
 
 def _measured(plan: Plan, body: Body, state: State, time: Any) -> Measures:
     pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
-    return measure(plan, body, pose, velocity, kinetic_energy_of(plan, body, state), time)
+    kinetic_energy = kinetic_energy_of(plan, body, state)
+    return measure(plan, body, pose, velocity, kinetic_energy, state.work, time)
+
+
+def _drift(record: Record, now: Measures) -> Any:
+    """E(t) − E(0) − W(t)."""
+    return now.energy - record.first_energy - now.work
 
 
 def observe(
-    plan: Plan, body: Body, state: State, record: Record, time: Any
+    plan: Plan, body: Body, state: State, record: Record, k: Any, time: Any
 ) -> tuple[Measures, Record]:
-    """The measures now, and the record with its maxima raised to them where they are finite."""
+    """The measures at step k, and the record with its maxima raised to them.
+
+    Where they are not finite they tell nothing, and the body has failed, though its state may be
+    finite: squares and energies overflow long before it.
+    """
     record, state = Record(*record), State(*state)
     now = _measured(plan, Body(*body), state, time)
-    alive = record.status == OK
+    *squares, _, _ = now
+    drift = absolute(_drift(record, now))  # which energy and work make infinite, if they are
+    fine, so_far = _are_finite(*squares, drift), (record.status, record.failed_step)
+    alive = (record.status == OK) & fine
 
     def raised(old: Any, new: Any) -> Any:
-        if is_zero(new):
-            return old
-        return where(alive & (new <= LARGEST), maximum(old, new), old)
+        return old if is_zero(new) else where(alive, maximum(old, new), old)
 
+    def marked() -> Any:
+        fresh = where(record.status == OK, (float(NON_FINITE), real(k)), so_far)
+        return where(fine, so_far, fresh)
+
+    status, failed_step = branch(all_lanes(fine), lambda: so_far, marked)
     return now, record._replace(
         position=raised(record.position, now.position),
         rotation=raised(record.rotation, now.rotation),
         velocity=raised(record.velocity, now.velocity),
         rotation_rate=raised(record.rotation_rate, now.rotation_rate),
         orthogonality=raised(record.orthogonality, now.orthogonality),
-        energy_drift=raised(record.energy_drift, absolute(now.energy - record.first_energy)),
+        energy_drift=raised(record.energy_drift, drift),
         last_position=where(alive, now.position, NAN),
         last_rotation=where(alive, now.rotation, NAN),
+        status=status,
+        failed_step=failed_step,
     )
 
 
 def store_errors(
     plan: Plan, record: Record, now: Measures, errors: Any, row: Any, first: Any
 ) -> None:
-    """One row of the history's scalar columns, in the order of ERROR_COLUMNS.
+    """One row of the history's scalar columns, in the order of `error_columns`.
 
     The next row is far from this one, where no hardware looks for it: fetched now, it is at hand
     when the steps to it are made. Otherwise its cache misses take as long as four steps.
@@ -324,7 +389,8 @@ def store_errors(
     alive = record.status == OK
     numbers = (
         sqrt(now.position), sqrt(now.rotation), sqrt(now.velocity), sqrt(now.rotation_rate),
-        now.energy - record.first_energy, sqrt(now.orthogonality), now.energy,
+        _drift(record, now), sqrt(now.orthogonality), now.energy,
+        *((now.work,) if plan.does_work else ()),
     )  # fmt: skip
     places = [(c, row, first) for c in range(len(numbers))]
     scatter(errors, 2, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
@@ -391,21 +457,30 @@ def store_forces(
             prefetch(array, (row + 1, first, 0), plan.lanes * len(numbers))
 
 
-def store_summary(plan: Plan, record: Record, summary: Any, first: Any) -> None:
-    squares, rest = tuple(record)[:5], tuple(record)[5:]
-    drift, last, others = rest[0], rest[1:3], rest[3:]
-    for c, number in enumerate((*map(sqrt, squares), drift, *map(sqrt, last), *others)):
+def store_summary(plan: Plan, state: State, record: Record, summary: Any, first: Any) -> None:
+    """Maxima, final errors, W, status and the step of a failure."""
+    r = Record(*record)
+    work = where(r.status == OK, plain(State(*state).work), NAN)
+    numbers = (
+        sqrt(r.position), sqrt(r.rotation), sqrt(r.velocity), sqrt(r.rotation_rate),
+        sqrt(r.orthogonality), r.energy_drift, sqrt(r.last_position), sqrt(r.last_rotation), work,
+        r.status, r.failed_step,
+    )  # fmt: skip
+    for c, number in enumerate(numbers):
         store(summary, (c, first), number, plan.lanes)
 
 
-def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
-    """1 where the start, as given, is on the joint, and 0 elsewhere."""
+def store_start(plan: Plan, inputs: Any, summary: Any, first: Any, time: Any) -> None:
+    """1 where the start, as given, is on the joint, and 0 elsewhere.
+
+    time : s, of the start.
+    """
     numbers = _columns(plan, inputs, input_columns(plan.elements), first)
     parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     body = body_of(plan.space, plan.elements, numbers)
-    x = plan.space.kinematics(body, chart, velocity)
-    off = measure(plan, body, chart, velocity, ZERO, ZERO)
+    x = plan.space.kinematics(body, chart, velocity)._replace(time=time)
+    off = measure(plan, body, chart, velocity, ZERO, ZERO, time)
     allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
     fine = allowed.position <= LARGEST  # false for NaN
     for square, most in zip(off, allowed):  # energy and orthogonality are not looked at
@@ -416,9 +491,9 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any) -> None:
 
 
 for _formula in (
-    load_body, initial_state, initial_record, load_carried, store_carried, advance, is_gentle,
-    advance_gently, tidy, observe,
-    store_errors, store_state, store_forces, store_summary, store_start,
+    load_body, initial_state, initial_record, load_state, load_record, store_carried, advance,
+    is_gentle, advance_gently, tidy, observe,
+    store_errors, store_state, store_forces, store_summary, store_start, store_end,
 ):  # fmt: skip
     _jit.kernel(_formula)
 
@@ -435,72 +510,85 @@ def _until(k: int, every: int, end: int) -> int:
 @_jit.cached()
 def integrate_block(
     plan, first, inputs, carried, summary, errors, rotations, places, omegas, velocities,
-    multipliers, reactions, offset, begin, stop, last, h, measure_every, save_every,
+    multipliers, reactions, ends, offset, begin, stop, last, origin, first_step, h, measure_every,
+    save_every,
 ):  # fmt: skip
     """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories).
 
     `last` is the run's last step. With begin = UNSEEN the start is looked at first; with stop = 0
-    that is all. States (rotations … velocities) have a row for every saved step, or for the last
-    one only.
+    that is all. With begin = RESUMED the state to start from is carried. States (rotations …
+    velocities) have a row for every saved step, or for the last one only.
+
+    Step k is at origin + h·(first_step + k): a run that goes on from another one counts on, and so
+    has its times, and its rounding tidied, as if there had been no break.
     """
+    resumes = begin == RESUMED
     if begin == UNSEEN:
-        store_start(plan, inputs, summary, first)
-        begin = 0
+        store_start(plan, inputs, summary, first, origin + h * first_step)
+    begin = max(begin, 0)
     if stop == 0:
         return
     body = load_body(plan, inputs, first)
-    if begin == 0:
-        state = initial_state(plan, body, inputs, first)
-        record = initial_record(plan, body, state)
+    if begin > 0 or resumes:
+        state = load_state(plan, body, carried, first)
     else:
-        state, record = load_carried(plan, body, carried, first)
+        state = initial_state(plan, body, inputs, first)
+    if begin > 0:
+        record = load_record(plan, carried, first)
+    else:
+        record = initial_record(plan, body, state)
     column = offset + first
     k = begin
     fresh = begin == 0
     while True:
+        time = origin + h * (first_step + k)
         save = save_every > 0 and (k % save_every == 0 or k == last)
         if fresh and (save or k % measure_every == 0 or k == last):
-            now, seen = observe(plan, body, state, record, h * k)
+            now, seen = observe(plan, body, state, record, k, time)
             if k % measure_every == 0 or k == last:
                 record = seen
             if save:
                 row = (k + save_every - 1) // save_every
                 store_errors(plan, record, now, errors, row, column)
-                store_forces(plan, body, state, record, multipliers, reactions, row, column, h * k)
+                store_forces(plan, body, state, record, multipliers, reactions, row, column, time)
             if k == last or (save and rotations.shape[0] > 1):
                 row = rotations.shape[0] - 1 if k == last else k // save_every
                 states = (rotations, places, omegas, velocities)
                 store_state(plan, body, inputs, state, record, states, row, first, column)
         if k >= stop:
             break
-        if k % TIDY_EVERY == 0 and k > 0:  # after the measures: they see what rounding did
+        counted = first_step + k
+        # After the measures: they see what rounding did.
+        if counted % TIDY_EVERY == 0 and (k > 0 or resumes):
             state = tidy(plan, body, state)
-        ahead = min(_until(k, measure_every, stop), _until(k, TIDY_EVERY, stop))
+        ahead = min(_until(k, measure_every, stop), _until(counted, TIDY_EVERY, first_step + stop))
         if save_every > 0:
             ahead = min(ahead, _until(k, save_every, stop))
         end = k + ahead
         if is_gentle(plan, body, state, h):
             while k < end:
-                moved, fine = advance_gently(plan, body, state, k + 1, h)
+                moved, fine = advance_gently(plan, body, state, origin + h * (first_step + k), h)
                 if not fine:
                     break
                 state = moved
                 k += 1
         while k < end:
+            time = origin + h * (first_step + k)
             k += 1
-            state, record = advance(plan, body, state, record, k, h)
+            state, record = advance(plan, body, state, record, k, time, h)
         fresh = True
     if stop < last:
         store_carried(plan, carried, first, state, record)
     else:
-        store_summary(plan, record, summary, first)
+        store_summary(plan, state, record, summary, first)
+        store_end(plan, state, ends, column)
 
 
 @_jit.cached(parallel=True)
 def integrate_blocks(
     sources, integrate, counter, lanes, threads, inputs, carried, summary, errors, rotations,
-    places, omegas, velocities, multipliers, reactions, offset, begin, stop, last, h, measure_every,
-    save_every,
+    places, omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
+    first_step, h, measure_every, save_every,
 ):  # fmt: skip
     """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
 
@@ -514,6 +602,6 @@ def integrate_blocks(
                 break
             _jit.call(
                 integrate, block * lanes, inputs, carried, summary, errors, rotations, places,
-                omegas, velocities, multipliers, reactions, offset, begin, stop, last, h,
-                measure_every, save_every,
+                omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
+                first_step, h, measure_every, save_every,
             )  # fmt: skip

@@ -1,8 +1,9 @@
 """What acts on a body beside gravity and its joint: applied forces, and further constraints.
 
 Each kind of element is a tag with formulas. `placed` takes its parameters from the user's frames to
-joint axes, once a run. A force has its `wrench`, evaluated in every stage, and its `energy`, where
-it has a potential; a constraint has rows, which the saddle point solves for with the joint's own.
+joint axes, once a run. A force has its `wrench`, evaluated in every stage, its `energy`, where it
+has a potential, and its `power`, where it does work beyond that; a constraint has rows, which the
+saddle point solves for with the joint's own.
 """
 
 from __future__ import annotations
@@ -57,11 +58,14 @@ class Element:
 
     shapes: of the parameters, by name.   needs_axis: whether it acts about e₃ of the joint, which
     must then be the body's and the ground's at once.   rows: how many constraints it adds.
+    does_work: whether it can change E = T + U, U being the `energy` of all elements.
     """
 
     shapes: ClassVar[dict[str, Shape]]
     needs_axis: ClassVar[bool] = False
-    is_conservative: ClassVar[bool] = False  # but for its damping
+    is_conservative: ClassVar[bool] = False  # but for its damping, or its torque
+    is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
+    does_work: ClassVar[bool] = True
     is_translational: ClassVar[bool] = True
     is_holonomic: ClassVar[bool] = True  # of rows: whether they are of the pose
     rows: int = 0
@@ -74,6 +78,11 @@ class Element:
 
     def energy(self, placed: Any, x: Motion) -> Any:
         return ZERO
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        """What its wrench adds to E = T + U, W: all its power, where it has no potential."""
+        torque, force = wrench
+        return dot(torque, x.omega) + dot(force, x.v)
 
 
 @dataclass(frozen=True)
@@ -116,6 +125,9 @@ class GroundWrench(Element):
         _, force, point, at_origin = placed
         return at_origin - dot(force, x.place_of(point))
 
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return dot(mat_t_vec(x.q, placed[0]), x.omega)
+
 
 @dataclass(frozen=True)
 class SpringDamper(Element):
@@ -135,11 +147,16 @@ class SpringDamper(Element):
             given["length"],
         )
 
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        point, anchor, stiffness, damping, length = placed
-        line = mat_t_vec(x.q, sub(x.place_of(point), anchor))  # in body axes
+    def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
+        """From anchor to point in body axes, 1/ℓ and ℓ̇."""
+        point, anchor = placed[:2]
+        line = mat_t_vec(x.q, sub(x.place_of(point), anchor))
         inverse = _inverse_norm(line)
-        rate = dot(line, x.velocity_of(point)) * inverse
+        return line, inverse, dot(line, x.velocity_of(point)) * inverse
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        point, _, stiffness, damping, length = placed
+        line, inverse, rate = self._line(placed, x)
         # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: no direction is needed where ℓ = 0
         tension = fma(inverse, fma(damping, rate, -(stiffness * length)), stiffness)
         force = scale(-tension, line)
@@ -149,6 +166,10 @@ class SpringDamper(Element):
         point, anchor, stiffness, _, length = placed
         stretch = norm(sub(x.place_of(point), anchor)) - length
         return 0.5 * stiffness * (stretch * stretch)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        _, _, rate = self._line(placed, x)
+        return -placed[3] * (rate * rate)
 
 
 @dataclass(frozen=True)
@@ -168,6 +189,9 @@ class TorsionalSpring(Element):
         stiffness, _, angle = placed
         turn = _turn(x, angle)
         return 0.5 * stiffness * (turn * turn)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return -placed[1] * (x.omega[2] * x.omega[2])
 
 
 @dataclass(frozen=True)
@@ -209,6 +233,7 @@ class UserWrench(Element):
 
     function: Function
     potential: Function | None = None
+    is_users: ClassVar = True
 
     @property
     def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
@@ -231,6 +256,17 @@ class UserWrench(Element):
         if self.potential is None:
             return ZERO
         return self.potential(placed[1], *UserFrame(*placed[0]).pose(x.q, x.place))
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        """Of the wrench, and dU/dt, exactly: nothing where the potential is of the whole wrench."""
+        total = super().power(placed, x, wrench)
+        if self.potential is None:
+            return total
+        frame = UserFrame(*placed[0])
+        (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
+        turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
+        found = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
+        return total + found.parts[0] if isinstance(found, Dual) else total
 
 
 class UserFrame(NamedTuple):
@@ -300,6 +336,7 @@ class SpeedMotor(Element):
 class UserConstraint(Element):
     """A function h(R, r) of the user's that shall stay zero; J and η by running it on duals."""
 
+    does_work: ClassVar = False
     function: Function
     rows: int
     is_translational: bool  # type: ignore[misc]
@@ -352,6 +389,11 @@ class UserConstraint(Element):
         found = self.function(placed[1], tuple(entries), tuple(places))[i]
         slope = found.parts[0] if isinstance(found, Dual) else ZERO
         return -slope.parts[0] if isinstance(slope, Dual) and slope.parts else ZERO
+
+
+def _moving(values: Vec, rates: Vec) -> Vec:
+    """Numbers with their first derivatives."""
+    return tuple(Dual(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 
 
 def _second(value: Any, rate: Any, bend: Any) -> Dual:
@@ -414,13 +456,21 @@ def body_with(
     return space.body(parameters)._replace(elements=placed)
 
 
-def total_wrench(elements: tuple[Element, ...], body: Body, x: Motion) -> Vec:
-    """(torque, force) of all applied forces."""
-    total = ZERO6
+class Load(NamedTuple):
+    """Of all applied forces together."""
+
+    wrench: Vec  # torque and force
+    power: Any  # W, what they add to E
+
+
+def total_load(elements: tuple[Element, ...], body: Body, x: Motion) -> Load:
+    """Both at once: a function of the user's is called once."""
+    total, power = ZERO6, ZERO
     for element, placed in zip(elements, body.elements, strict=True):
-        torque, force = element.wrench(placed, x)
-        total = add(total, torque + force)
-    return total
+        wrench = element.wrench(placed, x)
+        total = add(total, wrench[0] + wrench[1])
+        power = power + element.power(placed, x, wrench)
+    return Load(total, power)
 
 
 def potential_energy(elements: tuple[Element, ...], body: Body, x: Motion) -> Any:

@@ -19,7 +19,7 @@ from lierb.kernels.zero import ZERO
 
 
 class Measures(NamedTuple):
-    """Squares, but for the energy: the root is taken once, of the largest."""
+    """Squares, but for energy and work: the root is taken once, of the largest."""
 
     position: Any  # m²
     rotation: Any
@@ -27,10 +27,11 @@ class Measures(NamedTuple):
     rotation_rate: Any  # rad²/s²
     orthogonality: Any  # ‖QᵀQ − I‖², Frobenius
     energy: Any  # J
+    work: Any  # J, since the start, of what has no potential
 
 
 def measure(
-    plan: Plan, body: Body, pose: Pose, velocity: Vec, kinetic_energy: Any, time: Any
+    plan: Plan, body: Body, pose: Pose, velocity: Vec, kinetic_energy: Any, work: Any, time: Any
 ) -> Measures:
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     rate, turning_rate = rate_errors_squared(plan.rows, x, body, velocity)
@@ -41,6 +42,7 @@ def measure(
         turning_rate,
         _orthogonality_squared(pose[0]),
         kinetic_energy + _potential(plan, body, pose, velocity),
+        work,
     )
 
 

@@ -85,6 +85,11 @@ class Plan(Tag):
     def is_local(self) -> bool:
         return self.update == "local"
 
+    @cached_property
+    def does_work(self) -> bool:
+        """Whether something can change E = T + U, so that its work has to be counted."""
+        return any(element.does_work for element in self.elements)
+
     @property
     def takes_gentle_steps(self) -> bool:
         """Whether steps are so little work that it pays to try them without branches."""

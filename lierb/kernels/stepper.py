@@ -1,8 +1,9 @@
-"""One step of an explicit Runge–Kutta method on (X, V), for any Butcher tableau.
+"""One step of an explicit Runge–Kutta method on (X, V, W), for any Butcher tableau.
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
 (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X carries on, and
-C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18).
+C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18). W, the work of what has no potential,
+is the same method's quadrature of its power.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from lierb.kernels.constraints import (
     acceleration,
     given_multipliers,
     jacobian,
+    prescribed_rate,
     solving_rows,
     value,
 )
-from lierb.kernels.elements import total_wrench
+from lierb.kernels.elements import Load, total_load
 from lierb.kernels.newton_euler import Body, row_response
 from lierb.kernels.plan import Plan
 from lierb.kernels.quaternion import Chart
@@ -38,6 +40,7 @@ class State(NamedTuple):
     chart: Pose | Chart  # C₀; on a subgroup with a unit quaternion
     x: Vec  # `Plan.share` of X; structurally zero in a local update
     v_or_mu: Vec  # V; on a subgroup its momentum μ
+    work: Any = ZERO  # J, of what has no potential; structurally zero where nothing does any
 
 
 def pose_of(plan: Plan, state: State) -> Pose:
@@ -68,8 +71,14 @@ class Acceleration(NamedTuple):
     singular: Any  # the mark of a singular configuration
 
 
-def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZERO) -> Acceleration:
-    """The saddle point at one state."""
+def accelerate(
+    plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZERO, load: Load | None = None
+) -> Acceleration:
+    """The saddle point at one state.
+
+    load : the applied forces', where it is known.
+    """
+    load = load or applied_load(plan, body, pose, velocity, time)
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     in_body_axes = x._replace(is_body_fixed=True)
     rows = solving_rows(plan.rows)
@@ -80,7 +89,7 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZE
         [acceleration(r, x, body) for r in rows],
         add(
             plan.space.free_acceleration(body, pose, velocity),
-            row_response(body, applied_wrench(plan, body, pose, velocity, time)),
+            row_response(body, load.wrench),
         ),
         velocity,
     )
@@ -97,11 +106,25 @@ def accelerate(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZE
     )
 
 
-def applied_wrench(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Vec:
-    """(torque, force) of all applied forces but gravity, about the body frame's origin."""
+def applied_load(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Load:
+    """Of all applied forces but gravity, about the body frame's origin."""
     if not plan.elements:
-        return ZERO6
-    return total_wrench(plan.elements, body, plan.space.motion(pose, velocity, time))
+        return Load(ZERO6, ZERO)
+    return total_load(plan.elements, body, plan.space.motion(pose, velocity, time))
+
+
+def _driving_power(
+    plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any, multipliers: tuple[Any, ...]
+) -> Any:
+    """−λ w of all constraints that move, J V = w.
+
+    multipliers : λ of `plan.rows`.
+    """
+    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
+    total: Any = ZERO
+    for r, multiplier in zip(plan.rows, multipliers, strict=True):
+        total = fma(-multiplier, prescribed_rate(r, x, body), total)
+    return total
 
 
 def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
@@ -113,20 +136,23 @@ def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State
         stage = partial(_subgroup_stage, plan, body, state.chart, falling)
     x_rates: list[Vec] = []
     rates: list[Vec] = []  # of V or μ
+    powers: list[Vec] = []
     singular: Any = ZERO
     for weights, node in zip(plan.stages, plan.nodes, strict=True):
         x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, weights, x_rates))
         v_or_mu = _advanced(state.v_or_mu, h, weights, rates)
-        x_rate, rate, failed = stage(x, v_or_mu, fma(h, node, time))
+        x_rate, rate, power, failed = stage(x, v_or_mu, fma(h, node, time))
         x_rates.append(x_rate)
         rates.append(rate)
+        powers.append((power,))
         singular = maximum(singular, failed)
     x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, plan.weights, x_rates))
     v_or_mu = _advanced(state.v_or_mu, h, plan.weights, rates)
+    (work,) = _advanced((state.work,), h, plan.weights, powers)
     if plan.is_local:
         k = _angle_coefficients(plan, x)
-        return State(plan.charts.compose_exp(state.chart, x, k), ZERO6, v_or_mu), singular
-    return _recharted(plan, State(state.chart, x, v_or_mu)), singular
+        return State(plan.charts.compose_exp(state.chart, x, k), ZERO6, v_or_mu, work), singular
+    return _recharted(plan, State(state.chart, x, v_or_mu, work)), singular
 
 
 def _angle_coefficients(plan: Plan, x: Vec) -> Any:
@@ -137,30 +163,33 @@ def _angle_coefficients(plan: Plan, x: Vec) -> Any:
 
 def _saddle_stage(
     plan: Plan, body: Body, chart: Pose, x: Vec, velocity: Vec, time: Any
-) -> tuple[Vec, Vec, Any]:
-    """Ẋ, V̇ and the mark of a singular configuration."""
+) -> tuple[Vec, Vec, Any, Any]:
+    """Ẋ, V̇, Ẇ and the mark of a singular configuration."""
     k = _angle_coefficients(plan, x)
-    found = accelerate(plan, body, plan.charts.compose_exp(chart, x, k), velocity, time)
-    return plan.charts.dexpinv(neg(x), velocity, k), found.rate, found.singular
+    pose = plan.charts.compose_exp(chart, x, k)
+    load = applied_load(plan, body, pose, velocity, time)
+    found = accelerate(plan, body, pose, velocity, time, load)
+    power = load.power + _driving_power(plan, body, pose, velocity, time, found.multipliers)
+    return plan.charts.dexpinv(neg(x), velocity, k), found.rate, power, found.singular
 
 
 def _subgroup_stage(
     plan: Plan, body: Body, chart: Chart, falling: Vec, x: Vec, momentum: Vec, time: Any
-) -> tuple[Vec, Vec, Any]:
-    """Ẋ, μ̇ and no mark.
+) -> tuple[Vec, Vec, Any, Any]:
+    """Ẋ, μ̇, Ẇ and no mark.
 
     falling : gravity in the chart's axes.   x : X/2.
     """
     assert plan.slots is not None
     velocity = subgroup.velocity_of(plan.slots, body, momentum)
     k = _angle_coefficients(plan, x)
-    applied: Vec = ZERO6
+    load = Load(ZERO6, ZERO)
     if plan.elements:
         pose = quaternion.pose(quaternion.compose_exp(chart, x, k))
-        applied = applied_wrench(plan, body, pose, velocity, time)
+        load = applied_load(plan, body, pose, velocity, time)
     fall = quaternion.rotate(neg(x), falling, k)
-    rate = subgroup.momentum_rate(plan.slots, body, fall, applied, velocity, momentum)
-    return quaternion.dexpinv(neg(x), velocity, k), rate, ZERO
+    rate = subgroup.momentum_rate(plan.slots, body, fall, load.wrench, velocity, momentum)
+    return quaternion.dexpinv(neg(x), velocity, k), rate, load.power, ZERO
 
 
 def _in_algebra(plan: Plan, body: Body, x: Vec) -> Vec:
@@ -200,8 +229,9 @@ def _recharted(plan: Plan, state: State) -> State:
     far = dot(state.x[:3], state.x[:3]) > (plan.share * RECHART_ANGLE) ** 2
 
     def move() -> Any:
-        moved = plan.charts.compose_exp(state.chart, state.x)
+        k = _angle_coefficients(plan, state.x)
+        moved = plan.charts.compose_exp(state.chart, state.x, k)
         return where(far, (moved, tuple(0.0 * x for x in state.x)), (state.chart, state.x))
 
     chart, x = branch(any_lanes(far), move, lambda: (state.chart, state.x), likely=False)
-    return State(chart, x, state.v_or_mu)
+    return state._replace(chart=chart, x=x)

@@ -58,8 +58,17 @@ def hot_loop(request) -> SimpleNamespace:
         block_lanes(DEFAULT_LANES, solver, len(JOINTS[joint].rows), method.stages),
         JOINTS[joint].rows, cspace, "local", method.A, method.b, multipliers=False, solver=solver,
     )  # fmt: skip
-    arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3, 3)]
-    signature = (numba.typeof(plan), int64, *arrays, *[int64] * 4, float64, int64, int64)
+    arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3, 3, 2)]
+    signature = (
+        numba.typeof(plan),
+        int64,
+        *arrays,
+        *[int64] * 4,
+        float64,
+        int64,
+        float64,
+        *[int64] * 2,
+    )
     fresh = numba.njit(**OPTIONS)(integrate_block.py_func)  # Numba shows no code from its cache
     fresh.compile(signature)
     assembly = fresh.inspect_asm(signature)
