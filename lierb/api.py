@@ -6,7 +6,8 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
 from lierb.columns import each_row, numbers, texts, vectors
+from lierb.continuation import End, EndPose, counted
 from lierb.elements import Force
 from lierb.errors import (
     ArgumentError,
@@ -64,6 +66,38 @@ class Result:
 
     summary: pa.Table
     history: pa.Table | None
+    _end: End | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def end(self) -> dict[str, Any]:
+        """Where the run ended, as the keywords `pose0`, `twist0` and `t0` with which it goes on.
+
+        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with the same body, joint
+        and formulation, in the same process, from the driver's own state, so that with the same dt
+        and method the bits are those of one run without a break. A state that has drifted off its
+        joint goes on as it is. Maxima, energy drift and work count from the new start. Copies and
+        parts of `pose0`, or another twist or time with it, start as any other pose does.
+
+        Raises ArgumentError where a trajectory has failed.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
+        >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> pendulum = lierb.Problem(box, hinge, gravity=(0.0, 0.0, -9.81))
+        >>> twist0 = hinge.twist(omega=(0.0, 3.0, 0.0))
+        >>> first = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=0.5)
+        >>> second = lierb.integrate(pendulum, **first.end, dt=1e-3, t_end=1.0)
+        >>> whole = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=1.0)
+        >>> second.summary["omega"] == whole.summary["omega"]
+        True
+        """
+        if self._end is None:
+            raise ArgumentError("result.end: only a result that integrate returned has an end")
+        return self._end.keywords()
+
+    def __reduce__(self) -> Any:
+        """Without its end, whose problem may have functions that cannot be pickled."""
+        return Result, (self.summary, self.history)
 
     def __repr__(self) -> str:
         rows = "no history" if self.history is None else f"{self.history.num_rows} history rows"
@@ -77,6 +111,7 @@ def integrate(
     pose0: Any = None,
     dt: float,
     t_end: float,
+    t0: float = 0.0,
     method: str | ButcherTableau = "RK4",
     cspace: str = "SE3",
     update: str = "local",
@@ -88,12 +123,13 @@ def integrate(
     threads: int | None = None,
     progress: bool | Callable[[int, int], None] | None = None,
 ) -> Result:
-    """Integrate one body, or every body of a batch, from 0 to t_end.
+    """Integrate one body, or every body of a batch, from t0 to t_end.
 
     problem : the body, its joint and gravity; each batched, (n, …), or shared.
-    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t = 0, rad/s and m/s; see `Joint.twist`.
+    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t0, rad/s and m/s; see `Joint.twist`.
     pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint.
-    dt, t_end : s; t_end must be a whole number of steps.
+    dt, t_end, t0 : s; from t0 to t_end there must be a whole number of steps. `Result.end` gives
+        the pose0, twist0 and t0 with which a run goes on.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
         joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); that
@@ -128,18 +164,21 @@ def integrate(
     if not isinstance(problem, Problem):
         raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
     recorded, tableau, steps, found_by = check_options(
-        problem, dt=dt, t_end=t_end, method=method, cspace=cspace, update=update,
+        problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=cspace, update=update,
         save_every=save_every, measure_every=measure_every, record=record, check=check,
         solver=solver,
     )  # fmt: skip
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
     twists = as_numbers("twist0", twist0, (6,), copy=None)
-    poses = None if pose0 is None else as_poses("pose0", pose0, copy=None)
+    known = pose0.continuation if isinstance(pose0, EndPose) else None
+    poses: Array | None = None
+    if pose0 is not None:
+        poses = as_poses("pose0", pose0, copy=None) if known is None else np.asarray(pose0)
     start = (
         {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
     )
-    inputs = engine.Inputs(problem, poses, twists, problem.batch_size(**start) or 1)
+    count = problem.batch_size(**start) or 1
     rows = problem.rows
     kernel = "saddle" if found_by == "saddle" else "subgroup"
     plan = plan_of(
@@ -154,8 +193,13 @@ def integrate(
         elements=problem.kinds,
         solver=kernel,
     )
-    strides = (min(int(every or 0), steps) for every in (measure_every, save_every))
-    grid = engine.Grid(float(dt), steps, *strides)
+    measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
+    if known is not None and not known.fits(problem, plan, twist0, float(t0)):
+        known = None
+    count_from = partial(counted, float(t0)) if known is None else known.origin
+    grid = engine.Grid(float(dt), steps, measured, saved, *count_from(float(dt)))
+    state = None if known is None else known.state
+    inputs = engine.Inputs(problem, poses, twists, count, float(t0), state)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
     def check_start(starts: Array, first: int) -> bool:
@@ -163,15 +207,16 @@ def integrate(
         _report(error, on_violation)
         return error is None
 
-    checked = on_violation != "off" and bool(rows)
+    checked = on_violation != "off" and bool(rows) and known is None
     metadata = provenance(
         problem,
         twist0=twists,
         pose0=poses,
+        is_continued=known is not None,
         plan=plan,
         options={
-            "dt": float(dt), "t_end": float(t_end), "method": tableau.name, "cspace": cspace,
-            "update": update, "save_every": grid.save_every or None,
+            "dt": float(dt), "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
+            "cspace": cspace, "update": update, "save_every": grid.save_every or None,
             "measure_every": grid.measure_every,
             "record": recorded, "check": check, "solver": found_by,
         },
@@ -183,6 +228,7 @@ def integrate(
     return Result(
         _summary_table(output, metadata, covers),
         _history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
+        End(problem, plan, grid, output, STATUS_NAMES),
     )
 
 
@@ -202,12 +248,13 @@ def check_options(
     record: Iterable[str],
     check: str = "raise",
     solver: str = "auto",
+    t0: float = 0.0,
 ) -> tuple[tuple[str, ...], ButcherTableau, int, str]:
     """Raise what `integrate` would; columns to record, method, steps and what finds V̇."""
     check_names(cspace=cspace, update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
-    steps = _checked_grid(dt, t_end, save_every, measure_every)
+    steps = _checked_grid(dt, t_end, t0, save_every, measure_every)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
     return recorded, tableau, steps, _solver(problem, cspace, check, solver)
@@ -257,33 +304,43 @@ def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str,
     return tuple(name for name in RECORDS if name in names)
 
 
-def _checked_grid(dt: float, t_end: float, save_every: int | None, measure_every: int) -> int:
-    dt, t_end = _checked_time("dt", dt), _checked_time("t_end", t_end)
+def _checked_grid(
+    dt: float, t_end: float, t0: float, save_every: int | None, measure_every: int
+) -> int:
+    dt, t0 = _checked_time("dt", dt), _checked_time("t0", t0, after=-math.inf)
+    t_end = _checked_time("t_end", t_end, after=t0)
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         whole = isinstance(every, (int, np.integer)) and not isinstance(every, bool)
         if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
             raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
-    if t_end / dt > MOST_STEPS:
-        raise TimeGridError(f"t_end={t_end!r} s is more than {MOST_STEPS:g} steps of dt={dt!r} s")
-    steps = round(t_end / dt)
-    rounding = 4 * sys.float_info.epsilon * t_end  # of t_end and of N·dt themselves
-    if steps < 1 or abs(t_end - steps * dt) > 1e-9 * dt + rounding:
-        below = max(int(t_end / dt), 1)
+    largest = max(abs(t0), abs(t_end))
+    if largest / dt > MOST_STEPS:
+        name = "t_end" if largest == abs(t_end) else "t0"
+        raise TimeGridError(f"{name} is more than {MOST_STEPS:g} steps of dt={dt!r} s from 0 s")
+    length = t_end - t0
+    steps = round(length / dt)
+    rounding = 4 * sys.float_info.epsilon * largest  # of the times and of N·dt themselves
+    if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
+        below = max(int(length / dt), 1)
+        misfit = "no multiple" if t0 == 0.0 else f"after t0={t0!r} s no whole number of steps"
         raise TimeGridError(
-            f"t_end={t_end!r} s is no multiple of dt={dt!r} s; the nearest are "
-            f"{below * dt:.15g} and {(below + 1) * dt:.15g}"
+            f"t_end={t_end!r} s is {misfit} of dt={dt!r} s; the nearest are "
+            f"{t0 + below * dt:.15g} and {t0 + (below + 1) * dt:.15g}"
         )
     return steps
 
 
-def _checked_time(name: str, given: float) -> float:
+def _checked_time(name: str, given: float, after: float = 0.0) -> float:
+    """A time in s, later than `after`."""
     is_real = isinstance(given, (int, float, np.integer, np.floating))
     try:
         seconds = float(given) if is_real and not isinstance(given, bool) else math.nan
     except OverflowError:
         seconds = math.inf
-    if not 0.0 < seconds < math.inf:
-        raise TimeGridError(f"{name}={given!r}; expected a positive time in s")
+    if not after < seconds < math.inf:
+        late = "positive time in s" if after == 0.0 else f"time in s later than t0={after!r}"
+        expected = "finite time in s" if after == -math.inf else late
+        raise TimeGridError(f"{name}={given!r}; expected a {expected}")
     return seconds
 
 
@@ -384,7 +441,7 @@ def _history_table(
     columns = {
         "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
         "step": numbers(np.repeat(saved, count)),
-        "t": numbers(np.repeat(saved * grid.dt, count)),
+        "t": numbers(np.repeat(grid.time(saved), count)),
     }
     scalars = dict(zip(error_columns(plan), each_row(output.errors), strict=True))
     energy, work = scalars.pop("energy"), scalars.pop("work", None)

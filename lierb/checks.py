@@ -34,9 +34,11 @@ def require_central_com(problem: Problem) -> None:
         )
 
 
-def require_consistent(problem: Problem, twists: Array, poses: Array | None) -> None:
+def require_consistent(
+    problem: Problem, twists: Array, poses: Array | None, t0: float = 0.0
+) -> None:
     """Raise for the first body whose start violates the joint."""
-    inputs = Inputs(problem, poses, twists, len(twists))
+    inputs = Inputs(problem, poses, twists, len(twists), t0)
     for number in range(inputs.count):
         found = _violation_of(inputs, number)
         if found is not None:
@@ -63,7 +65,7 @@ def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     parameters, pose, twist = parameters_of(list(columns[:, 0]))
     body = body_of(SE3, problem.kinds, list(columns[:, 0]))
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
-    x = SE3.kinematics(body, placed, velocity)
+    x = SE3.kinematics(body, placed, velocity)._replace(time=inputs.time)
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
     allowed = start_tolerances(problem.rows, parameters, pose, twist, x, body)
     return _pose_violation(problem, x, body, allowed, labels[0]) or _twist_violation(

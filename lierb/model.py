@@ -350,10 +350,11 @@ class Problem:
             )
         return pose_matrix(SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0])
 
-    def project(self, twist: ArrayLike, pose: Any = None) -> Array:
+    def project(self, twist: ArrayLike, pose: Any = None, *, t0: float = 0.0) -> Array:
         """The nearest twist that satisfies the joint, in the kinetic-energy metric.
 
         twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : as in `integrate`.
+        t0 : s, at which a motor is to have its speed.
         Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
         """
         twists = as_numbers("twist", twist, (6,))
@@ -362,7 +363,7 @@ class Problem:
         given = components(twists)
         parameters, body = self.parameters(), self.in_joint_axes(SE3)
         placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)
-        x = SE3.kinematics(body, placed, velocity)
+        x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
         rows = [jacobian(r, x, body) for r in self.rows]
         rates = [prescribed_rate(r, x, body) for r in self.rows]
         with np.errstate(all="ignore"):

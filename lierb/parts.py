@@ -31,7 +31,8 @@ class Part:
     count: int
 
     def body_steps(self, study: Study) -> int:
-        return self.count * round(study.integrate.t_end / self.setting.dt)
+        run = study.integrate
+        return self.count * round((run.t_end - run.t0) / self.setting.dt)
 
     def tables(
         self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
@@ -74,7 +75,7 @@ def part_size(study: Study) -> int:
     if run.save_every is None:
         return study.output.part
     row = HISTORY_ROW_BYTES + STATE_BYTES * ("state" in run.record)
-    rows = run.t_end / min(run.dt) / run.save_every + 2
+    rows = (run.t_end - run.t0) / min(run.dt) / run.save_every + 2
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
 
 

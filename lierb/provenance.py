@@ -44,15 +44,26 @@ def machine() -> dict[str, Any]:
 
 
 def provenance(
-    problem: Problem, *, twist0: Array, pose0: Array | None, plan: Plan, options: dict[str, Any]
+    problem: Problem,
+    *,
+    twist0: Array,
+    pose0: Array | None,
+    is_continued: bool,
+    plan: Plan,
+    options: dict[str, Any],
 ) -> str:
-    """A JSON object."""
+    """A JSON object.
+
+    is_continued : whether twist0 and pose0 stand for the end of another run, to rounding.
+    """
     if problem not in _problems:
         _problems[problem] = json.dumps(_described_problem(problem))
     start = {
         "twist0": _described(twist0),
         "pose0": None if pose0 is None else _described(pose0),
     }
+    if is_continued:
+        start["continued"] = True
     whole_problem = _merged(_problems[problem], json.dumps(start))
     return _merged(
         _described_plan(plan), _described_options(*options.items()),

@@ -137,7 +137,7 @@ def compile_for(
     batch = given.batch(0, 1)
     took = []
     for setting in given.settings:
-        options = given.options(setting) | {"t_end": setting.dt}
+        options = given.options(setting) | {"t0": 0.0, "t_end": setting.dt}
         began = time.perf_counter()
         integrate(batch.problem, twist0=batch.twist0, pose0=batch.pose0, progress=False, **options)
         took.append((setting, time.perf_counter() - began))

@@ -224,6 +224,7 @@ class IntegrateSection(Section):
     """As `lierb.integrate` takes it; cspace, method and dt may be lists, run as a product."""
 
     t_end: float
+    t0: float = 0.0
     dt: Seconds = Field(min_length=1)
     cspace: Names = Field(default=["SE3"], min_length=1)
     method: Names = Field(default=["RK4"], min_length=1)
@@ -325,7 +326,7 @@ class Study(Section):
         if len(set(labels)) < len(labels):
             raise StudyError("problem.forces: two have the same name; give each a name of its own")
         with _at("initial"), np.errstate(all="ignore"):
-            checks.require_consistent(batch.problem, batch.twist0, batch.pose0)
+            checks.require_consistent(batch.problem, batch.twist0, batch.pose0, self.integrate.t0)
         for setting in self.settings:
             with _at("integrate"):
                 api.check_options(batch.problem, **self.options(setting))
@@ -360,7 +361,7 @@ class Study(Section):
         run = self.integrate
         return {
             "cspace": setting.cspace, "method": setting.method, "dt": setting.dt,
-            "t_end": run.t_end, "update": run.update, "solver": run.solver,
+            "t_end": run.t_end, "t0": run.t0, "update": run.update, "solver": run.solver,
             "save_every": run.save_every, "measure_every": run.measure_every,
             "record": tuple(run.record),
         }  # fmt: skip
@@ -391,7 +392,8 @@ class Study(Section):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
             problem = Problem(body, joint, gravity, acting)
         with _at("initial"):
-            twist0, pose0 = _started(problem, self.initial.given() | own.pop("initial", {}))
+            initial = self.initial.given() | own.pop("initial", {})
+            twist0, pose0 = _started(problem, initial, self.integrate.t0)
         if own:
             names = [force.label for force in self.problem.forces]
             raise StudyError(f"sample.{next(iter(own))}: there is no such force; known: {names}")
@@ -451,7 +453,7 @@ def _require_shape(
         raise StudyError(f"sample.{path}: a draw has shape {shape}; expected {what}")
 
 
-def _started(problem: Problem, initial: dict[str, Any]) -> tuple[Array, Array | None]:
+def _started(problem: Problem, initial: dict[str, Any], t0: float) -> tuple[Array, Array | None]:
     """Twists and poses that satisfy the joint."""
     joint = problem.joint
     pose = _placed(joint, initial)
@@ -464,14 +466,14 @@ def _started(problem: Problem, initial: dict[str, Any]) -> tuple[Array, Array | 
             where = {"coordinates": initial["coordinates"]}
         return joint.twist(velocities=initial["velocities"], **where), pose
     if "twist" in initial:
-        return problem.project(initial["twist"], pose), pose
+        return problem.project(initial["twist"], pose, t0=t0), pose
     turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
     twist = joint.twist(pose=pose, **turning)
     held = {row.kind for row in problem.rows}
     allowed = not held or (
         held == {"d"} and len(problem.rows) == 3 and "point_velocity" not in turning
     )
-    return twist if allowed else problem.project(twist, pose), pose
+    return twist if allowed else problem.project(twist, pose, t0=t0), pose
 
 
 def _placed(joint: Joint, initial: dict[str, Any]) -> Array | None:

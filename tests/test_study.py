@@ -405,6 +405,22 @@ def test_stream_has_the_same_rows(whole):
     assert table.equals(rows.table().to_table().cast(table.schema), check_metadata=False)
 
 
+def test_start_time_is_that_of_the_study():
+    """Nothing in it knows the time: a study from 2 s on is one from 0 s on, at other times."""
+    settings = {"cspace": ["SE3"], "dt": [1e-3]}
+    runs = [
+        study(integrate={**settings, "t0": t0, "t_end": t0 + 0.05, "measure_every": 10})
+        for t0 in (0.0, 2.0)
+    ]
+    tables = [lierb.integrate_batches(each).read_all() for each in runs]
+    assert set(tables[1]["t"].to_pylist()) == {2.05}
+    for name in ("omega", "work_final"):
+        found = [np.array(table[name].to_pylist()) for table in tables]
+        # rounding is tidied at steps that are counted from 0 s: 1e-15 of 10 rad/s
+        np.testing.assert_allclose(*found, rtol=0, atol=1e-13)
+    assert parts_of(runs[1])[0].body_steps(runs[1]) == 8 * 50
+
+
 def test_history_has_its_own_parts(tmp_path):
     given = study(integrate={"save_every": 10, "record": ["state"], "dt": 1e-3})
     done = lierb.run(given, tmp_path)

@@ -1,0 +1,282 @@
+"""A run that goes on where another one ended, and runs that start at another time than 0."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+
+import numpy as np
+import pytest
+from cases import GRAVITY, box, column, joint, tilted
+
+import lierb
+from lierb import engine
+from lierb.errors import ArgumentError, PoseError, TimeGridError, TwistError
+from lierb.kernels.stepper import TIDY_EVERY
+
+DT = 1e-2
+STEPS = 100
+STATE = ("rotation", "position", "omega", "v")
+# Joint and options: a unit quaternion and momenta in principal axes; a screw, tidied in its
+# own way, on a chart that carries on; the saddle point, with and without such a chart.
+FORMS = [
+    ("spherical", {}),
+    ("screw", {"update": "global"}),
+    ("spherical", {"cspace": "SO3xR3"}),
+    ("spherical", {"cspace": "SO3xR3", "update": "global"}),
+]
+
+
+def bits(summary) -> np.ndarray:
+    """Time and state of every trajectory, as integers."""
+    rows = [column(summary, name).reshape(summary.num_rows, -1) for name in ("t", *STATE)]
+    return np.concatenate(rows, axis=1).view(np.int64)
+
+
+def lively(name: str):
+    """A batch that is slow, quick, and so quick that its steps are no gentle ones."""
+    problem, twist = tilted(name)
+    return problem, np.outer((0.02, 1.0, 4.0), twist)
+
+
+def run(problem, steps: int, **options) -> lierb.Result:
+    """From wherever it starts to so many steps from 0."""
+    return lierb.integrate(problem, **({"dt": DT, "t_end": steps * DT} | options))
+
+
+@pytest.mark.parametrize(("name", "options"), FORMS, ids=str)
+def test_end_goes_on_to_the_bits_of_one_run(name, options):
+    problem, twist0 = lively(name)
+    whole = run(problem, STEPS, twist0=twist0, **options)
+    for steps in (1, 17, TIDY_EVERY, 2 * TIDY_EVERY + 5):  # at any step, not those of tidying alone
+        first = run(problem, steps, twist0=twist0, **options)
+        second = run(problem, STEPS, **first.end, **options)
+        np.testing.assert_array_equal(bits(second.summary), bits(whole.summary))
+    # Turned to the user's frames and back, a state is not the same: the end has to remember more.
+    plain = first.end | {name: np.array(first.end[name]) for name in ("pose0", "twist0")}
+    unchecked = {"check": "off"} if "cspace" in options else {}  # it has drifted
+    again = run(problem, STEPS, **plain, **options, **unchecked)
+    assert (bits(again.summary) != bits(whole.summary)).any()
+
+
+def test_end_goes_on_end_after_end():
+    problem, twist0 = lively("spherical")
+    whole = run(problem, STEPS, twist0=twist0)
+    part = run(problem, 7, twist0=twist0)
+    for steps in (8, 29, 30, 64, STEPS):
+        part = run(problem, steps, **part.end)
+    np.testing.assert_array_equal(bits(part.summary), bits(whole.summary))
+
+
+def test_end_goes_on_in_any_chunks(monkeypatch):
+    problem, twist0 = lively("spherical")
+    twist0 = np.tile(twist0, (5, 1))
+    whole = bits(run(problem, STEPS, twist0=twist0).summary)
+    monkeypatch.setattr(engine, "CHUNK_BODIES", 4)
+    monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 3)
+    monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
+    first = run(problem, 17, twist0=twist0)
+    np.testing.assert_array_equal(bits(run(problem, STEPS, **first.end).summary), whole)
+
+
+@lierb.wrench(ahead=0.0)
+def gust(t, R, r, omega, v, params):
+    """A force that knows the time, and that does work."""
+    return (0.0, 0.0, 0.0), 3.0 * np.cos(7.0 * (t + params.ahead)) * R[0]
+
+
+@pytest.mark.parametrize("t0", [0.0, 0.1234567, -2.0])
+def test_end_goes_on_with_its_clock(t0):
+    plain, twist0 = lively("spherical")
+    problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust())
+    options = {"dt": DT, "save_every": 1, "record": ("state", "energy")}
+    whole = lierb.integrate(problem, twist0=twist0, t0=t0, t_end=t0 + STEPS * DT, **options)
+    first = lierb.integrate(problem, twist0=twist0, t0=t0, t_end=t0 + 17 * DT, **options)
+    second = lierb.integrate(problem, **first.end, t_end=t0 + STEPS * DT, **options)
+    np.testing.assert_array_equal(bits(second.summary), bits(whole.summary))
+    rows = whole.history.slice(17 * len(twist0))
+    for name in ("t", *STATE, "energy"):
+        np.testing.assert_array_equal(column(second.history, name), column(rows, name))
+    # The second run's own: from its start on
+    work = column(rows, "work").reshape(-1, len(twist0))
+    np.testing.assert_allclose(
+        column(second.history, "work").reshape(work.shape), work - work[0], atol=1e-13
+    )
+    assert second.history["energy_drift"][0].as_py() == 0.0
+
+
+def test_work_does_not_depend_on_calls_neighbours_or_history(monkeypatch):
+    plain, twist0 = lively("spherical")
+    problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust())
+
+    def found(twists, **options):
+        summary = run(problem, STEPS, twist0=twists, measure_every=10, **options).summary
+        return [column(summary, name) for name in ("work_final", "energy_drift_max")]
+
+    expected = found(twist0)
+    assert (np.abs(expected[0]) > 1e-3).all()
+    np.testing.assert_array_equal(found(twist0, save_every=7, record="energy"), expected)
+    alone = [np.concatenate(pair) for pair in zip(*(found(t) for t in twist0), strict=True)]
+    np.testing.assert_array_equal(alone, expected)
+    monkeypatch.setattr(engine, "CHUNK_BODIES", 2)
+    monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 3)
+    monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
+    np.testing.assert_array_equal(found(twist0), expected)
+
+
+def test_start_time_is_that_of_forces():
+    """A gust from 2 s on is one from 0 s on that is 2 s ahead, and not one that is not."""
+    plain, twist0 = lively("spherical")
+    found = {}
+    for name, ahead, t0 in (("at 2", 0.0, 2.0), ("ahead", 2.0, 0.0), ("at 0", 0.0, 0.0)):
+        problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust(ahead=ahead))
+        result = lierb.integrate(problem, twist0=twist0, dt=DT, t0=t0, t_end=t0 + 0.5)
+        np.testing.assert_array_equal(result.summary["t"], [t0 + 0.5] * len(twist0))
+        found[name] = column(result.summary, "omega")
+    # t is rounded otherwise: 1e-15 of some rad/s, over 50 steps
+    np.testing.assert_allclose(found["at 2"], found["ahead"], atol=1e-11)
+    assert np.abs(found["at 2"] - found["at 0"]).max() > 1e-3
+
+
+def swaying(t):
+    return 1.0 + math.sin(t)
+
+
+def test_start_time_is_that_of_a_motor_speed():
+    held = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
+    motor = lierb.forces.motor(speed=swaying)
+    problem = lierb.Problem(box(), held, forces=motor)
+    twist0 = problem.project(np.zeros(6), t0=2.0)
+    np.testing.assert_allclose(twist0[1], 1.0 + math.sin(2.0), rtol=1e-15)  # its own rounding
+    options = {"twist0": twist0, "dt": DT}
+    result = lierb.integrate(problem, t0=2.0, t_end=2.5, **options)
+    speed = result.summary["omega"][0].as_py()[1]
+    assert speed == pytest.approx(1.0 + math.sin(2.5), abs=1e-10)  # RK4's own at 1e-2
+    with pytest.raises(TwistError, match=r"rotation rate 0\.909 .*motor: 0\.909"):  # sin 2
+        lierb.integrate(problem, t_end=0.5, **options)
+
+
+# ---- what an end is taken for ------------------------------------------------------------------
+
+
+def drifted() -> tuple[lierb.Problem, lierb.Result]:
+    """A run on SO(3)×R³ that has left its joint by more than a start may."""
+    problem, twist0 = lively("spherical")
+    result = run(problem, STEPS, twist0=twist0, cspace="SO3xR3")
+    assert max(result.summary["position_error_final"].to_pylist()) > 1e-5
+    return problem, result
+
+
+def test_end_that_has_drifted_is_accepted_where_it_goes_on():
+    problem, result = drifted()
+    further = run(problem, 2 * STEPS, **result.end, cspace="SO3xR3")
+    assert further.summary["status"].to_pylist() == ["ok"] * 3
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda end: {"pose0": end["pose0"].copy()},
+        lambda end: {"pose0": end["pose0"][:]},
+        lambda end: {"pose0": 1.0 * end["pose0"]},
+        lambda end: {"twist0": 0.5 * end["twist0"]},
+        lambda end: {"t0": 0.0},
+        lambda end: {"cspace": "SE3"},
+    ],
+    ids=["copy", "slice", "product", "twist", "time", "cspace"],
+)
+def test_what_is_made_of_a_drifted_end_is_a_start_like_any_other(change):
+    problem, result = drifted()
+    given = {**result.end, "cspace": "SO3xR3"} | change(result.end)
+    with pytest.raises(PoseError, match="does not close the spherical joint"):
+        run(problem, 2 * STEPS, **given)
+
+
+def test_end_does_not_go_on_with_another_joint():
+    problem, result = drifted()
+    elsewhere = lierb.Problem(problem.body, joint("spherical", body_frame=np.eye(4)), GRAVITY)
+    with pytest.raises(PoseError, match="does not close the spherical joint"):
+        run(elsewhere, 2 * STEPS, **result.end, cspace="SO3xR3")
+
+
+def test_end_goes_on_under_other_forces():
+    """Gravity is switched off: what remembers the state is the body on its joint."""
+    problem, result = drifted()
+    weightless = lierb.Problem(
+        lierb.Body(problem.body.mass, problem.body.inertia), joint("spherical")
+    )
+    further = run(weightless, 2 * STEPS, **result.end, cspace="SO3xR3")
+    told = json.loads(further.summary.schema.metadata[b"lierb"])
+    assert told["problem"]["continued"] is True
+    assert told["options"]["t0"] == STEPS * DT
+    plain = result.end | {"pose0": np.array(result.end["pose0"])}
+    again = run(weightless, 2 * STEPS, **plain, cspace="SO3xR3", check="off")
+    # the same motion but for the start's rounding, over 100 steps of up to 30 rad/s
+    speeds = [column(r.summary, "omega") for r in (further, again)]
+    np.testing.assert_allclose(*speeds, rtol=0, atol=1e-9)
+
+
+def test_end_is_what_the_summary_says_and_is_read_only():
+    problem, twist0 = lively("spherical")
+    result = run(problem, STEPS, twist0=twist0)
+    end, summary = result.end, result.summary
+    assert list(end) == ["pose0", "twist0", "t0"]
+    assert end["t0"] == STEPS * DT
+    assert end["pose0"].shape == (3, 4, 4)
+    np.testing.assert_array_equal(
+        end["pose0"][:, :3, :3].reshape(3, 9), column(summary, "rotation")
+    )
+    np.testing.assert_array_equal(end["pose0"][:, :3, 3], column(summary, "position"))
+    np.testing.assert_array_equal(end["pose0"][:, 3], [(0.0, 0.0, 0.0, 1.0)] * 3)
+    np.testing.assert_array_equal(end["twist0"][:, :3], column(summary, "omega"))
+    np.testing.assert_array_equal(end["twist0"][:, 3:], column(summary, "v"))
+    for name in ("pose0", "twist0"):
+        with pytest.raises(ValueError, match="read-only"):
+            end[name][0, 0] = 0.0
+    assert type(end["pose0"][0]) is np.ndarray
+    assert type(end["pose0"] + 0.0) is np.ndarray
+
+
+def test_a_pickled_result_has_no_end():
+    problem, twist0 = lively("spherical")
+    result = run(problem, STEPS, twist0=twist0)
+    again = pickle.loads(pickle.dumps(result))
+    assert again == result
+    with pytest.raises(ArgumentError, match="only a result that integrate returned has an end"):
+        again.end  # noqa: B018
+
+
+def test_end_of_failed_trajectories_names_them():
+    problem, twist0 = lively("spherical")
+    twist0[1, :3] = 1e100
+    result = run(problem, 5, twist0=twist0, check="off")
+    with pytest.raises(
+        ArgumentError, match=r"end: 1 of 3 trajectories failed .*: 1 \(non_finite at 0\.01 s\)"
+    ):
+        result.end  # noqa: B018
+
+
+# ---- t0 ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        ({"t0": math.nan}, "t0=nan; expected a finite time in s"),
+        ({"t0": "0"}, "t0='0'; expected a finite time in s"),
+        ({"t0": 1.0}, "t_end=1.0; expected a time in s later than t0=1.0"),
+        ({"t0": 0.5, "t_end": 0.25}, "t_end=0.25; expected a time in s later than t0=0.5"),
+        (
+            {"t0": 0.105},
+            "t_end=1.0 s is after t0=0.105 s no whole number of steps of dt=0.01 s; the nearest "
+            "are 0.995 and 1.005",
+        ),
+        ({"t0": -1e300}, "t0 is more than 9.0072e+15 steps of dt=0.01 s from 0 s"),
+    ],
+)
+def test_start_time_is_checked(times, message):
+    problem, twist0 = tilted("spherical")
+    with pytest.raises(TimeGridError) as caught:
+        lierb.integrate(problem, twist0=twist0, **({"dt": DT, "t_end": 1.0} | times))
+    assert str(caught.value) == message
