@@ -181,10 +181,11 @@ def integrate(
     count = problem.batch_size(**start) or 1
     rows = problem.rows
     kernel = "saddle" if found_by == "saddle" else "subgroup"
+    space = "SO3xR3" if cspace == "SO3xR3" else "SE3"
     plan = plan_of(
-        lanes=block_lanes(DEFAULT_LANES, kernel, len(rows), tableau.stages),
+        lanes=block_lanes(DEFAULT_LANES, kernel, space, rows, tableau.stages),
         rows=rows,
-        cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
+        cspace=space,
         update=update,
         stages=tableau.A,
         weights=tableau.b,

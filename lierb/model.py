@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -43,15 +43,16 @@ from lierb.kernels.constraints import (
 )
 from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
 from lierb.kernels.newton_euler import Body as KernelBody
-from lierb.kernels.saddle import solve
+from lierb.kernels.saddle import Load, solve
 from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.vec import norm
+from lierb.kernels.vec import ZERO3, add, dot, norm
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
 CLOSED = 1e-13  # rad, and relative to the problem's length: where rounding ends it
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
+AT_REST = Load(ZERO3, ZERO3, ZERO3)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -328,9 +329,15 @@ class Problem:
                     closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
                 if np.all(closed):
                     break
-                directions = [jacobian(r, x, body) for r in rows]
-                motion, _, _ = solve(body, directions, [-h for h in off], (0.0,) * 6)
-                moved = se3.compose(placed, se3.exp(motion))
+                found = solve(
+                    body,
+                    x.q,
+                    rows,
+                    partial(jacobian, x=x, body=body),
+                    tuple(-h for h in off),
+                    AT_REST,
+                )
+                moved = se3.compose(placed, se3.exp(found.turning + found.moving))
                 placed = where(closed, placed, moved)  # no body waits, or moves on, for another
         open_ones = np.flatnonzero(~np.atleast_1d(closed))
         if open_ones.size:
@@ -364,9 +371,13 @@ class Problem:
         parameters, body = self.parameters(), self.in_joint_axes(SE3)
         placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)
         x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
-        rows = [jacobian(r, x, body) for r in self.rows]
-        rates = [prescribed_rate(r, x, body) for r in self.rows]
+        wanted = [prescribed_rate(r, x, body) for r in self.rows]
+        along = partial(jacobian, x=x, body=body)
         with np.errstate(all="ignore"):
-            feasible, _, _ = solve(body, rows, rates, velocity)
-        _, projected = SE3.to_user_axes(parameters, placed, feasible)
+            for _ in range(2):  # the second time, for what rounding has left of a large part
+                rates = [dot(along(r), velocity) for r in self.rows]
+                lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))
+                change = solve(body, x.q, self.rows, along, lacking, AT_REST)
+                velocity = add(velocity, change.turning + change.moving)
+        _, projected = SE3.to_user_axes(parameters, placed, velocity)
         return assembled(projected)

@@ -12,7 +12,6 @@ from lierb.kernels.arithmetic import plain
 from lierb.kernels.newton_euler import SE3
 from lierb.kernels.scale import length_of
 from lierb.kernels.vec import norm
-from lierb.kernels.zero import ZERO
 from lierb.model import Problem
 from lierb.study import Setting, Study
 
@@ -75,7 +74,7 @@ def _sizes(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Array]
     with np.errstate(all="ignore"):  # a body that runs away is ok as long as it is finite
         length = length_of(parameters)
         placed, velocity = SE3.to_joint_axes(parameters, pose_components(poses), components(twists))
-        motion = SE3.motion(placed, velocity, ZERO)
+        motion = SE3.kinematics(body, placed, velocity).motion
         energies = [
             SE3.kinetic_energy(body, velocity),
             SE3.potential_energy(body, placed),

@@ -8,13 +8,16 @@ import numpy as np
 import oracle
 import pytest
 from cases import GRAVITY, LENGTH, PITCH, box, column, integrate, joint, tilted
+from mpmath import mp
 
 import lierb
-from lierb.kernels.constraints import acceleration, jacobian
+from lierb.kernels import quaternion
+from lierb.kernels.constraints import Row, acceleration, jacobian
 from lierb.kernels.newton_euler import CSPACES
 from lierb.kernels.plan import Plan
-from lierb.kernels.saddle import solve
+from lierb.kernels.saddle import Load, solve
 from lierb.kernels.stepper import accelerate
+from lierb.kernels.vec import IDENTITY
 from lierb.kernels.zero import is_zero
 from lierb.tableaus import TABLEAUS
 
@@ -42,12 +45,14 @@ def test_steady_pendulum_pulls_with_weight_and_centrifugal_force():
 ROWS = {name: held.rows for name, held in lierb.joints.JOINTS.items() if held.rows}
 
 
-def _random_state(rows, cspace: str, seed: int = 5):
+def _random_state(rows, cspace: str, seed: int = 5, slender: float = 1.0):
+    """slender : of the inertia that the other tests have, a part."""
     rng = np.random.default_rng(seed)
     rk4 = TABLEAUS["RK4"]
     plan = Plan(1, rows, cspace, "local", rk4.A, rk4.b, multipliers=True)
     held = replace(joint("screw"), length=np.array(LENGTH))  # a number for every kind of row
-    problem = lierb.Problem(box(turned=True), held, GRAVITY)
+    solid = box(turned=True)
+    problem = lierb.Problem(lierb.Body(solid.mass, slender * solid.inertia), held, GRAVITY)
     body = plan.space.body(problem.parameters())
     q = tuple(lierb.lie.so3.exp(rng.standard_normal(3)).ravel())
     pose = (q, tuple(0.3 * rng.standard_normal(3)))
@@ -63,41 +68,66 @@ def _mass_matrix(body, cspace: str) -> np.ndarray:
     if cspace == "SE3":
         com = np.array(body.com, dtype=float)
     hat = np.cross(com, np.eye(3)).T  # hat @ x = com × x
-    m = float(body.mass)
-    about_origin = inertia - m * hat @ hat
-    return np.block([[about_origin, m * hat], [-m * hat, m * np.eye(3)]])
+    m, hat = mp.mpf(float(body.mass)), exactly(hat)
+    about_origin = exactly(inertia) - m * hat @ hat
+    return np.block([[about_origin, m * hat], [-m * hat, m * exactly(np.eye(3))]])
 
 
+exactly = np.vectorize(mp.mpf, otypes=[object])
+
+
+@pytest.mark.parametrize("slender", [1.0, 1e-8, 1e-15])
 @pytest.mark.parametrize("rows", ROWS.values(), ids=ROWS)
 @pytest.mark.parametrize("cspace", CSPACES)
-def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace):
-    """The paper's eq. (index1) as one dense matrix, solved by numpy."""
-    plan, body, pose, velocity = _random_state(rows, cspace)
+def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace, slender):
+    """The paper's eq. (index1) as one dense matrix, solved with 60 digits."""
+    with mp.workdps(60):
+        _compare_with_lu(*_random_state(rows, cspace, slender=slender), rows, cspace)
+
+
+def _exact(entries):
+    """The same numbers with as many digits as mpmath has now."""
+    if isinstance(entries, tuple):
+        made = [_exact(x) for x in entries]
+        return type(entries)(*made) if hasattr(entries, "_fields") else tuple(made)
+    return entries if is_zero(entries) else mp.mpf(float(entries))
+
+
+def _compare_with_lu(plan, body, pose, velocity, rows, cspace):
+    chart = quaternion.from_pose(pose)
+    pose = quaternion.pose(chart)
+    found = accelerate(plan, body, chart, velocity)
+    numbers = np.vectorize(_number)
     x = plan.space.kinematics(body, pose, velocity)
-    numbers = np.vectorize(
-        lambda entry: 0.0 if entry.__class__.__name__ == "Zero" else float(entry)
+    if all(r.kind != "cv" for r in rows):  # whose root is of a float
+        body, x = _exact(body), plan.space.kinematics(*map(_exact, (body, pose, velocity)))
+    jac, eta = (
+        np.vectorize(lambda entry: mp.mpf(0) if is_zero(entry) else mp.mpf(entry), [object])(
+            np.array([formula(r, x, body) for r in rows], dtype=object)
+        )
+        for formula in (jacobian, acceleration)
     )
-    jac = numbers(np.array([jacobian(r, x, body) for r in rows], dtype=object))
-    eta = numbers(np.array([acceleration(r, x, body) for r in rows], dtype=object))
     mass = _mass_matrix(body, cspace)
-    omega, v = np.array(velocity[:3]), np.array(velocity[3:])
-    p = mass @ np.array(velocity)
-    fall = np.array(body.gravity)
+    omega, v = exactly(velocity[:3]), exactly(velocity[3:])
+    p = mass @ exactly(velocity)
+    fall = exactly(body.gravity)
     if cspace == "SE3":
-        fall = np.reshape(pose[0], (3, 3)).T @ fall
+        fall = exactly(np.reshape(pose[0], (3, 3))).T @ fall
         ad = np.concatenate([np.cross(p[:3], omega) + np.cross(p[3:], v), np.cross(p[3:], omega)])
-        weight = np.concatenate([np.cross(np.array(body.com, float), fall), fall]) * body.mass
+        weight = np.concatenate(
+            [np.cross(exactly(np.array(body.com, float)), fall), fall]
+        ) * mp.mpf(float(body.mass))
     else:
-        ad = np.concatenate([np.cross(p[:3], omega), np.zeros(3)])
-        weight = np.concatenate([np.zeros(3), fall]) * body.mass
+        ad = np.concatenate([np.cross(p[:3], omega), exactly(np.zeros(3))])
+        weight = np.concatenate([exactly(np.zeros(3)), fall]) * mp.mpf(float(body.mass))
     m = len(rows)
-    matrix = np.block([[mass, jac.T], [jac, np.zeros((m, m))]])
-    expected = np.linalg.solve(matrix, np.concatenate([ad + weight, eta]))
-    found, multipliers, _, singular = accelerate(plan, body, pose, velocity)
-    # LU of a matrix with condition below 1e4
-    np.testing.assert_allclose(found, expected[:6], rtol=1e-10, atol=1e-9)
-    np.testing.assert_allclose(multipliers, expected[6:], rtol=1e-10, atol=1e-9)
-    assert singular == 0.0
+    matrix = np.block([[mass, jac.T], [jac, exactly(np.zeros((m, m)))]])
+    solved = mp.lu_solve(mp.matrix(matrix.tolist()), mp.matrix([*(ad + weight), *eta]))
+    expected = np.array([float(z) for z in solved])
+    # rounding of α, a and λ, whatever the inertia
+    np.testing.assert_allclose(numbers(found.rate), expected[:6], rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(numbers(found.multipliers), expected[6:], rtol=1e-10, atol=1e-9)
+    assert _number(found.singular) == 0.0
 
 
 @pytest.mark.slow
@@ -206,28 +236,42 @@ def test_free_body_feels_no_reaction():
     assert unit == b"N m, N m, N m, N, N, N"
 
 
-def test_a_row_given_twice_changes_nothing():
-    plan, body, pose, velocity = _random_state(ROWS["spherical"], "SE3")
-    x = plan.space.kinematics(body, pose, velocity)
-    rows = [jacobian(r, x, body) for r in plan.rows]
-    eta = [acceleration(r, x, body) for r in plan.rows]
-    free = plan.space.free_acceleration(body, pose, velocity)
-    once, multipliers, _ = solve(body, rows, eta, free)
-    twice, shared, singular = solve(body, rows + rows, eta + eta, free)
-    # the second copy is dropped, so the arithmetic is the same
-    np.testing.assert_array_equal(np.array(twice, float), np.array(once, float))
-    np.testing.assert_array_equal(np.array(shared[:3], float), np.array(multipliers, float))
-    assert singular == 0.0
+def _held_at_its_point(rows):
+    """A random state whose point P neither is off its place nor moves."""
+    plan, body, _, velocity = _random_state(rows, "SE3")
+    return plan, body, ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (*velocity[:3], 0.0, 0.0, 0.0)
+
+
+def test_a_row_that_says_the_same_changes_nothing():
+    rows = ROWS["spherical"]
+    once = accelerate(*_held_at_its_point(rows))
+    twice = accelerate(*_held_at_its_point((*rows, Row.parse("Qtd1"))))
+    assert (_number(once.dropped), twice.dropped) == (0.0, 1.0)
+    # the dropped row's λ is zero: the arithmetic is the same
+    np.testing.assert_array_equal(
+        np.vectorize(_number)(twice.rate), np.vectorize(_number)(once.rate)
+    )
+    np.testing.assert_array_equal(twice.multipliers, (*once.multipliers, 0.0))
+    assert twice.singular == 0.0
 
 
 def test_contradicting_rows_are_marked():
-    plan, body, pose, velocity = _random_state(ROWS["spherical"], "SE3")
-    x = plan.space.kinematics(body, pose, velocity)
-    rows = [jacobian(r, x, body) for r in plan.rows]
-    eta = [acceleration(r, x, body) for r in plan.rows]
-    free = plan.space.free_acceleration(body, pose, velocity)
-    _, _, singular = solve(body, [*rows, rows[0]], [*eta, eta[0] + 1.0], free)
-    assert singular == 1.0
+    rows = (*ROWS["spherical"], Row.parse("Qtd1"))
+    plan, body, (_, d), velocity = _held_at_its_point(rows)
+    x = plan.space.kinematics(body, (IDENTITY, d), velocity).at_point()
+    load = Load((0.1, 0.2, 0.3), (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    found = solve(body, IDENTITY, rows, lambda r: jacobian(r, x, body), (0.0, 0.0, 0.0, 1.0), load)
+    assert found.singular == 1.0
+
+
+@pytest.mark.parametrize("cspace", CSPACES)
+def test_a_rank_that_changes_is_told(cspace):
+    """Q32 and Q23 say the same where both frames are in line, and nowhere else."""
+    held = lierb.joints.from_rows(["d1", "d2", "d3", "Q32", "Q23"])
+    problem = lierb.Problem(lierb.Body(1.0, (0.1, 0.2, 0.25)), held)
+    run = lierb.integrate(problem, twist0=(0, 1.0, 0, 0, 0, 0), dt=1e-2, t_end=0.1, cspace=cspace)
+    assert run.summary["status"].to_pylist() == ["singular"]
+    assert run.summary["t"].to_pylist() == [0.01]
 
 
 @pytest.mark.parametrize("size", [1e-6, 1e6])

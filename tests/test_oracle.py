@@ -603,7 +603,7 @@ def test_constant_force_at_the_centre_of_mass_is_a_weight(joint):
     force = oracle.constant_wrench(force=MASS * extra)
     pushed = oracle.reference_trajectory(joint, TIMES, gravity=GRAVITY, forces=[force], **body)
     heavier = oracle.reference_trajectory(joint, TIMES, gravity=GRAVITY + extra, **body)
-    for name in ("rotation", "position", "omega", "v", "multipliers", "reaction", "energy"):
+    for name in ("R", "r", "omega", "v", "multipliers", "reaction", "energy"):
         # the same equations but for the order of a sum: rounding only, in some 100 steps
         expected = getattr(heavier, name)
         np.testing.assert_allclose(getattr(pushed, name), expected, rtol=0, atol=1e-11)
@@ -846,7 +846,7 @@ def test_speed_by_a_motor_torque_of_the_same_size():
     motor = oracle.motor_torque(lambda t: INERTIA_ABOUT_AXIS * ramp_rate(t))
     driven = on_tilted_joint("cylindrical", TIMES, start, speed=(ramp, ramp_rate), **options)
     pushed = on_tilted_joint("cylindrical", TIMES, start, forces=[motor], **options)
-    for name in ("rotation", "position", "omega", "v", "energy"):  # rtol 3e-14, some 100 steps
+    for name in ("R", "r", "omega", "v", "energy"):  # rtol 3e-14, some 100 steps
         expected = getattr(pushed, name)
         np.testing.assert_allclose(getattr(driven, name), expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(driven.multipliers[:, :4], pushed.multipliers, rtol=0, atol=1e-11)
@@ -889,7 +889,7 @@ def test_rod_rows_are_the_joint_point_on_a_sphere():
         gravity=GRAVITY,
         extra_rows=rod,
     )
-    for name in ("rotation", "position", "omega", "v", "multipliers", "energy"):
+    for name in ("R", "r", "omega", "v", "multipliers", "energy"):
         expected = getattr(joint, name)  # the same equations: rounding only, in some 100 steps
         np.testing.assert_allclose(getattr(rows, name), expected, rtol=0, atol=1e-11)
     np.testing.assert_allclose(rows.reaction, 0, atol=1e-12)  # the joint "free" exerts nothing

@@ -245,7 +245,6 @@ def flipped(*signs: float) -> np.ndarray:
         ("cylindrical", (-1, 1, -1)),
         ("planar", (1, -1, -1)),
         ("pin_in_slot", (-1, 1, -1)),
-        ("constant_velocity", (-1, -1, 1)),
     ],
 )
 def test_a_joint_held_the_wrong_way_round_is_not_closed(name, turn):
@@ -260,9 +259,9 @@ def test_a_joint_held_the_wrong_way_round_is_not_closed(name, turn):
         require_consistent(held, np.zeros((1, 6)), wrong)
     with pytest.raises(PoseError):
         lierb.predict(held, wrong)
-    if name != "constant_velocity":  # a little less than half a turn has a shortest way back
-        nearly = wrong @ lierb.lie.se3.exp((1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0))
-        np.testing.assert_allclose(held.close(nearly)[2, :3], (0.0, 0.0, 1.0), rtol=0, atol=1e-13)
+    # a little less than half a turn has a shortest way back
+    nearly = wrong @ lierb.lie.se3.exp((1e-3, -2e-3, 0.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(held.close(nearly)[2, :3], (0.0, 0.0, 1.0), rtol=0, atol=1e-13)
 
 
 @EVERY_JOINT
@@ -372,7 +371,7 @@ def test_orders_show_whatever_the_units(results):
             assert seen["position"].slope == pytest.approx(4.0, abs=0.2)
             assert not seen["position"].lower_bound
         assert seen["rotation"] is None  # a spherical joint has none
-        assert seen["energy"].slope == pytest.approx(0.0, abs=0.01)  # the drag's work
+        assert seen["energy"].slope > 3.8  # an error, since the drag's work is counted
 
 
 def test_sizes_are_those_of_the_motion(results):

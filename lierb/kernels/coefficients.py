@@ -145,6 +145,15 @@ def angles_taken_for_tiny() -> Iterator[list[Any]]:
         _conditions.reset(token)
 
 
+def taken_for_granted(condition: Any) -> bool:
+    """Whether a formula may take it that a mask holds in all lanes: it is looked at afterwards."""
+    conditions = _conditions.get()
+    if conditions is None:
+        return False
+    conditions.append(condition)
+    return True
+
+
 Taylor = Callable[[Any, int, Cuts], tuple[Any, ...]]  # of z, so many terms or, where cut, fewer
 Beyond = Callable[[Any], tuple[Any, ...]]
 
@@ -152,9 +161,7 @@ Beyond = Callable[[Any], tuple[Any, ...]]
 def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
     """Each function where it is best, for a time step; z = share · θ²."""
     tiny = z <= share * TINY
-    conditions = _conditions.get()
-    if conditions is not None:
-        conditions.append(tiny)
+    if taken_for_granted(tiny):
         return taylor(z, TINY_TERMS, ())
 
     def within_range(z: Any) -> tuple[Any, ...]:

@@ -8,8 +8,7 @@ Rows act on D = (Q, d), the body's joint frame seen from the ground's:
     Omega1  Ω_k = 0, a fixed axis, as a condition on velocity
 
 Each has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the acceleration
-constraint J V̇ = η, so that η = −(ḧ at V̇ = 0). `solving_rows` has a kind of its own, `point`: the
-rows d1 d2 d3, turned to body axes.
+constraint J V̇ = η, so that η = −(ḧ at V̇ = 0).
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from lierb.kernels.vec import (
     cross,
     dot,
     mat_t_vec,
-    mat_vec,
     norm,
     row,
     scale,
@@ -64,6 +62,11 @@ class Row(NamedTuple):
         return self.kind in {"d", "Qtd", "screw", "rod"}
 
     @property
+    def fixed_axis(self) -> int | None:
+        """The body axis about which the row alone says how the body turns, if it does."""
+        return self.i if self.kind == "Omega" else None
+
+    @property
     def unit(self) -> str:
         """Unit of the row's multiplier."""
         return "N" if self.is_translational else "N m"
@@ -87,6 +90,11 @@ class AddedRow(NamedTuple):
     def is_of_velocity(self) -> bool:
         """Whether it says nothing of the pose."""
         return not self.source.is_holonomic
+
+    @property
+    def fixed_axis(self) -> int | None:
+        axis: int | None = self.source.fixed_axis
+        return axis
 
     @property
     def unit(self) -> str:
@@ -114,8 +122,6 @@ def jacobian(r: Row | AddedRow, x: Kinematics, body: Body) -> Vec:
         direction = scale(1.0 / body.length, x.d)
         in_body = mat_t_vec(x.q, direction)
         return cross(x.arm, in_body) + x.translation(direction, in_body)
-    if r.kind == "point":
-        return cross(x.arm, UNIT[r.i]) + x.translation(column(x.q, r.i), UNIT[r.i])
     if r.kind == "Qtd":
         direction = UNIT[r.i]
         arm = sub(x.arm, mat_t_vec(x.q, x.d))
@@ -145,8 +151,6 @@ def acceleration(r: Row | AddedRow, x: Kinematics, body: Body) -> Any:
         swing = cross(x.omega, b)
         rate = sub(x.point_rate, swing)
         return -dot(UNIT[r.i], sub(x.point_bias, cross(x.omega, axpy(2.0, rate, swing))))
-    if r.kind == "point":
-        return -x.point_bias[r.i]
     return -dot(row(x.q, r.i), x.point_bias)
 
 
@@ -209,33 +213,6 @@ def _tilt(q: Vec, axis: int) -> dict[int, Any]:
     sine = norm((seen[i], seen[j]))
     stretch = atan2(sine, seen[axis]) / where(sine == 0.0, 1.0, sine)
     return {i: stretch * seen[j], j: -stretch * seen[i]}
-
-
-# ---- the rows as they are solved ---------------------------------------------------------------
-
-POINT = tuple(Row("point", i) for i in range(3))  # Qᵀ times the rows d1 d2 d3: their body axes
-HELD = tuple(Row("d", i) for i in range(3))
-
-
-def solving_rows(rows: Rows) -> Rows:
-    """The same constraints as rows of which as many as can be are constant, and those first.
-
-    In body axes M is constant, and so are `Omega` rows and rows that hold a point. What is made of
-    them alone does not depend on the pose: the compiler takes it out of the loop over steps.
-    """
-    held = POINT if set(HELD) <= set(rows) else ()
-    fixed = tuple(r for r in rows if r.kind == "Omega")
-    return (*fixed, *held, *(r for r in rows if r not in fixed and not (held and r in HELD)))
-
-
-def given_multipliers(
-    rows: Rows, solved: Rows, multipliers: tuple[Any, ...], q: Any
-) -> tuple[Any, ...]:
-    """λ of the joint's own rows, in their order, from that of its `solving_rows`."""
-    found = dict(zip(solved, multipliers, strict=True))
-    if POINT[0] in found:
-        found |= zip(HELD, mat_vec(q, tuple(found[r] for r in POINT)), strict=True)
-    return tuple(found[r] for r in rows)
 
 
 def _squares(numbers: list[Any]) -> Any:

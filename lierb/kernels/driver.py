@@ -34,13 +34,22 @@ from lierb.kernels.arithmetic import (
 from lierb.kernels.coefficients import TINY, angles_taken_for_tiny
 from lierb.kernels.elements import Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
-from lierb.kernels.newton_euler import SE3, Body, Parameters, SO3xR3, closed_pose
+from lierb.kernels.newton_euler import (
+    SE3,
+    Body,
+    Parameters,
+    SO3xR3,
+    about_a_point,
+    closed_pose,
+)
 from lierb.kernels.plan import Plan
+from lierb.kernels.saddle import has_others
 from lierb.kernels.scale import bearings, start_tolerances
 from lierb.kernels.stepper import (
     TIDY_EVERY,
     State,
     accelerate,
+    chart_of,
     kinetic_energy_of,
     pose_of,
     step,
@@ -54,9 +63,8 @@ from lierb.kernels.subgroup import (
     on_subgroup,
     projected,
     reduced_inertia,
-    turns_about_a_point,
 )
-from lierb.kernels.vec import IDENTITY, ZERO6, Mat, diagonal, dot, mat_mat, principal_axes
+from lierb.kernels.vec import IDENTITY, ZERO6, Mat, diagonal, dot, mat_mat
 from lierb.kernels.zero import ZERO, is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
@@ -82,6 +90,7 @@ OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
 X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
 STATE_COLUMNS = 25
 SUMMARY_COLUMNS = 11 + 1  # as `store_summary` says; whether the start is on the joint
+SETTLED = 16 * 2.0**-52  # of a twist: what turning it to joint axes may leave
 # In place of step 0: for a start that is to be looked at, and for one that goes on from `carried`.
 UNSEEN, RESUMED = -1, -2
 ERROR_COLUMNS = (
@@ -109,6 +118,7 @@ class Record(NamedTuple):
     first_energy: Any
     status: Any
     failed_step: Any
+    dropped: Any  # at the start; see `Body`
 
 
 CARRIED_COLUMNS = STATE_COLUMNS + len(Record._fields)
@@ -170,13 +180,15 @@ def body_of(
 def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
     numbers = _columns(plan, inputs, input_columns(plan.elements), first)
     body = body_of(plan.space, plan.elements, numbers)
-    if plan.slots is None:
-        return body
-    if turns_about_a_point(plan.slots):
-        moments, turn = principal_axes(body.origin_inertia)
+    if plan.turns_about_a_point:
+        turn, centre, moments, differences = about_a_point(body)
         turn = so3.orthonormalised(turn)
         turned = body_of(plan.space, plan.elements, numbers, turn)
-        body = turned._replace(turn=turn, origin_inertia=diagonal(moments))
+        body = plan.space.centred(turned, centre)._replace(
+            turn=turn, origin_inertia=diagonal(moments), moments=moments, differences=differences
+        )
+    if plan.slots is None:
+        return body
     return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
 
 
@@ -187,15 +199,31 @@ def _start(plan: Plan, body: Body, inputs: Any, first: Any) -> tuple[Parameters,
 
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:
     parameters, pose, twist = _start(plan, Body(*body), inputs, first)
-    chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    still, none = tuple(0.0 * v for v in velocity), 0.0 * parameters.mass
+    placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
+    chart, still = quaternion.from_pose(placed), tuple(0.0 * v for v in velocity)
+    none = 0.0 * parameters.mass
     if plan.slots is None:
+        velocity = _settled(plan, parameters, twist, velocity)
+        p, d = chart
+        chart = tuple(x + 0.0 for x in p), tuple(x + 0.0 for x in d)  # no −0
         return _structured(plan, State(chart, still, velocity, none), parameters.pitch)
-    chart = quaternion.from_pose(chart)
     velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
     momentum = momentum_of(plan.slots, Body(*body), velocity)
     start = _structured(plan, State(chart, still, momentum, none), parameters.pitch)
     return tidied(plan, Body(*body), start)
+
+
+def _settled(plan: Plan, parameters: Parameters, twist: Any, velocity: Any) -> Any:
+    """V, where the components that rows keep `still` are rounding of the twist: zero there."""
+    turning, moving, reach = (
+        sum(map(absolute, part)) for part in (twist[:3], twist[3:], parameters.body[1])
+    )
+    sizes = (turning,) * 3 + (moving + turning * reach,) * 3
+    settled = []
+    for i, (v, size) in enumerate(zip(velocity, sizes, strict=True)):
+        is_rounding = (absolute(v) <= SETTLED * size) & (size <= LARGEST)
+        settled.append((where(is_rounding, 0.0, v) if i in plan.still else v) + 0.0)
+    return tuple(settled)
 
 
 def _structured(plan: Plan, state: State, pitch: Any) -> State:
@@ -210,9 +238,14 @@ def _structured(plan: Plan, state: State, pitch: Any) -> State:
 
 def initial_record(plan: Plan, body: Body, state: State) -> Record:
     """Maxima so far: nothing, as numbers of the state's own type."""
-    nothing = 0.0 * body[0]
-    start = _measured(plan, Body(*body), State(*state), ZERO)
-    return Record(*(nothing,) * 8, start.energy, nothing, nothing)
+    body, state = Body(*body), State(*state)
+    nothing = 0.0 * body.mass
+    start = _measured(plan, body, state, ZERO)
+    dropped: Any = nothing
+    if plan.slots is None and has_others(plan.rows):
+        found = accelerate(plan, body, chart_of(plan, state), state.v_or_mu)
+        dropped = dropped + found.dropped
+    return Record(*(nothing,) * 8, start.energy, nothing, nothing, dropped)
 
 
 def load_state(plan: Plan, body: Body, carried: Any, first: Any) -> State:
@@ -221,9 +254,7 @@ def load_state(plan: Plan, body: Body, carried: Any, first: Any) -> State:
 
 
 def _state_of(plan: Plan, numbers: tuple[Any, ...], pitch: Any) -> State:
-    width = 9 if plan.slots is None else 4
-    chart = numbers[:width], numbers[width : width + 3]
-    state = State(chart, numbers[X], numbers[V_OR_MU], numbers[WORK])
+    state = State((numbers[:4], numbers[4:7]), numbers[X], numbers[V_OR_MU], numbers[WORK])
     return _structured(plan, state, pitch)
 
 
@@ -270,8 +301,31 @@ def advance(
 
     A body that fails keeps its status and step, and is NaN from then on.
     """
-    state, record = State(*state), Record(*record)
-    moved, singular = step(plan, Body(*body), state, time, h)
+    return _advanced(plan, body, state, record, k, time, h, ())
+
+
+def advance_still(
+    plan: Plan, body: Body, state: State, record: Record, k: Any, time: Any, h: Any
+) -> tuple[State, Record]:
+    """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
+    if not plan.still:
+        return State(*state), Record(*record)  # never
+    return _advanced(plan, body, state, record, k, time, h, plan.still)
+
+
+def _advanced(
+    plan: Plan,
+    body: Body,
+    state: State,
+    record: Record,
+    k: Any,
+    time: Any,
+    h: Any,
+    still: tuple[int, ...],
+) -> tuple[State, Record]:
+    record = Record(*record)
+    body = Body(*body)._replace(dropped=record.dropped)
+    moved, singular = _stepped(plan, body, state, time, h, still)
     q, d = moved.chart
     # An angle that is not finite spoils all of Q.
     numbers = (q[0], *moved.v_or_mu, *moved.x, *d, moved.work)
@@ -297,29 +351,58 @@ def advance(
     )
 
 
+def _stepped(
+    plan: Plan, body: Body, state: State, time: Any, h: Any, still: tuple[int, ...]
+) -> tuple[State, Any]:
+    """A step, with V's components that are `still` as structural zeros."""
+    state = State(*state)
+    before = state.v_or_mu
+    moving = tuple(ZERO if i in still else v for i, v in enumerate(before))
+    moved, singular = step(plan, Body(*body), state._replace(v_or_mu=moving), time, h)
+    pairs = zip(before, moved.v_or_mu, strict=True)
+    after = tuple(v if i in still else x for i, (v, x) in enumerate(pairs))
+    return moved._replace(v_or_mu=after), singular
+
+
 def _are_finite(*numbers: Any) -> Any:
     """Whether all of them are, and so is their sum."""
     return absolute(sum(numbers, start=ZERO)) <= LARGEST  # false for NaN
 
 
-def is_gentle(plan: Plan, body: Body, state: State, h: Any) -> Any:
+def has_still(plan: Plan, h: Any) -> Any:
+    """Whether the plan's rows keep anything `still`."""
+    return all_lanes(h == h if plan.still else h < h)
+
+
+def is_still(plan: Plan, state: State, h: Any) -> Any:
+    """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
+    velocity = State(*state).v_or_mu
+    still = h == h
+    for i in plan.still:
+        still = still & (velocity[i] == 0.0)
+    return all_lanes(still)
+
+
+def is_gentle(plan: Plan, body: Body, state: State, record: Record, h: Any) -> Any:
     """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
     if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
     omega = velocity_of(plan, Body(*body), State(*state))[:3]
-    return all_lanes(h * h * plain(dot(omega, omega)) <= 0.8 * TINY)
+    gentle = h * h * plain(dot(omega, omega)) <= 0.8 * TINY
+    return all_lanes(gentle & (Record(*record).dropped == 0.0))
 
 
 def advance_gently(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """A step without a branch, and whether it is the step that `advance` makes.
 
-    A branch for each stage's angle takes a spherical joint's step a twentieth of its time.
+    For states that are `still`. A branch for each stage's angle takes a spherical joint's step a
+    twentieth of its time.
     """
     if not plan.takes_gentle_steps:
         return State(*state), all_lanes(h < h)  # never
     with angles_taken_for_tiny() as conditions:
-        moved, _ = step(plan, Body(*body), State(*state), time, h)
-    fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work)
+        moved, singular = _stepped(plan, body, state, time, h, plan.still)
+    fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
     return moved, all_lanes(fine)
@@ -445,7 +528,7 @@ def store_forces(
         return
     body, state = Body(*body), State(*state)
     velocity = velocity_of(plan, body, state)
-    found = accelerate(plan, body, pose_of(plan, state), velocity, time)
+    found = accelerate(plan, body, chart_of(plan, state), velocity, time)
     alive = Record(*record).status == OK
     for recorded, array, numbers in (
         (plan.multipliers, multipliers, found.multipliers),
@@ -492,7 +575,7 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any, time: Any) ->
 
 for _formula in (
     load_body, initial_state, initial_record, load_state, load_record, store_carried, advance,
-    is_gentle, advance_gently, tidy, observe,
+    advance_still, has_still, is_still, is_gentle, advance_gently, tidy, observe,
     store_errors, store_state, store_forces, store_summary, store_start, store_end,
 ):  # fmt: skip
     _jit.kernel(_formula)
@@ -538,6 +621,7 @@ def integrate_block(
     else:
         record = initial_record(plan, body, state)
     column = offset + first
+    still = is_still(plan, state, h)
     k = begin
     fresh = begin == 0
     while True:
@@ -565,13 +649,18 @@ def integrate_block(
         if save_every > 0:
             ahead = min(ahead, _until(k, save_every, stop))
         end = k + ahead
-        if is_gentle(plan, body, state, h):
+        if still and is_gentle(plan, body, state, record, h):
             while k < end:
                 moved, fine = advance_gently(plan, body, state, origin + h * (first_step + k), h)
                 if not fine:
                     break
                 state = moved
                 k += 1
+        if still and has_still(plan, h):
+            while k < end:
+                time = origin + h * (first_step + k)
+                k += 1
+                state, record = advance_still(plan, body, state, record, k, time, h)
         while k < end:
             time = origin + h * (first_step + k)
             k += 1

@@ -26,6 +26,7 @@ from lierb.kernels.newton_euler import (
     Parameters,
     Pose,
     SO3xR3,
+    frames_of,
 )
 from lierb.kernels.vec import (
     UNIT,
@@ -49,7 +50,7 @@ from lierb.kernels.vec import (
 )
 from lierb.kernels.zero import ZERO
 
-Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the body frame's origin
+Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's point
 Shape = tuple[int, ...]
 
 
@@ -68,6 +69,7 @@ class Element:
     does_work: ClassVar[bool] = True
     is_translational: ClassVar[bool] = True
     is_holonomic: ClassVar[bool] = True  # of rows: whether they are of the pose
+    fixed_axis: ClassVar[int | None] = None  # of a row that says the turning about a body axis
     rows: int = 0
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
@@ -274,7 +276,7 @@ class UserFrame(NamedTuple):
 
     ground: Pose
     axes: Mat  # the joint's, seen from the user's body frame
-    origin: Vec  # of the user's body frame, in body axes and from the body frame's
+    origin: Vec  # of the user's body frame, in body axes and from the joint's point
 
     @classmethod
     def of(cls, frames: Frames) -> UserFrame:
@@ -306,6 +308,7 @@ class SpeedMotor(Element):
     needs_axis: ClassVar = True
     is_translational: ClassVar = False
     is_holonomic: ClassVar = False
+    fixed_axis: ClassVar = 2
     rows: int = 1
 
     @property
@@ -353,7 +356,7 @@ class UserConstraint(Element):
 
     def value(self, placed: Any, x: Kinematics, i: int) -> Any:
         frame = UserFrame(*placed[0])
-        found = self.function(placed[1], *frame.pose(x.q, _place(x)))[i]
+        found = self.function(placed[1], *frame.pose(x.q, x.d))[i]
         return found.value if isinstance(found, Dual) else found
 
     def rate(self, placed: Any, x: Kinematics) -> Any:
@@ -362,7 +365,7 @@ class UserConstraint(Element):
     def jacobian(self, placed: Any, x: Kinematics, i: int) -> Vec:
         """Along the six unit twists: Ṙ = R ω̂ and ṙ = R v, in the user's body axes."""
         frame = UserFrame(*placed[0])
-        r, place = frame.pose(x.q, _place(x))
+        r, place = frame.pose(x.q, x.d)
         entries = []
         for axis in range(3):
             a, b, c = row(r, axis)
@@ -372,19 +375,20 @@ class UserConstraint(Element):
         found = self.function(placed[1], tuple(entries), tuple(places))[i]
         slope = found.parts if isinstance(found, Dual) else ZERO6
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
-        return torque + x.translation(mat_vec(x.q, force), force)
+        return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
     def acceleration(self, placed: Any, x: Kinematics, i: int) -> Any:
-        """−ḧ along the motion with V̇ = 0: R̈ = R ω̂², and r̈ = R (ω×v) or 0."""
+        """−ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
         frame = UserFrame(*placed[0])
-        r, place = frame.pose(x.q, _place(x))
-        omega, v = frame.twist(x.omega, sub(x.point_rate, cross(x.omega, x.arm)))
+        r, place = frame.pose(x.q, x.d)
+        omega, v = frame.twist(x.omega, x.point_rate)
+        swing = cross(x.omega, cross(x.omega, frame.origin))
         entries = []
         for axis in range(3):
             along = row(r, axis)
             rate = cross(along, omega)  # (aᵀ ω̂)ᵀ = a×ω
             entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
-        bend = mat_vec(r, cross(omega, v)) if x.is_body_fixed else ZERO3
+        bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
         found = self.function(placed[1], tuple(entries), tuple(places))[i]
         slope = found.parts[0] if isinstance(found, Dual) else ZERO
@@ -399,11 +403,6 @@ def _moving(values: Vec, rates: Vec) -> Vec:
 def _second(value: Any, rate: Any, bend: Any) -> Dual:
     """A number with its first and second derivative."""
     return Dual(Dual(plain(value), (rate,)), (Dual(plain(rate), (bend,)),))
-
-
-def _place(x: Kinematics) -> Vec:
-    """Of the body frame's origin in the ground's joint frame."""
-    return sub(x.d, mat_vec(x.q, x.arm))
 
 
 # ---- formulas ----------------------------------------------------------------------------------
@@ -452,25 +451,25 @@ def body_with(
     numbers: list[Any],
 ) -> Body:
     """The body in that c-space, with its elements made of `numbers`, as in `all_placed`."""
-    placed = all_placed(elements, numbers, space.frames(parameters))
+    placed = all_placed(elements, numbers, frames_of(parameters))
     return space.body(parameters)._replace(elements=placed)
 
 
-class Load(NamedTuple):
-    """Of all applied forces together."""
+class Applied(NamedTuple):
+    """All applied forces together, but gravity."""
 
     wrench: Vec  # torque and force
     power: Any  # W, what they add to E
 
 
-def total_load(elements: tuple[Element, ...], body: Body, x: Motion) -> Load:
+def applied_to(body: Body, elements: tuple[Element, ...], x: Motion) -> Applied:
     """Both at once: a function of the user's is called once."""
     total, power = ZERO6, ZERO
     for element, placed in zip(elements, body.elements, strict=True):
         wrench = element.wrench(placed, x)
         total = add(total, wrench[0] + wrench[1])
         power = power + element.power(placed, x, wrench)
-    return Load(total, power)
+    return Applied(total, power)
 
 
 def potential_energy(elements: tuple[Element, ...], body: Body, x: Motion) -> Any:

@@ -50,7 +50,7 @@ def _potential(plan: Plan, body: Body, pose: Pose, velocity: Vec) -> Any:
     of_gravity = plan.space.potential_energy(body, pose)
     if not plan.elements:
         return of_gravity
-    motion = plan.space.motion(pose, velocity, ZERO)
+    motion = plan.space.kinematics(body, pose, velocity).motion
     return of_gravity + potential_energy(plan.elements, body, motion)
 
 

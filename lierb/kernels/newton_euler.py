@@ -9,8 +9,7 @@ Jacobian are then unit vectors and rows of Q, however the joint is tilted.
 - On SO(3)×R³ only rotations are: C = (Q, s) with s the place of the body frame's origin, and
   d = s + Q p with p the joint's point seen from there. That p ≠ 0 is what makes constraints drift.
 
-Momentum is balanced at the centre of mass, c from the body frame's origin, where M is
-block-diagonal: the saddle point's M⁻¹ is Θ⁻¹, 1/m and two cross products for any c.
+Forces and accelerations are those at the joint's point, in body axes, in both c-spaces.
 """
 
 from __future__ import annotations
@@ -18,14 +17,17 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from lierb.kernels import se3, so3xr3
-from lierb.kernels.arithmetic import fma
+from lierb.kernels import quaternion, quaternionxr3, se3, so3xr3
+from lierb.kernels.arithmetic import fma, where
+from lierb.kernels.quaternion import Quaternion, rotated
 from lierb.kernels.vec import (
     IDENTITY,
+    UNIT,
     ZERO3,
     Mat,
     Vec,
     add,
+    axes_along,
     axpy,
     cross,
     cross_add,
@@ -37,6 +39,9 @@ from lierb.kernels.vec import (
     mat_t_vec,
     mat_vec,
     mat_vec_add,
+    neg,
+    norm,
+    principal_axes,
     scale,
     sub,
 )
@@ -56,6 +61,11 @@ class Parameters(NamedTuple):
     body: Pose  # joint frame seen from the body
     pitch: Any  # m/rad
     length: Any  # m, of a rod
+
+
+def frames_of(p: Parameters) -> Frames:
+    """The way to joint axes for forces, which act from the joint's point on."""
+    return Frames(p.ground, *p.body)
 
 
 def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
@@ -79,6 +89,10 @@ class Body(NamedTuple):
     first_moment: Vec  # m c
     gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
     turn: Mat = IDENTITY  # from the user's joint axes on the body to those that are used
+    # Of a body that turns about a point, in principal axes: K₁ K₂ K₃, K₂ − K₃, K₃ − K₁, K₁ − K₂
+    moments: Vec = ()
+    differences: Vec = ()
+    dropped: Any = ZERO  # how many of the rows depended on others at the start
     elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
 
     def momentum(self, velocity: Vec) -> Vec:
@@ -93,7 +107,8 @@ class Body(NamedTuple):
         momentum : M V, or one that is the same for the purpose.
         """
         omega, v = velocity[:3], velocity[3:]
-        torque = cross_add(momentum[3:], v, cross(momentum[:3], omega))
+        spin = gyroscopic(self, omega) if self.differences else cross(momentum[:3], omega)
+        torque = cross_add(momentum[3:], v, spin)
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force
 
@@ -110,9 +125,17 @@ class Kinematics(NamedTuple):
     is_body_fixed: bool  # velocity of the body frame in body axes (v), or in the ground's (ṙ)
     time: Any = ZERO  # s
 
+    @property
+    def motion(self) -> Motion:
+        return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
+
     def translation(self, ground: Vec, body: Vec) -> Vec:
         """Translational part of a row along a direction, given in ground and in body axes."""
         return body if self.is_body_fixed else ground
+
+    def at_point(self) -> Kinematics:
+        """The same, where rows act on ω and on the velocity of the joint's point, in body axes."""
+        return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
 
 
 class Frames(NamedTuple):
@@ -120,7 +143,7 @@ class Frames(NamedTuple):
 
     ground: Pose
     axes: Mat  # the joint's, seen from the user's body frame
-    origin: Vec  # of the body frame, seen from the user's
+    origin: Vec  # the joint's point, seen from the user's body frame
 
     def body_point(self, p: Vec) -> Vec:
         return mat_t_vec(self.axes, sub(p, self.origin))
@@ -136,13 +159,13 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What applied forces depend on."""
+    """What applied forces depend on; points of the body are counted from the joint's."""
 
     time: Any
     q: Mat
-    place: Vec  # the body frame's origin in the ground's joint frame
+    place: Vec  # the joint's point in the ground's joint frame
     omega: Vec
-    v: Vec  # of the body frame's origin, in body axes
+    v: Vec  # of the joint's point, in body axes
 
     def place_of(self, point: Vec) -> Vec:
         """In the ground's joint frame."""
@@ -175,24 +198,60 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
     )
 
 
+def gyroscopic(body: Body, omega: Vec) -> Vec:
+    """(Kω) × ω of a body that turns about a point."""
+    x, y, z = omega
+    return tuple(d * w for d, w in zip(body.differences, (y * z, z * x, x * y), strict=True))
+
+
+def spinning(body: Body, omega: Vec, fall: Vec, torque: Vec) -> Vec:
+    """α of a body that turns about a point freely: Euler's equations there.
+
+    fall : gravity in body axes.   torque : of all other forces, about the point.
+    """
+    c = sub(body.com, body.arm)
+    products = omega[1] * omega[2], omega[2] * omega[0], omega[0] * omega[1]
+    found = []
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # what stands before products is constant
+        easy = 1.0 / body.moments[i]
+        pull = body.mass * easy
+        rate = fma(pull * c[j], fall[k], -((pull * c[k]) * fall[j]))
+        rate = fma(body.differences[i] * easy, products[i], rate)
+        found.append(fma(easy, torque[i], rate))
+    return tuple(found)
+
+
+SLENDER = 1e3  # m c²/tr Θ from which on axes along c are taken before anything is added to Θ
+
+
+def about_a_point(body: Body) -> tuple[Mat, Vec, Vec, Vec]:
+    """Principal axes at the joint's point, as a rotation's columns; in them c, the moments K_i, and
+    K₂ − K₃, K₃ − K₁, K₁ − K₂.
+
+    Where Θ is small beside m c², that of a spin about c keeps its digits, and so do differences.
+    """
+    c = sub(body.com, body.arm)
+    heavy, none = body.mass * dot(c, c), 0.0 * body.mass
+    is_slender = heavy > SLENDER * (body.inertia[0] + body.inertia[4] + body.inertia[8])
+    along = where(is_slender, axes_along(where(is_slender, c, UNIT[0])), IDENTITY)
+    aligned = where(is_slender, (norm(c), none, none), c)
+    theta = mat_t_mat(along, mat_mat(body.inertia, along))
+    whole = where(is_slender, theta, axpy(body.mass, unit_inertia(c), body.inertia))
+    shift = (none, where(is_slender, heavy, 0.0), where(is_slender, heavy, 0.0))
+    parts, turn = principal_axes(whole, shift)
+    moments = add(parts, shift)
+    differences = tuple(
+        (shift[i] - shift[j]) + (parts[i] - parts[j]) for i, j in ((1, 2), (2, 0), (0, 1))
+    )
+    return mat_mat(along, turn), mat_t_vec(turn, aligned), moments, differences
+
+
 def unit_inertia(c: Vec) -> Mat:
     """(c·c) I − c cᵀ, the inertia of a unit mass at c."""
     x, y, z = c
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = -(x * y), -(x * z), -(y * z)
     return (yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
-
-
-def response(body: Body, torque: Vec, force: Vec) -> Vec:
-    """M⁻¹ of a wrench about the centre of mass, in body axes: (Θ⁻¹τ, f/m + c × Θ⁻¹τ)."""
-    alpha = mat_vec(body.inertia_inverse, torque)
-    return alpha + cross_add(body.com, alpha, scale(1.0 / body.mass, force))
-
-
-def row_response(body: Body, row: Vec) -> Vec:
-    """M⁻¹ Jᵀ for one row of J, a wrench about the body frame's origin."""
-    torque, force = row[:3], row[3:]
-    return response(body, cross_add(force, body.com, torque), force)
 
 
 def kinetic_energy(body: Body, omega: Vec, com_velocity: Vec) -> Any:
@@ -208,14 +267,16 @@ class SE3:
     """Velocity (ω, v), both in body axes; v is that of the body frame's origin."""
 
     group: ModuleType = se3
+    charts: ModuleType = quaternion  # the group as a step has it
+
+    @staticmethod
+    def centred(body: Body, c: Vec) -> Body:
+        """The body with c, from the joint's point to the centre of mass, in place of its own."""
+        return body._replace(com=c, first_moment=scale(body.mass, c))
 
     @staticmethod
     def body(p: Parameters) -> Body:
         return _body(p, origin=p.body[1], arm=ZERO3)
-
-    @staticmethod
-    def frames(p: Parameters) -> Frames:
-        return Frames(p.ground, *p.body)
 
     @staticmethod
     def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
@@ -239,23 +300,9 @@ class SE3:
         return Kinematics(pose[0], pose[1], omega, ZERO3, v, cross(omega, v), is_body_fixed=True)
 
     @staticmethod
-    def motion(pose: Pose, velocity: Vec, time: Any) -> Motion:
-        return Motion(time, *pose, velocity[:3], velocity[3:])
-
-    @staticmethod
-    def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
-        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESE3, about the centre of mass)."""
-        omega = velocity[:3]
-        com_velocity = cross_add(omega, body.com, velocity[3:])
-        gyroscopic = cross(mat_vec(body.inertia, omega), omega)
-        fall = cross_add(com_velocity, omega, mat_t_vec(pose[0], body.gravity))
-        alpha = mat_vec(body.inertia_inverse, gyroscopic)
-        return alpha + cross_add(body.com, alpha, fall)
-
-    @staticmethod
-    def velocity_rate(pose: Pose, acceleration: Vec) -> Vec:
-        """V̇ from ω̇ and the acceleration of translation in body axes."""
-        return acceleration
+    def velocity_rate(body: Body, q: Quaternion, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
+        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        return turning + cross_add(velocity[3:], velocity[:3], moving)
 
     @staticmethod
     def kinetic_energy(body: Body, velocity: Vec) -> Any:
@@ -272,15 +319,16 @@ class SO3xR3:
     """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's; the body frame at the COM."""
 
     group: ModuleType = so3xr3
+    charts: ModuleType = quaternionxr3
+
+    @staticmethod
+    def centred(body: Body, c: Vec) -> Body:
+        return body._replace(arm=neg(c))
 
     @staticmethod
     def body(p: Parameters) -> Body:
         arm = mat_t_vec(p.body[0], p.body[1])
         return _body(p, origin=p.com, arm=arm)._replace(com=ZERO3)
-
-    @staticmethod
-    def frames(p: Parameters) -> Frames:
-        return Frames(p.ground, p.body[0], ZERO3)
 
     @staticmethod
     def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
@@ -308,20 +356,11 @@ class SO3xR3:
         return Kinematics(q, d, omega, body.arm, rate, cross(omega, swing), is_body_fixed=False)
 
     @staticmethod
-    def motion(pose: Pose, velocity: Vec, time: Any) -> Motion:
-        return Motion(time, *pose, velocity[:3], mat_t_vec(pose[0], velocity[3:]))
-
-    @staticmethod
-    def free_acceleration(body: Body, pose: Pose, velocity: Vec) -> Vec:
-        """M⁻¹(ad_Vᵀ M V + W)  (Müller, eq. NESO3xR3), its second half in body axes too."""
-        omega = velocity[:3]
-        gyroscopic = cross(mat_vec(body.inertia, omega), omega)
-        return mat_vec(body.inertia_inverse, gyroscopic) + mat_t_vec(pose[0], body.gravity)
-
-    @staticmethod
-    def velocity_rate(pose: Pose, acceleration: Vec) -> Vec:
-        """V̇ from ω̇ and the acceleration of translation in body axes."""
-        return acceleration[:3] + mat_vec(pose[0], acceleration[3:])
+    def velocity_rate(body: Body, q: Quaternion, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
+        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        omega, com = velocity[:3], neg(body.arm)  # seen from the point
+        bend = cross_add(omega, cross(omega, com), moving)
+        return turning + rotated(q, cross_add(turning, com, bend))
 
     @staticmethod
     def kinetic_energy(body: Body, velocity: Vec) -> Any:

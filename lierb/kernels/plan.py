@@ -4,23 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from types import ModuleType
 from typing import Any
 
-from lierb.kernels import quaternion
 from lierb.kernels._jit import Tag
-from lierb.kernels.constraints import Rows
+from lierb.kernels.constraints import Row, Rows
 from lierb.kernels.elements import Element
 from lierb.kernels.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.subgroup import Slots, slots_of
 
-
-def is_light(solver: str, rows: int, stages: int) -> bool:
-    """Whether a step is little work: on a subgroup, a rate for each of few stages and freedoms."""
-    return solver != "saddle" and stages * (6 - rows) <= 12
+GENTLE_STAGES = 4  # of a saddle point, at most: more of them compile for long
 
 
-def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
+def holds_a_point(rows: Rows) -> bool:
+    """Whether the joint's rows hold a point of the body."""
+    return {str(row) for row in rows if isinstance(row, Row) and row.kind == "d"} == {
+        "d1", "d2", "d3"
+    }  # fmt: skip
+
+
+def is_light(solver: str, cspace: str, rows: Rows, stages: int) -> bool:
+    """Whether a step is little work: a rate for each of few stages and freedoms."""
+    outright = solver != "saddle" or (
+        cspace == "SE3"
+        and holds_a_point(rows)
+        and all(isinstance(row, Row) and row.kind in ("d", "Omega") for row in rows)
+    )
+    return outright and stages * (6 - len(rows)) <= 12
+
+
+def block_lanes(width: int, solver: str, cspace: str, rows: Rows, stages: int) -> int:
     """Bodies in a block, for registers that hold `width` numbers.
 
     Every operation of a step waits for the one before it. Two packs side by side hide that, as
@@ -28,9 +40,11 @@ def block_lanes(width: int, solver: str, rows: int, stages: int) -> int:
     Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 200, 297, 310; cylindrical 181,
     280, 217; spherical 103, 107, 75; spherical by DOP853 21, 23, 18. On AVX2 with 4, 8 and 16:
     revolute 121, 187, 176; cylindrical 115, 156, 160; spherical 57, 65, 43; spherical by DOP853
-    13, 11, 9. A batch that fills no block pays for one all the same: one kernel serves every batch.
+    13, 11, 9. Saddle points, AVX-512 on another machine with 8 and 16: revolute 153, 163;
+    spherical 77, 80. A batch that fills no block pays for one all the same: one kernel serves every
+    batch.
     """
-    return 2 * width if is_light(solver, rows, stages) and width > 1 else width
+    return 2 * width if is_light(solver, cspace, rows, stages) and width > 1 else width
 
 
 @dataclass(frozen=True)
@@ -71,19 +85,25 @@ class Plan(Tag):
         """c of the Butcher tableau: when each stage is."""
         return tuple(sum(weights) for weights in self.stages)
 
-    @property
-    def charts(self) -> ModuleType:
-        """The group as charts represent it: a subgroup's rotations are unit quaternions."""
-        return self.space.group if self.slots is None else quaternion
-
-    @property
-    def share(self) -> float:
-        """What `charts` takes in place of X, as a part of it: quaternions ask for X/2."""
-        return 1.0 if self.slots is None else 0.5
+    @cached_property
+    def turns_about_a_point(self) -> bool:
+        """Whether the joint is spherical: any axes on the body will do, also its inertia's."""
+        joint = [row for row in self.rows if isinstance(row, Row)]
+        return len(joint) == 3 and holds_a_point(self.rows)
 
     @property
     def is_local(self) -> bool:
         return self.update == "local"
+
+    @cached_property
+    def still(self) -> tuple[int, ...]:
+        """Components of V that a saddle point keeps at zero, once they are: rows that are constant
+        in body axes ask for nothing else, and nothing else moves them.
+        """
+        if self.solver != "saddle":
+            return ()
+        fixed = tuple(row.i for row in self.rows if row.kind == "Omega")
+        return (*fixed, 3, 4, 5) if self.cspace == "SE3" and holds_a_point(self.rows) else fixed
 
     @cached_property
     def does_work(self) -> bool:
@@ -93,7 +113,11 @@ class Plan(Tag):
     @property
     def takes_gentle_steps(self) -> bool:
         """Whether steps are so little work that it pays to try them without branches."""
-        return self.is_local and is_light(self.solver, len(self.rows), len(self.stages))
+        if not self.is_local:
+            return False
+        if self.solver == "saddle":
+            return bool(self.still) and len(self.stages) <= GENTLE_STAGES
+        return is_light(self.solver, self.cspace, self.rows, len(self.stages))
 
 
 @lru_cache(256)

@@ -1,4 +1,4 @@
-"""SE(3) with a unit quaternion for the rotation: a subgroup joint's steps in fewer operations.
+"""SE(3) with a unit quaternion for the rotation: a step in fewer operations than with a matrix.
 
 C = (p, r) with p = (w, v) of unit length; p and −p are one rotation, R(p). A vector X = (ξ, η) of
 the algebra is held as its half, Y = (υ, ν): exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2.
@@ -86,18 +86,30 @@ def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Cha
     """C exp 2Y; the rotation as p + p (exp υ − 1): where υ is small, so is what is rounded."""
     k = k or angle_coefficients(y)
     (p, r), upsilon, nu = c, y[:3], y[3:]
-    turned = cross(upsilon, nu)
-    moved = axpy(k.b8, cross(upsilon, turned), axpy(k.a4, turned, add(nu, nu)))  # dexp_ξ η
-    change = product(p, upsilon)
-    return axpy(k.sinc, change, axpy(k.cos_minus_1, p, p)), add(r, rotated(p, moved))
+    swung = cross(upsilon, nu)
+    moved = axpy(k.b8, cross(upsilon, swung), axpy(k.a4, swung, add(nu, nu)))  # dexp_ξ η
+    return turned(p, upsilon, k), add(r, rotated(p, moved))
+
+
+def turned(p: Quaternion, upsilon: Vec, k: HalfAngleCoefficients) -> Quaternion:
+    """p exp υ."""
+    return axpy(k.sinc, product(p, upsilon), axpy(k.cos_minus_1, p, p))
+
+
+def dexpinv_so3(upsilon: Vec, omega: Vec, k: HalfAngleCoefficients) -> Vec:
+    """`so3.dexpinv` at ξ = 2υ."""
+    first = tuple(fma(k.c04, x, -w) for x, w in zip(cross(upsilon, omega), omega, strict=True))
+    return cross_add(upsilon, first, omega)
 
 
 def dexpinv(y: Vec, v: Vec, k: HalfAngleCoefficients) -> Vec:
     """`se3.dexpinv` at X = 2Y: −½ and c₀ share their last cross product, which saves a sum."""
     upsilon, nu, omega, slide = y[:3], y[3:], v[:3], v[3:]
-    turned, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, slide))
-    first = tuple(fma(k.c04, x, -w) for x, w in zip(turned, omega, strict=True))
-    second = tuple(fma(k.c04, x, -w) for x, w in zip(bracket, slide, strict=True))
+    swung, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, slide))
+    pitch = dot(upsilon, nu) * k.c116
+    first = tuple(fma(k.c04, x, -w) for x, w in zip(swung, omega, strict=True))
+    second = axpy(
+        pitch, swung, tuple(fma(k.c04, x, -w) for x, w in zip(bracket, slide, strict=True))
+    )
     coupled = cross_add(upsilon, second, cross_add(nu, first, slide))
-    pitch = dot(upsilon, nu)
-    return cross_add(upsilon, first, omega) + axpy(pitch * k.c116, cross(upsilon, turned), coupled)
+    return cross_add(upsilon, first, omega) + coupled

@@ -73,9 +73,6 @@ def start_tolerances(
 def bearings(rows: Rows, q: Mat) -> list[Any]:
     """Numbers that are positive where the joint is held the right way round.
 
-    No row sees half a turn: of an axis that `Omega` rows hold, or, for a `cv` row, about any axis.
+    No row sees half a turn of an axis that `Omega` rows hold.
     """
-    found = [q[4 * axis] for axis in held_axes(rows)]
-    if any(r.kind == "cv" for r in rows):
-        found.append(q[0] + q[4])  # 1 + cos θ of a turn θ about an axis ⊥ e₃
-    return found
+    return [q[4 * axis] for axis in held_axes(rows)]

@@ -11,23 +11,30 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
-from lierb.kernels import quaternion, so3, subgroup
+from lierb.kernels import quaternion, subgroup
 from lierb.kernels.arithmetic import PI, any_lanes, branch, fma, maximum, where
-from lierb.kernels.coefficients import step_coefficients
-from lierb.kernels.constraints import (
-    acceleration,
-    given_multipliers,
-    jacobian,
-    prescribed_rate,
-    solving_rows,
-    value,
-)
-from lierb.kernels.elements import Load, total_load
-from lierb.kernels.newton_euler import Body, row_response
+from lierb.kernels.constraints import acceleration, jacobian, prescribed_rate, value
+from lierb.kernels.elements import Applied, applied_to
+from lierb.kernels.newton_euler import Body, Kinematics, spinning
 from lierb.kernels.plan import Plan
 from lierb.kernels.quaternion import Chart
-from lierb.kernels.saddle import solve
-from lierb.kernels.vec import ZERO6, Mat, Vec, add, axpy, cross_add, dot, mat_vec, neg
+from lierb.kernels.saddle import Load, has_others, solve
+from lierb.kernels.vec import (
+    ZERO6,
+    Mat,
+    Vec,
+    add,
+    axpy,
+    cross,
+    cross_add,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    neg,
+    row,
+    scale,
+    sub,
+)
 from lierb.kernels.zero import ZERO
 
 Pose = tuple[Mat, Vec]
@@ -37,16 +44,23 @@ TIDY_EVERY = 30  # steps; 16 to 64 do as well, but with measure_every=10 this on
 
 
 class State(NamedTuple):
-    chart: Pose | Chart  # C₀; on a subgroup with a unit quaternion
-    x: Vec  # `Plan.share` of X; structurally zero in a local update
+    chart: Chart  # C₀, with a unit quaternion
+    x: Vec  # X/2, as quaternions take it; structurally zero in a local update
     v_or_mu: Vec  # V; on a subgroup its momentum μ
     work: Any = ZERO  # J, of what has no potential; structurally zero where nothing does any
 
 
-def pose_of(plan: Plan, state: State) -> Pose:
+def chart_of(plan: Plan, state: State) -> Chart:
     """C = C₀ exp X."""
-    chart = state.chart if plan.is_local else plan.charts.compose_exp(state.chart, state.x)
-    return chart if plan.slots is None else quaternion.pose(chart)
+    if plan.is_local:
+        return state.chart
+    moved: Chart = plan.space.charts.compose_exp(state.chart, state.x)
+    return moved
+
+
+def pose_of(plan: Plan, state: State) -> Pose:
+    """C as a matrix and a vector."""
+    return quaternion.pose(chart_of(plan, state))
 
 
 def velocity_of(plan: Plan, body: Body, state: State) -> Vec:
@@ -68,59 +82,76 @@ class Acceleration(NamedTuple):
     rate: Vec  # V̇
     multipliers: tuple[Any, ...]  # λ, in the order of the joint's rows
     reaction: Vec  # the joint's wrench on the body, about the joint's point, in its axes there
+    power: Any  # what forces and motors add to E
     singular: Any  # the mark of a singular configuration
+    dropped: Any  # how many rows depend on others
 
 
 def accelerate(
-    plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any = ZERO, load: Load | None = None
+    plan: Plan,
+    body: Body,
+    chart: Chart,
+    velocity: Vec,
+    time: Any = ZERO,
+    q: Mat | None = None,
+    fall: Vec | None = None,
 ) -> Acceleration:
     """The saddle point at one state.
 
-    load : the applied forces', where it is known.
+    q, fall : the chart's Q, and gravity in body axes, where they are known already.
     """
-    load = load or applied_load(plan, body, pose, velocity, time)
-    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
-    in_body_axes = x._replace(is_body_fixed=True)
-    rows = solving_rows(plan.rows)
-    jacobians = [jacobian(r, in_body_axes, body) for r in rows]
-    found, multipliers, singular = solve(
+    q = quaternion.matrix(chart[0]) if q is None else q
+    x = plan.space.kinematics(body, (q, chart[1]), velocity)._replace(time=time)
+    seen = x.at_point()
+    rows = plan.rows
+    fall = mat_t_vec(q, body.gravity) if fall is None else fall
+    applied = applied_to(body, plan.elements, x.motion)
+    turning = None
+    if body.moments:
+        turning = spinning(body, x.omega, fall, applied.wrench[:3])
+    found = solve(
         body,
-        jacobians,
-        [acceleration(r, x, body) for r in rows],
-        add(
-            plan.space.free_acceleration(body, pose, velocity),
-            row_response(body, load.wrench),
-        ),
-        velocity,
+        x.q,
+        rows,
+        lambda r: jacobian(r, seen, body),
+        tuple(acceleration(r, seen, body) for r in rows),
+        _load(body, x.omega, fall, applied.wrench),
+        x.omega + x.point_rate,
+        turning,
     )
-    wrench: Vec = ZERO6
-    for multiplier, direction in zip(multipliers, jacobians, strict=True):
-        wrench = axpy(-multiplier, direction, wrench)
-    torque, force = wrench[:3], wrench[3:]
-    about_joint = cross_add(force, x.arm, torque)
     return Acceleration(
-        plan.space.velocity_rate(pose, found),
-        given_multipliers(plan.rows, rows, multipliers, pose[0]),
-        mat_vec(body.turn, about_joint) + mat_vec(body.turn, force),
-        singular,
+        plan.space.velocity_rate(body, chart[0], velocity, found.turning, found.moving),
+        found.multipliers,
+        mat_vec(body.turn, found.wrench[:3]) + mat_vec(body.turn, found.wrench[3:]),
+        applied.power + _driving_power(plan, body, x, found.multipliers),
+        found.singular,
+        found.dropped,
     )
 
 
-def applied_load(plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any) -> Load:
-    """Of all applied forces but gravity, about the body frame's origin."""
-    if not plan.elements:
-        return Load(ZERO6, ZERO)
-    return total_load(plan.elements, body, plan.space.motion(pose, velocity, time))
+def _load(body: Body, omega: Vec, fall: Vec, applied: Vec) -> Load:
+    """ad_Vᵀ M V + W, less what ω alone does to the acceleration of the centre of mass.
+
+    fall : gravity in body axes.   applied : the wrench of all other forces, about P.
+    """
+    centre = sub(body.com, body.arm)
+    spin = cross(mat_vec(body.inertia, omega), omega)
+    bent = cross(omega, cross(omega, centre))
+    force = axpy(body.mass, sub(fall, bent), applied[3:])
+    # c × (ω×(ω×c)) = (c·ω) c×ω
+    pull = axpy(-dot(centre, omega), omega, fall)
+    return Load(
+        add(spin, cross_add(applied[3:], centre, applied[:3])),
+        force,
+        cross_add(scale(body.mass, centre), pull, add(spin, applied[:3])),
+    )
 
 
-def _driving_power(
-    plan: Plan, body: Body, pose: Pose, velocity: Vec, time: Any, multipliers: tuple[Any, ...]
-) -> Any:
+def _driving_power(plan: Plan, body: Body, x: Kinematics, multipliers: tuple[Any, ...]) -> Any:
     """−λ w of all constraints that move, J V = w.
 
     multipliers : λ of `plan.rows`.
     """
-    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     total: Any = ZERO
     for r, multiplier in zip(plan.rows, multipliers, strict=True):
         total = fma(-multiplier, prescribed_rate(r, x, body), total)
@@ -129,67 +160,65 @@ def _driving_power(
 
 def step(plan: Plan, body: Body, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """The state h seconds after `time`, and the mark of a singular configuration on the way."""
-    if plan.slots is None:
-        stage = partial(_saddle_stage, plan, body, state.chart)
-    else:
-        falling = quaternion.rotated_back(state.chart[0], body.gravity)
-        stage = partial(_subgroup_stage, plan, body, state.chart, falling)
+    of_formulation = _saddle_stage if plan.slots is None else _subgroup_stage
+    falling = quaternion.rotated_back(state.chart[0], body.gravity)
+    stage = partial(of_formulation, plan, body, state.chart, falling)
     x_rates: list[Vec] = []
     rates: list[Vec] = []  # of V or μ
     powers: list[Vec] = []
     singular: Any = ZERO
     for weights, node in zip(plan.stages, plan.nodes, strict=True):
-        x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, weights, x_rates))
+        x = _in_algebra(plan, body, _advanced(state.x, 0.5 * h, weights, x_rates))
         v_or_mu = _advanced(state.v_or_mu, h, weights, rates)
         x_rate, rate, power, failed = stage(x, v_or_mu, fma(h, node, time))
         x_rates.append(x_rate)
         rates.append(rate)
         powers.append((power,))
         singular = maximum(singular, failed)
-    x = _in_algebra(plan, body, _advanced(state.x, plan.share * h, plan.weights, x_rates))
+    x = _in_algebra(plan, body, _advanced(state.x, 0.5 * h, plan.weights, x_rates))
     v_or_mu = _advanced(state.v_or_mu, h, plan.weights, rates)
     (work,) = _advanced((state.work,), h, plan.weights, powers)
     if plan.is_local:
-        k = _angle_coefficients(plan, x)
-        return State(plan.charts.compose_exp(state.chart, x, k), ZERO6, v_or_mu, work), singular
+        moved = plan.space.charts.compose_exp(state.chart, x, quaternion.angle_coefficients(x))
+        return State(moved, ZERO6, v_or_mu, work), singular
     return _recharted(plan, State(state.chart, x, v_or_mu, work)), singular
 
 
-def _angle_coefficients(plan: Plan, x: Vec) -> Any:
-    if plan.slots is None:
-        return plan.charts.angle_coefficients(x, step_coefficients)
-    return quaternion.angle_coefficients(x)
-
-
 def _saddle_stage(
-    plan: Plan, body: Body, chart: Pose, x: Vec, velocity: Vec, time: Any
+    plan: Plan, body: Body, chart: Chart, falling: Vec, x: Vec, velocity: Vec, time: Any
 ) -> tuple[Vec, Vec, Any, Any]:
-    """Ẋ, V̇, Ẇ and the mark of a singular configuration."""
-    k = _angle_coefficients(plan, x)
-    pose = plan.charts.compose_exp(chart, x, k)
-    load = applied_load(plan, body, pose, velocity, time)
-    found = accelerate(plan, body, pose, velocity, time, load)
-    power = load.power + _driving_power(plan, body, pose, velocity, time, found.multipliers)
-    return plan.charts.dexpinv(neg(x), velocity, k), found.rate, power, found.singular
+    """Ẋ, V̇, Ẇ and the mark of a singular configuration.
+
+    falling : gravity in the chart's axes.   x : X/2.
+    """
+    k = quaternion.angle_coefficients(x)
+    moved = plan.space.charts.compose_exp(chart, x, k)
+    # Three turned rows, of which most plans use one, are less than a matrix made of `moved`.
+    fixed = quaternion.matrix(chart[0])
+    q = tuple(z for i in range(3) for z in quaternion.rotate(neg(x), row(fixed, i), k))
+    fall = quaternion.rotate(neg(x), falling, k)
+    found = accelerate(plan, body, moved, velocity, time, q, fall)
+    singular = found.singular
+    if has_others(plan.rows):  # another rank is another joint
+        singular = where(found.dropped == body.dropped, singular, 1.0)
+    return plan.space.charts.dexpinv(neg(x), velocity, k), found.rate, found.power, singular
 
 
 def _subgroup_stage(
     plan: Plan, body: Body, chart: Chart, falling: Vec, x: Vec, momentum: Vec, time: Any
 ) -> tuple[Vec, Vec, Any, Any]:
-    """Ẋ, μ̇, Ẇ and no mark.
-
-    falling : gravity in the chart's axes.   x : X/2.
-    """
+    """Ẋ, μ̇, Ẇ and no mark; arguments as of `_saddle_stage`."""
     assert plan.slots is not None
     velocity = subgroup.velocity_of(plan.slots, body, momentum)
-    k = _angle_coefficients(plan, x)
-    load = Load(ZERO6, ZERO)
+    k = quaternion.angle_coefficients(x)
+    applied = Applied(ZERO6, ZERO)
     if plan.elements:
         pose = quaternion.pose(quaternion.compose_exp(chart, x, k))
-        load = applied_load(plan, body, pose, velocity, time)
+        motion = plan.space.kinematics(body, pose, velocity)._replace(time=time).motion
+        applied = applied_to(body, plan.elements, motion)
     fall = quaternion.rotate(neg(x), falling, k)
-    rate = subgroup.momentum_rate(plan.slots, body, fall, load.wrench, velocity, momentum)
-    return quaternion.dexpinv(neg(x), velocity, k), rate, load.power, ZERO
+    rate = subgroup.momentum_rate(plan.slots, body, fall, applied.wrench, velocity, momentum)
+    return quaternion.dexpinv(neg(x), velocity, k), rate, applied.power, ZERO
 
 
 def _in_algebra(plan: Plan, body: Body, x: Vec) -> Vec:
@@ -208,29 +237,25 @@ def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -
 
 
 def tidied(plan: Plan, body: Body, state: State) -> State:
-    """The state with C₀ put back where rounding has taken it from: R on SO(3), a screw on its H.
+    """The state with C₀ put back where rounding has taken it from: p to unit length, a screw on H.
 
     Not every step: a systematic error of a projection would then add up (for R's 1.5e-12 rad in 1e6
     steps).
     """
-    if plan.slots is None:
-        q, place = state.chart
-        return state._replace(chart=(so3.orthonormalised(q), place))
     p, d = quaternion.normalised(state.chart[0]), state.chart[1]
-    for row in plan.rows:
-        if row.kind == "screw":
+    for r in plan.rows:
+        if r.kind == "screw" and plan.slots is not None:
             x = plan.space.kinematics(body, quaternion.pose((p, d)), ZERO6)
-            d = (d[0], d[1], d[2] - value(row, x, body))
+            d = (d[0], d[1], d[2] - value(r, x, body))
     return state._replace(chart=(p, d))
 
 
 def _recharted(plan: Plan, state: State) -> State:
     """C₀ ← C₀ exp X and X ← 0 where ‖ξ‖ has passed the threshold."""
-    far = dot(state.x[:3], state.x[:3]) > (plan.share * RECHART_ANGLE) ** 2
+    far = dot(state.x[:3], state.x[:3]) > (0.5 * RECHART_ANGLE) ** 2
 
     def move() -> Any:
-        k = _angle_coefficients(plan, state.x)
-        moved = plan.charts.compose_exp(state.chart, state.x, k)
+        moved = plan.space.charts.compose_exp(state.chart, state.x)
         return where(far, (moved, tuple(0.0 * x for x in state.x)), (state.chart, state.x))
 
     chart, x = branch(any_lanes(far), move, lambda: (state.chart, state.x), likely=False)

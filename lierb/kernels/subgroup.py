@@ -43,11 +43,6 @@ def slots_of(rows: Rows) -> Slots:
     return tuple(slots)
 
 
-def turns_about_a_point(slots: Slots) -> bool:
-    """Whether H is SO(3). Any axes on the body are then joint axes: those of its inertia, too."""
-    return slots == (0, 1, 2, FIXED, FIXED, FIXED)
-
-
 def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:
     """V = N ν, with structural zeros."""
     components: list[Any] = [nu[slot] if slot >= 0 else ZERO for slot in slots]

@@ -140,16 +140,19 @@ def inverse_symmetric(m: Mat) -> Mat:
     return (xx, xy, c, xy, yy, yz, c, yz, i2)
 
 
-def principal_axes(m: Mat) -> tuple[Vec, Mat]:
-    """Eigenvalues of a symmetric matrix, and eigenvectors as a rotation's columns, in that order.
+def principal_axes(m: Mat, shift: Vec = ZERO3) -> tuple[Vec, Mat]:
+    """Eigenvalues of a symmetric m + diag(shift), less the shift, and eigenvectors as a rotation's
+    columns, in that order.
 
-    By Jacobi's rotations, each of 45° at most: a matrix that is diagonal keeps its axes.
+    By Jacobi's rotations, each of 45° at most: a matrix that is diagonal keeps its axes. What is
+    small beside a shift keeps its digits.
     """
     a = [list(row(m, i)) for i in range(3)]
     axes = [list(row(IDENTITY, i)) for i in range(3)]
     for p, q in JACOBI_SWEEPS * ((0, 1), (0, 2), (1, 2)):
         aside = a[p][q]
-        apart, twice = a[q][q] - a[p][p], 2.0 * aside  # their quotient: cot of twice the angle
+        apart = (shift[q] - shift[p]) + (a[q][q] - a[p][p])
+        twice = 2.0 * aside  # apart/twice: cot of twice the angle
         reach = absolute(apart) + sqrt(fma(apart, apart, twice * twice))
         t = twice / where(reach > 0.0, reach, 1.0)
         t = where(apart < 0.0, -t, t)
@@ -163,6 +166,17 @@ def principal_axes(m: Mat) -> tuple[Vec, Mat]:
         for line in axes:
             line[p], line[q] = _turned(c, s, line[p], line[q])
     return (a[0][0], a[1][1], a[2][2]), tuple(x for line in axes for x in line)
+
+
+def axes_along(a: Vec) -> Mat:
+    """A rotation whose first column is along a vector that is not zero."""
+    u = scale(1.0 / norm(a), a)
+    flat = absolute(u[0]) < 0.9  # else u is near e₁, and e₂ is not
+    aside = where(flat, 1.0, 0.0), where(flat, 0.0, 1.0), 0.0
+    v = axpy(-dot(u, aside), u, aside)
+    v = scale(1.0 / norm(v), v)
+    w = cross(u, v)
+    return tuple(x for line in zip(u, v, w, strict=True) for x in line)
 
 
 def _turned(c: Any, s: Any, x: Any, y: Any) -> tuple[Any, Any]:
