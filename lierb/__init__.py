@@ -9,6 +9,7 @@ from lierb.elements import constraint, wrench
 from lierb.extras import require
 from lierb.installation import info, warmup
 from lierb.kernels.dual import where
+from lierb.kernels.vocabulary import clip, log, quaternion, table
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.provenance import package_version
@@ -26,6 +27,7 @@ __all__ = [
     "Problem",
     "Result",
     "bodies",
+    "clip",
     "constraint",
     "errors",
     "forces",
@@ -33,8 +35,11 @@ __all__ = [
     "integrate",
     "joints",
     "lie",
+    "log",
     "predict",
+    "quaternion",
     "sampling",
+    "table",
     "warmup",
     "where",
     "wrench",

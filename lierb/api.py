@@ -163,6 +163,7 @@ def integrate(
     """
     if not isinstance(problem, Problem):
         raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
+    problem.require_unchanged()
     recorded, tableau, steps, found_by = check_options(
         problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=cspace, update=update,
         save_every=save_every, measure_every=measure_every, record=record, check=check,

@@ -124,9 +124,9 @@ def motor(
 ) -> Force:
     """A motor on the joint axis: its torque, N m, or its speed, rad/s, given.
 
-    torque or speed : number or (n,), or a function (t) or (t, params) with t in s; see
-        `lierb.wrench` for what such a function may do. A speed is a constraint of its own, on which
-        the twist at the start must be; −λ of its row is the torque that the motor needs.
+    torque or speed : number or (n,), or a function (t) or (t, params), and (…, body), with t in s;
+        see `lierb.wrench` for what such a function may do. A speed is a constraint of its own, on
+        which the twist at the start must be; −λ of its row is the torque that the motor needs.
     parameters : of the function, each a number or (n,).
 
     For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like.
@@ -154,15 +154,4 @@ def _time_function(
     """A user's function of (t) or (t, params) that returns one number."""
     if not inspect.isfunction(function):
         raise ForceError(f"expected a number or a function of (t) or (t, params), got {function!r}")
-    given = inspect.signature(function).parameters.values()
-    if not shapes and sum(p.default is p.empty for p in given) == 1:
-        function = _ignoring_parameters(function)
     return user_function(function, ("t",), shapes, ((),), differentiated)
-
-
-def _ignoring_parameters(function: Callable[..., Any]) -> Callable[..., Any]:
-    def of_time(t, params):  # type: ignore[no-untyped-def]
-        return function(t)
-
-    of_time.__name__ = getattr(function, "__name__", "function")
-    return of_time

@@ -157,6 +157,7 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
         label = f"{argument}[{number}]"
         reject_functions(label, element)
         _require(label, element, kind, f"a {kind.__name__.lower()} made by lierb")
+        element.require_unchanged()
         if element.kind.needs_axis and not {Row("Omega", 0), Row("Omega", 1)} <= set(joint.rows):
             raise ForceError(
                 f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
@@ -233,6 +234,12 @@ class Problem:
     def elements(self) -> tuple[Element, ...]:
         """Forces and constraints."""
         return (*self.forces, *self.constraints)
+
+    def require_unchanged(self) -> None:
+        """Raise ForceError where a force's function refers to something that is another by now."""
+        for element in self.elements:
+            if element.references:
+                element.require_unchanged()
 
     @cached_property
     def kinds(self) -> tuple[kinds.Element, ...]:

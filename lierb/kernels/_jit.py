@@ -486,6 +486,11 @@ def _as_numbers(operands: Any, result: Any) -> Any:
 
 def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
     """Type of formula(*args), found by a trace into a function that is thrown away."""
+    return _type_of_trace(_traced_alone(formula, args)[0])
+
+
+def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
+    """formula(*args), and the function of its own that it was traced into."""
     from numba.core.registry import cpu_target
 
     context = cpu_target.target_context
@@ -493,12 +498,15 @@ def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> t
     builder = ir.IRBuilder(function.append_basic_block())
     values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]
     traced = [_to_trace(context, builder, t, v) for t, v in zip(args, values, strict=True)]
-    return _type_of_trace(formula(*traced))
+    return formula(*traced), function
 
 
-def trial(formula: Callable[..., Any], count: int) -> types.Type:
-    """The type of what a formula of `count` packs returns."""
-    return _result_type(formula, (LaneType(2),) * count)
+def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
+    """What a formula of `count` packs returns, and all that it does, as text."""
+    operands = (LaneType(2),) * count
+    result, function = _traced_alone(formula, operands)
+    numbers = (x.value.get_reference() if isinstance(x, Lane) else repr(x) for x in flatten(result))
+    return result, f"{function}\n{' '.join(numbers)}"
 
 
 def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:

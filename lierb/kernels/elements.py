@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 from lierb.kernels.arithmetic import PI, fma, plain, rint, sqrt, where
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.dual import Dual
-from lierb.kernels.functions import Function
+from lierb.kernels.functions import BODY, Function
 from lierb.kernels.newton_euler import (
     SE3,
     Body,
@@ -27,6 +27,7 @@ from lierb.kernels.newton_euler import (
     Pose,
     SO3xR3,
     frames_of,
+    inertia_about_com,
 )
 from lierb.kernels.vec import (
     UNIT,
@@ -71,6 +72,17 @@ class Element:
     is_holonomic: ClassVar[bool] = True  # of rows: whether they are of the pose
     fixed_axis: ClassVar[int | None] = None  # of a row that says the turning about a body axis
     rows: int = 0
+
+    @property
+    def functions(self) -> tuple[Function, ...]:
+        """Those of the user's that it is made of."""
+        found = (getattr(self, name, None) for name in ("function", "potential"))
+        return tuple(f for f in found if isinstance(f, Function))
+
+    @property
+    def sees_body(self) -> bool:
+        """Whether one of them asks for mass, inertia and centre of mass."""
+        return any(f.sees_body for f in self.functions)
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return tuple(given.values())
@@ -430,9 +442,12 @@ def parameter_count(elements: tuple[Element, ...]) -> int:
 
 
 def all_placed(
-    elements: tuple[Element, ...], numbers: list[Any], frames: Frames
+    elements: tuple[Element, ...], numbers: list[Any], frames: Frames, parameters: Parameters
 ) -> tuple[Any, ...]:
-    """Every element's parameters, from the numbers of their input columns."""
+    """Every element's parameters, from the numbers of their input columns.
+
+    After them, where it sees the body, what `lierb.kernels.functions.BODY` names.
+    """
     rest = iter(numbers)
     placed = []
     for element in elements:
@@ -440,6 +455,9 @@ def all_placed(
             name: tuple(islice(rest, math.prod(shape))) if shape else next(rest)
             for name, shape in element.shapes.items()
         }
+        if element.sees_body:
+            seen = parameters.mass, inertia_about_com(parameters), parameters.com
+            given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
         placed.append(element.placed(given, frames))
     return tuple(placed)
 
@@ -451,7 +469,7 @@ def body_with(
     numbers: list[Any],
 ) -> Body:
     """The body in that c-space, with its elements made of `numbers`, as in `all_placed`."""
-    placed = all_placed(elements, numbers, frames_of(parameters))
+    placed = all_placed(elements, numbers, frames_of(parameters), parameters)
     return space.body(parameters)._replace(elements=placed)
 
 

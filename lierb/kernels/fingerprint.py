@@ -1,7 +1,8 @@
 """What a function refers to, and its fingerprint: equal for functions that compute the same.
 
 A kernel's name in the disk cache holds the fingerprints of the user's functions in it, so that an
-edited function, helper or constant is compiled anew.
+edited function, helper or constant is compiled anew. What cannot have a fingerprint, because it is
+no function of its arguments, is refused here: by name, before anything runs.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ from __future__ import annotations
 import builtins
 import dis
 import hashlib
+import linecache
 import sys
 import types
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,8 +22,23 @@ from numba.core.registry import CPUDispatcher
 
 LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, type(...))
 KNOWN = {"numpy", "numba", "lierb", *sys.stdlib_module_names}  # packages whose names say it all
+# Of the standard library, what does nothing but compute.
+COMPUTING = {
+    "builtins", "math", "cmath", "operator", "_operator", "functools", "_functools", "itertools",
+    "numbers", "fractions", "collections", "_collections", "_collections_abc", "typing", "types",
+    "enum", "abc", "dataclasses", "copy", "__future__",
+}  # fmt: skip
+RANDOM = ("random", "_random", "secrets", "uuid", "numpy.random")
+CLOCKS = ("time", "datetime", "_datetime", "zoneinfo")
 # With these a function gets at what nobody can see from outside.
-HIDDEN = ("getattr", "eval", "exec", "globals", "locals", "vars", "open", "__import__")
+HIDDEN = ("getattr", "setattr", "delattr", "eval", "exec", "compile", "globals", "locals", "vars",
+          "__import__", "breakpoint")  # fmt: skip
+OUTSIDE = ("print", "input", "open", "id", "hash")
+OUTSIDE_NUMPY = (
+    "load", "loadtxt", "genfromtxt", "fromfile", "memmap", "save", "savez", "savez_compressed",
+    "savetxt", "seterr", "geterr", "set_printoptions", "get_printoptions", "setbufsize",
+)  # fmt: skip
+ALONE = "a function of the user's is one of its arguments alone"
 
 
 class UnfitFunctionError(TypeError):
@@ -29,8 +47,18 @@ class UnfitFunctionError(TypeError):
 
 def fingerprint(function: Callable[..., Any]) -> str:
     """A digest of the function's code and of everything that it refers to."""
+    _require_pure(function, [])
     description = _described_function(function, [function])
     return hashlib.sha256(repr(description).encode()).hexdigest()[:32]
+
+
+def at(code: types.CodeType, line: int | None) -> str:
+    """A line of the user's source, for messages."""
+    source = linecache.getline(code.co_filename, line or 0).strip()
+    return f'line {line}, "{source}"' if source else f"line {line} of {code.co_name}"
+
+
+# ---- what it refers to -------------------------------------------------------------------------
 
 
 def references(function: Any) -> Iterator[tuple[str, Any]]:
@@ -38,7 +66,7 @@ def references(function: Any) -> Iterator[tuple[str, Any]]:
     names = sorted(
         {
             instruction.argval
-            for code in _codes(function.__code__)
+            for code in codes(function.__code__)
             for instruction in dis.get_instructions(code)
             if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME")
         }
@@ -50,17 +78,176 @@ def references(function: Any) -> Iterator[tuple[str, Any]]:
             yield name, getattr(builtins, name)
 
 
-def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
+def cells(function: Any) -> Iterator[tuple[str, Any]]:
+    """Its closure: variables of the functions around it, as far as they have values."""
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        try:
+            yield name, cell.cell_contents
+        except ValueError:
+            raise UnfitFunctionError(f"it refers to {name}, which has no value yet") from None
+
+
+def codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """The code, and that of the functions inside."""
     yield code
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            yield from _codes(constant)
+            yield from codes(constant)
+
+
+def attributes_of(function: Any) -> set[str]:
+    """Names that may stand after a dot in its code."""
+    return {name for code in codes(function.__code__) for name in code.co_names}
+
+
+def members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterator[Any]:
+    """What a function may mean by `module.attribute`, and by what is in modules that it names.
+
+    Yields (dotted name, module, attribute, value).
+    """
+    if is_known(module):
+        return
+    for attribute in sorted(attributes & set(vars(module))):
+        value = getattr(module, attribute)
+        inner = f"{name}.{attribute}"
+        yield inner, module, attribute, value
+        if isinstance(value, types.ModuleType) and value.__name__.startswith(module.__name__):
+            yield from members(inner, value, attributes)
+
+
+def is_known(module: types.ModuleType) -> bool:
+    """Whether its name says it all."""
+    return module.__name__.split(".")[0] in KNOWN
+
+
+# ---- what no function of its arguments does ----------------------------------------------------
+
+
+def refusal(value: Any, name: str) -> str | None:
+    """Why a function may not use this, known to it as `name`; None if it may."""
+    if _is_users(value):
+        return None
+    module = _origin(value)
+    top = module.split(".")[0]
+    if any(module == known or module.startswith(known + ".") for known in RANDOM):
+        return (
+            f"it draws random numbers, {name}: they would be the same constants for every body and "
+            f"in every step; {ALONE}: sample a parameter instead"
+        )
+    if top in CLOCKS:
+        return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
+    bare = getattr(value, "__name__", "")
+    outside = (
+        (top == "builtins" and value is getattr(builtins, bare, None) and bare in OUTSIDE)
+        or (module in ("io", "_io"))
+        or (top == "numpy" and bare in OUTSIDE_NUMPY and value is getattr(np, bare, None))
+        or (top == "numba" and bare == "objmode")
+        or (top in sys.stdlib_module_names and top not in COMPUTING)
+    )
+    if outside:
+        return f"it uses {name}; {ALONE}: make what it reads a parameter"
+    if top == "builtins" and bare in HIDDEN and value is getattr(builtins, bare):
+        return f"it uses {name}, behind which lierb cannot look"
+    return None
+
+
+def _origin(value: Any) -> str:
+    """The module that something comes from: for methods, that of what they belong to."""
+    if isinstance(value, types.ModuleType):
+        return value.__name__
+    owner = getattr(value, "__self__", None)
+    if callable(value) and owner is not None and not isinstance(owner, types.ModuleType):
+        value = owner
+    if not (isinstance(value, type) or callable(value)):
+        value = type(value)
+    if not isinstance(value, type) and not isinstance(getattr(value, "__module__", None), str):
+        value = type(value)
+    return str(getattr(value, "__module__", ""))
+
+
+def _require_pure(function: Any, seen: list[Any]) -> None:
+    """Raise for what a function's code names and may not, line by line."""
+    if function in seen:
+        return
+    seen.append(function)
+    own, outer = function.__code__, dict(cells(function))
+    known = dict(references(function)) | outer
+    for code, free in _scopes(own, frozenset(own.co_freevars)):
+        for chain in _chains(code, known):
+            for _, value, line in chain:
+                why = refusal(value, chain[-1][0])
+                if why is not None:
+                    raise UnfitFunctionError(f"{at(code, line)}: {why}")
+                if _is_users(value):
+                    _require_pure(_undecorated(value), seen)
+        before = None
+        for step in dis.get_instructions(code):
+            line = step.positions.lineno if step.positions else None
+            if step.opname == "IMPORT_NAME":
+                raise UnfitFunctionError(
+                    f"{at(code, line)}: it imports something itself; import that outside"
+                )
+            is_outer = step.opname in ("STORE_DEREF", "DELETE_DEREF") and step.argval in free
+            changed = step.argval if is_outer or step.opname in _CHANGES_GLOBAL else None
+            if step.opname in ("STORE_ATTR", "DELETE_ATTR") and before is not None:
+                changed = f"{before}.{step.argval}"
+            if changed is not None:
+                raise UnfitFunctionError(
+                    f"{at(code, line)}: it changes {changed}, which is not its own; {ALONE}"
+                )
+            is_name = step.opname == "LOAD_GLOBAL" or (
+                step.opname == "LOAD_DEREF" and step.argval in free
+            )
+            before = step.argval if is_name else None
+
+
+_CHANGES_GLOBAL = ("STORE_GLOBAL", "DELETE_GLOBAL")
+
+
+def _scopes(code: types.CodeType, free: frozenset[str]) -> Iterator[tuple[Any, frozenset[str]]]:
+    """The code and what is inside, each with the variables that are not the function's own."""
+    yield code, free
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _scopes(constant, free & frozenset(constant.co_freevars))
+
+
+Chain = list[tuple[str, Any, int | None]]
+
+
+def _chains(code: types.CodeType, known: dict[str, Any]) -> Iterator[Chain]:
+    """Names with what follows them dot by dot: (dotted name, value in its module, line) each."""
+    chain: Chain = []
+    for step in dis.get_instructions(code):
+        line = step.positions.lineno if step.positions else None
+        if step.opname in ("LOAD_ATTR", "LOAD_METHOD") and chain:
+            name, value, _ = chain[-1]
+            inner = (
+                getattr(value, step.argval, None) if isinstance(value, types.ModuleType) else None
+            )
+            chain.append((f"{name}.{step.argval}", inner, line))
+            continue
+        if chain:
+            yield chain
+        named = step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
+        chain = [(step.argval, known.get(step.argval), line)] if named else []
+
+
+def _undecorated(value: Any) -> Any:
+    return value.py_func if isinstance(value, CPUDispatcher) else value
+
+
+def _is_users(value: Any) -> bool:
+    value = _undecorated(value)
+    return isinstance(value, types.FunctionType) and not is_foreign(value)
+
+
+# ---- descriptions ------------------------------------------------------------------------------
 
 
 def _described(value: Any, name: str, path: list[Any]) -> Any:
     """A value as nested tuples of text and numbers, equal for what computes the same."""
-    if isinstance(value, CPUDispatcher):
-        value = value.py_func
+    value = _undecorated(value)
     if isinstance(value, LITERALS):
         return repr(value)
     if type(value) in (set, frozenset):
@@ -71,7 +258,7 @@ def _described(value: Any, name: str, path: list[Any]) -> Any:
         return "dict", *(_described(item, name, path) for item in value.items())
     if isinstance(value, (np.ndarray, np.generic)) and value.dtype != object:
         array = np.ascontiguousarray(value)
-        return "array", str(array.dtype), array.shape, hashlib.sha256(array.data).hexdigest()
+        return "array", str(array.dtype), value.shape, hashlib.sha256(array.data).hexdigest()
     if isinstance(value, types.ModuleType):
         return "module", value.__name__
     if isinstance(value, types.FunctionType) and not is_foreign(value):
@@ -89,35 +276,24 @@ def _described(value: Any, name: str, path: list[Any]) -> Any:
 
 
 def _described_function(function: Any, path: list[Any]) -> Any:
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    named = [*references(function), *((name, cell.cell_contents) for name, cell in cells)]
-    codes = list(_codes(function.__code__))
-    if any(i.opname == "IMPORT_NAME" for code in codes for i in dis.get_instructions(code)):
-        raise UnfitFunctionError("it imports something itself; import that before the function")
-    for name, value in named:
-        if name in HIDDEN and value is getattr(builtins, name):
-            raise UnfitFunctionError(f"it uses {name}, behind which lierb cannot look")
-    attributes = {n for code in codes for n in code.co_names}
-    modules = [(name, value) for name, value in named if isinstance(value, types.ModuleType)]
-    members = [member for name, value in modules for member in _members(name, value, attributes)]
     return (
         _described_code(function.__code__, path),
-        _described(function.__defaults__, "a default", path),
-        _described(function.__kwdefaults__, "a default", path),
-        *((name, _described(value, name, path)) for name, value in named + members),
+        *((name, _described(value, name, path)) for name, _, _, value in _surroundings(function)),
     )
 
 
-def _members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterator[Any]:
-    """What a function may mean by `module.attribute`, and by what is in modules that it names."""
-    if module.__name__.split(".")[0] in KNOWN:
-        return
-    for attribute in sorted(attributes & set(vars(module))):
-        value = getattr(module, attribute)
-        inner = f"{name}.{attribute}"
-        yield inner, value
-        if isinstance(value, types.ModuleType) and value.__name__.startswith(module.__name__):
-            yield from _members(inner, value, attributes)
+def _surroundings(function: Any) -> Iterator[tuple[str, Any, Any, Any]]:
+    """What a function refers to: (name, owner, key, value), where owner[key] is the value."""
+    yield "a default", function, "__defaults__", function.__defaults__
+    yield "a default", function, "__kwdefaults__", function.__kwdefaults__
+    named = [(n, function.__globals__, n, value) for n, value in references(function)]
+    places = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+    named += [(n, places[n], "cell_contents", value) for n, value in cells(function)]
+    attributes = attributes_of(function)
+    for name, owner, key, value in named:
+        yield name, owner, key, value
+        if isinstance(value, types.ModuleType):
+            yield from members(name, value, attributes)
 
 
 def _described_code(code: types.CodeType, path: list[Any]) -> Any:
@@ -138,3 +314,69 @@ def is_foreign(value: Any) -> bool:
     for part in name.split("."):
         found = getattr(found, part, None)
     return found is value
+
+
+# ---- whether it is still what it was -----------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a function refers to, where it found it, and what that was."""
+
+    name: str
+    owner: Any
+    key: str
+    value: Any
+    content: Any
+    is_mutable: bool
+
+    def has_changed(self) -> bool:
+        """Whether there is something else now; at once where the object is and stays the same."""
+        now = (
+            self.owner.get(self.key) if type(self.owner) is dict
+            else getattr(self.owner, self.key, None)
+        )  # fmt: skip
+        if now is self.value and not self.is_mutable:
+            return False
+        try:
+            return bool(_described(now, self.name, []) != self.content)
+        except UnfitFunctionError:
+            return True
+
+
+def watched(function: Any) -> tuple[Reference, ...]:
+    """Everything outside that a function, and those that it calls, have been compiled with."""
+    return tuple(_watched(function, []))
+
+
+def _watched(function: Any, seen: list[Any]) -> Iterator[Reference]:
+    if function in seen:
+        return
+    seen.append(function)
+    for name, owner, key, value in _surroundings(function):
+        if value is None and owner is function:
+            continue
+        if type(owner) is dict and key not in owner:  # a built-in
+            continue
+        mutable = _is_mutable(value)
+        if not isinstance(value, types.ModuleType) or not is_known(value):
+            content = _described(value, name, [])
+            yield Reference(name, owner, key, value, content, mutable)
+        for inner in _functions_in(value):
+            yield from _watched(inner, seen)
+
+
+def _is_mutable(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return any(map(_is_mutable, value))
+    return isinstance(value, (list, dict, set, np.ndarray))
+
+
+def _functions_in(value: Any) -> Iterator[Any]:
+    if isinstance(value, (tuple, list)):
+        for x in value:
+            yield from _functions_in(x)
+    elif isinstance(value, dict):
+        yield from _functions_in(list(value.values()))
+    elif _is_users(value):
+        yield _undecorated(value)

@@ -278,9 +278,9 @@ def call_library(name: str, *operands: Any) -> Lane:
 
 
 def select(mask: Mask, a: Any, b: Any) -> Lane:
-    """Lane by lane: `a` where the mask holds, `b` elsewhere."""
+    """Lane by lane: `a` where the mask holds, `b` elsewhere; one for all lanes, if it is scalar."""
     builder = mask.builder
-    count = mask.value.type.count if isinstance(mask.value.type, ir.VectorType) else 1
+    count = max(mask._count(), *(x.lanes for x in (a, b) if isinstance(x, Lane)), 1)
     like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
 
     def convert(x: Any) -> ir.Value:

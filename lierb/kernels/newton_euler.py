@@ -179,9 +179,7 @@ class Motion(NamedTuple):
 def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
     """Turn to joint axes; `origin`, from which c is counted, is in the user's body frame."""
     to_joint = p.body[0]
-    steiner = scale(p.mass, unit_inertia(p.com))
-    about_com = sub(p.inertia, steiner)
-    inertia = mat_t_mat(to_joint, mat_mat(about_com, to_joint))
+    inertia = mat_t_mat(to_joint, mat_mat(inertia_about_com(p), to_joint))
     com = mat_t_vec(to_joint, sub(p.com, origin))
     return Body(
         mass=p.mass,
@@ -244,6 +242,11 @@ def about_a_point(body: Body) -> tuple[Mat, Vec, Vec, Vec]:
         (shift[i] - shift[j]) + (parts[i] - parts[j]) for i, j in ((1, 2), (2, 0), (0, 1))
     )
     return mat_mat(along, turn), mat_t_vec(turn, aligned), moments, differences
+
+
+def inertia_about_com(p: Parameters) -> Mat:
+    """In the user's body axes  (Steiner)."""
+    return sub(p.inertia, scale(p.mass, unit_inertia(p.com)))
 
 
 def unit_inertia(c: Vec) -> Mat:
