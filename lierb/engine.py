@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.arrays import Array
-from lierb.errors import ArgumentError, ForkError
+from lierb.errors import ArgumentError, ForceError, ForkError
 from lierb.extras import remedy
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
@@ -415,13 +415,28 @@ def _call_driver(
         grid.steps, grid.origin, grid.first_step, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
     entry = _jit.entry_of(integrate_block, plan, 0, *arguments)
-    counter = np.zeros(1, dtype=np.int64)
+    counter = np.zeros(2, dtype=np.int64)
     loop = (SOURCES, entry, counter, plan.lanes, threads, *arguments)
     run = _jit.compiled(integrate_blocks, *loop)
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         began = time.perf_counter()
-        run(*loop)
+        try:
+            run(*loop)
+        except Exception as error:
+            _report_raised(plan, error)
+            raise
         return max(time.perf_counter() - began, 1e-6)
+
+
+def _report_raised(plan: Plan, error: Exception) -> None:
+    """Raise ForceError for what a function of the user's, compiled as it is, has raised."""
+    names = [f.name for element in plan.elements for f in element.functions if not f.is_traced]
+    if names:
+        what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise ForceError(
+            f"{' or '.join(dict.fromkeys(names))} raised {what}, for some body and at some time of "
+            "the run"
+        ) from error
 
 
 # ---- threads -----------------------------------------------------------------------------------

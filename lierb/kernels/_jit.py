@@ -27,6 +27,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
 from numba.core.runtime import rtsys
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import (
@@ -42,7 +43,7 @@ from numba.extending import (
 from numba.np.arrayobj import populate_array
 
 from lierb.kernels.arithmetic import flatten
-from lierb.kernels.lanes import DOUBLE, INT32, ArrayRef, Index, Lane, LaneType, Predicate
+from lierb.kernels.lanes import BIT, DOUBLE, INT32, ArrayRef, Index, Lane, LaneType, Predicate
 from lierb.kernels.zero import is_zero
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
@@ -268,9 +269,13 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     return _entries[dispatcher, tag]
 
 
-def call(entry: Any, *args: Any) -> None:
-    """Run the code at an entry, for @njit code; the types are those that it was compiled for."""
+def call(entry: Any, *args: Any) -> int:
+    """Run the code at an entry, for @njit code; the types are those that it was compiled for.
+
+    Returns 0, or for `raise_again` what was raised: in a parallel loop's thread nobody hears it.
+    """
     entry(*args)
+    return 0
 
 
 @overload(call)
@@ -291,11 +296,35 @@ def _call_entry(context: Any, entry: Any, args: Any) -> Any:
         tag = context.get_constant_null(types.voidptr)
         members = cgutils.unpack_tuple(builder, values[1])
         status, _ = convention.call_function(builder, code, types.none, operands, [tag, *members])
-        with cgutils.if_unlikely(builder, status.is_error):
-            convention.return_status_propagate(builder, status)
+        raised = builder.ptrtoint(status.excinfoptr, INT64)
+        return builder.select(status.is_error, raised, INT64(0))
+
+    return types.int64(entry, args), generate
+
+
+def raise_again(raised: int) -> None:
+    """Raise what `call` has returned, unless it is 0, in compiled code."""
+
+
+@overload(raise_again)
+def _raise_again(raised):  # no annotations: Numba compares signatures
+    return lambda raised: _propagate(raised)
+
+
+@intrinsic
+def _propagate(context: Any, raised: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        is_error = builder.icmp_unsigned("!=", values[0], INT64(0))
+        with cgutils.if_unlikely(builder, is_error):
+            status = Status(
+                code=RETCODE_USEREXC, is_ok=BIT(0), is_none=BIT(0), is_error=BIT(1),
+                is_stop_iteration=BIT(0), is_python_exc=BIT(0), is_user_exc=BIT(1),
+                excinfoptr=builder.inttoptr(values[0], excinfo_ptr_t),
+            )  # fmt: skip
+            context.call_conv.return_status_propagate(builder, status)
         return context.get_dummy_value()
 
-    return types.none(entry, args), generate
+    return types.none(raised), generate
 
 
 @contextmanager

@@ -681,7 +681,7 @@ def integrate_blocks(
 ):  # fmt: skip
     """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
 
-    counter : [0], of blocks that some thread has taken.
+    counter : [0, 0], of blocks that some thread has taken; what a user's function has raised.
     """
     blocks = inputs.shape[1] // lanes
     for _ in prange(threads):  # each takes what comes next: cores need not be equally fast
@@ -689,8 +689,11 @@ def integrate_blocks(
             block = _jit.take_turn(counter)
             if block >= blocks:
                 break
-            _jit.call(
+            raised = _jit.call(
                 integrate, block * lanes, inputs, carried, summary, errors, rotations, places,
                 omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
                 first_step, h, measure_every, save_every,
             )  # fmt: skip
+            if raised != 0:
+                counter[1] = raised
+    _jit.raise_again(counter[1])
