@@ -135,7 +135,7 @@ class Wrench(_Decorated):
         """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
 
         It may be that of a part of the wrench: what the rest does counts as work. For that it is
-        differentiated, and so must run on dual numbers, as a constraint does.
+        differentiated, and so must run for many bodies at once, as a constraint does.
         """
         if not inspect.isfunction(function):
             raise ForceError(f"expected a function to decorate, got {function!r}")

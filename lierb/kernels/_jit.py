@@ -535,7 +535,7 @@ def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
     operands = (LaneType(2),) * count
     result, function = _traced_alone(formula, operands)
     numbers = (x.value.get_reference() if isinstance(x, Lane) else repr(x) for x in flatten(result))
-    return result, f"{function}\n{' '.join(numbers)}"
+    return result, f"{function.module}\n{' '.join(numbers)}"
 
 
 def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:

@@ -23,6 +23,7 @@ from lierb.kernels.coefficients import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.lanes import Lane, Mask
 from lierb.kernels.zero import ZERO, Zero, is_zero
 
+FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
 WHOLE = 2.0**52  # quotients below it have a floor that is exact
 
 DECIDES = (
@@ -687,16 +688,23 @@ def heaviside(x: Any, at_zero: Any) -> Any:
 def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) -> Any:
     """Linear between the points (xs, ys), constant beyond them, or `left` and `right`.
 
-    A choice among the lines, one after the other: each point costs a comparison and three choices.
+    Among few lines a choice, one after the other: each costs a comparison and three choices. Among
+    many that are constant a search.
     """
     points = list(zip(xs, ys, strict=True))
-    at, value, slope = *points[0], 0.0
-    for (x0, y0), (x1, y1) in pairwise(points):
-        line = x0, y0, (y1 - y0) / (x1 - x0)
-        beyond = raw(x) >= raw(x0)
-        at, value, slope = (
-            choice(beyond, new, old) for new, old in zip(line, (at, value, slope), strict=True)
-        )
+    lines: list[Any] = [(x0, y0, (y1 - y0) / (x1 - x0)) for (x0, y0), (x1, y1) in pairwise(points)]
+    lines = lines or [(*points[0], 0.0)]
+    are_constant = all(isinstance(n, (int, float, np.number)) for line in lines for n in line)
+    if len(lines) > FEW_LINES and are_constant and isinstance(raw(x), Lane):
+        columns = [[float(n) for n in column] for column in zip(*lines, strict=True)]
+        at, value, slope = map(Dual, lanes.row_at(raw(x), columns))
+    else:
+        at, value, slope = lines[0]
+        for line in lines[1:]:
+            beyond = raw(x) >= raw(line[0])
+            at, value, slope = (
+                choice(beyond, new, old) for new, old in zip(line, (at, value, slope), strict=True)
+            )
     (first, start), (last, end) = points[0], points[-1]
     found = value + slope * (x - at)
     found = choice(raw(x) < raw(first), start if left is None else left, found)

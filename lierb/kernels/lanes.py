@@ -8,6 +8,7 @@ would depend on what is recorded. Fused multiply-adds are written as `fma` in th
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -275,6 +276,46 @@ def call_library(name: str, *operands: Any) -> Lane:
         result = builder.call(function, [builder.extract_element(v, place) for v in values])
         pack = builder.insert_element(pack, result, place)
     return Lane(builder, pack)
+
+
+def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
+    """The last row of a table whose first column, which increases, is at most x; else the first.
+
+    Lane by lane, by bisection without branches.
+    """
+    builder, count = x.builder, 1
+    while count < len(columns[0]):
+        count *= 2
+    filled = [[*column, *[math.inf] * (count - len(column))] for column in columns]
+    ty = ir.ArrayType(DOUBLE, count)
+    memory = [
+        cgutils.global_constant(builder.module, "table", ir.Constant(ty, column))
+        for column in filled
+    ]
+
+    def entry(column: ir.Value, place: ir.Value) -> ir.Value:
+        return builder.load(builder.gep(column, [ir.Constant(INT32, 0), place]))
+
+    def place_of(one: ir.Value) -> ir.Value:
+        place, step = ir.Constant(INT32, 0), count // 2
+        while step:
+            further = builder.add(place, ir.Constant(INT32, step))
+            is_below = builder.fcmp_ordered("<=", entry(memory[0], further), one)
+            place, step = builder.select(is_below, further, place), step // 2
+        return place
+
+    if not isinstance(x.value.type, ir.VectorType):
+        place = place_of(x.value)
+        return [Lane(builder, entry(column, place)) for column in memory]
+    packs: list[ir.Value] = [ir.Constant(x.value.type, ir.Undefined) for _ in memory]
+    for lane in range(x.lanes):
+        index = ir.Constant(INT32, lane)
+        place = place_of(builder.extract_element(x.value, index))
+        packs = [
+            builder.insert_element(pack, entry(column, place), index)
+            for pack, column in zip(packs, memory, strict=True)
+        ]
+    return [Lane(builder, pack) for pack in packs]
 
 
 def select(mask: Mask, a: Any, b: Any) -> Lane:

@@ -44,8 +44,8 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
 
     x : a number or an array of any shape.   xs : (n,), increasing.   ys : (n,).
 
-    In a kernel each point costs a comparison and three choices. Raises ValueError for points that
-    are no table.
+    In a kernel each point costs a comparison and three choices; of more than 32 constant ones the
+    right one is searched. Raises ValueError for points that are no table.
 
     >>> import lierb
     >>> lierb.table([-1.0, 0.5, 9.0], (0.0, 1.0, 2.0), (0.0, 10.0, 40.0)).tolist()

@@ -34,6 +34,15 @@ POINTS = (-1.0, 0.0, 0.5, 2.0), (1.0, -1.0, 0.25, 3.0)
 PLACES = (-3.0, -0.5, 0.2, 1.0, 7.0)  # before, between and beyond them
 
 
+LONG = np.linspace(0.0, 1.0, 101), np.linspace(0.0, 1.0, 101) ** 2  # searched on lanes
+
+
+def mp_long_table(x):
+    n = min(max(int(mp.floor(x * 100)), 0), 99)
+    (x0, x1), (y0, y1) = (map(mp.mpf, points[n : n + 2]) for points in LONG)
+    return y0 + (y1 - y0) * (min(max(x, 0), 1) - x0) / (x1 - x0)
+
+
 def mp_clip(x):
     return min(max(x * x, 0.5), 2)
 
@@ -145,6 +154,9 @@ FUNCTIONS = {
     "condition": (lambda x: (x > 1.0) * x * x, lambda x: x * x * (x > 1), (0.5, 2.0)),
     "table": (lambda x: table(x, *POINTS) * x, lambda x: mp_table(x) * x, PLACES),
     "interp": (lambda x: np.interp(x, *POINTS), mp_table, PLACES),
+    "long table": (
+        lambda x: table(x, *LONG), mp_long_table, (-1.0, 0.003, 0.505, 0.7751, 0.9999, 3.0),
+    ),
     "determinant": (
         lambda x: np.linalg.det(numbers(matrix(x))),
         lambda x: mp.det(mp.matrix(matrix(x))), (0.7, 2.0),
