@@ -157,7 +157,12 @@ def further(t, R, r, omega, v, params, body):
     ends = np.linalg.norm([x[0], 1.0]) + np.trace(body.inertia) + np.prod(x) + np.diff(x)[0]
     chosen = max(x) + min(x[0], 0.2) + np.all(x < 9.0) + np.any(x > 9.0) + float(t)
     angles = np.radians(np.degrees(x)) + np.cross(x, [1.0, 2.0, 3.0]) + np.zeros_like(x)
-    total = bent + mixed + in_range + sizes + parts + rounded + listed + ends + chosen + angles
+    flat = np.array([np.sum(body.inertia), np.max(body.inertia), body.inertia.mean()])
+    flat += body.inertia.sum(axis=0) + body.inertia.max(axis=1) + np.any(body.inertia > 1.9)
+    flat += np.mean(body.inertia, axis=1, keepdims=True)[:, 0] + np.max(R, keepdims=True)[0, 0]
+    total = (
+        flat + bent + mixed + in_range + sizes + parts + rounded + listed + ends + chosen + angles
+    )
     return (0, 0, 0), body.mass * total
 
 

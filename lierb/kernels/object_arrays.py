@@ -148,7 +148,7 @@ OPERATORS = (
 
 def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any:
     """A universal function of NumPy's, or one of its methods such as `reduce`."""
-    options = {k: v for k, v in options.items() if v is not None and not _is_default(k, v)}
+    options = {k: v for k, v in options.items() if not _is_default(k, v)}
     out = options.pop("out", (None,))
     if ufunc.__name__ == "clip":
         of: Any = np.frompyfunc(dual.clipped, 3, 1)
@@ -161,7 +161,12 @@ def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any
     if method == "at":
         raise UntraceableError(_no_function(ufunc, f".{method}"))
     if method in ("reduce", "accumulate"):
-        inputs = (np.asarray(_plain(inputs[0]), dtype=object), *inputs[1:])
+        array = np.asarray(_plain(inputs[0]), dtype=object)
+        if method == "reduce" and options.get("axis", 0) is None:  # over all members
+            sizes = (1,) * array.ndim if options.pop("keepdims", False) else ()
+            found = _apply(ufunc, method, (array.ravel(),), options | {"axis": 0})
+            return _filled(sizes, found) if sizes else found
+        inputs = (array, *inputs[1:])
     found = _dressed(getattr(of, method)(*map(_plain, inputs), **options))
     if out[0] is None:
         return found
@@ -175,7 +180,9 @@ def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any
 
 def _is_default(name: str, value: Any) -> bool:
     if name == "dtype":
-        return _is_real(value)
+        return value is None or _is_real(value)
+    if value is None:
+        return name != "axis"  # of which no default is None
     return (name == "where" and value is True) or (name == "keepdims" and value is False)
 
 
