@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from lierb import bodies, errors, forces, joints, lie, sampling
-from lierb.api import Result, integrate
+from lierb.api import integrate
 from lierb.elements import constraint, wrench
 from lierb.extras import require
 from lierb.installation import info, warmup
@@ -13,6 +13,7 @@ from lierb.kernels.vocabulary import clip, log, quaternion, table
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.provenance import package_version
+from lierb.result import Result
 from lierb.tableaus import ButcherTableau
 
 if TYPE_CHECKING:

@@ -6,19 +6,15 @@ import math
 import sys
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses
-from lierb.columns import each_row, numbers, texts, vectors
 from lierb.continuation import End, EndPose, counted
-from lierb.elements import Force
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -26,13 +22,14 @@ from lierb.errors import (
     unknown_name,
 )
 from lierb.joints import JOINTS
-from lierb.kernels.driver import NON_FINITE, OK, SINGULAR, error_columns
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import Plan, block_lanes, plan_of
+from lierb.kernels.plan import block_lanes, plan_of
 from lierb.model import Problem
 from lierb.provenance import provenance
+from lierb.result import Result
 from lierb.tableaus import ButcherTableau, tableau_of
+from lierb.tables import STATUS_NAMES, covers_of, history_table, summary_table
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
@@ -40,68 +37,6 @@ SOLVER_NAMES = ("auto", "saddle")
 RECORDS = ("state", "energy", "multipliers", "reaction")
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
-STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
-STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
-
-SUMMARY_ORDER = (
-    "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
-    "velocity_error_max", "rotation_rate_error_max", "energy_drift_max", "work_final",
-    "orthogonality_error_max",
-)  # fmt: skip
-UNITS = {
-    "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
-    "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
-    "energy": "J", "work": "J", "rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s",
-    "reaction": "N m, N m, N m, N, N, N",
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Result:
-    """What `integrate` gives back; its tables are pyarrow's.
-
-    summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
-    None without `save_every`.
-    """
-
-    summary: pa.Table
-    history: pa.Table | None
-    _end: End | None = field(default=None, repr=False, compare=False)
-
-    @cached_property
-    def end(self) -> dict[str, Any]:
-        """Where the run ended, as the keywords `pose0`, `twist0` and `t0` with which it goes on.
-
-        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with the same body, joint
-        and formulation, in the same process, from the driver's own state, so that with the same dt
-        and method the bits are those of one run without a break. A state that has drifted off its
-        joint goes on as it is. Maxima, energy drift and work count from the new start. Copies and
-        parts of `pose0`, or another twist or time with it, start as any other pose does.
-
-        Raises ArgumentError where a trajectory has failed.
-
-        >>> import lierb
-        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
-        >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
-        >>> pendulum = lierb.Problem(box, hinge, gravity=(0.0, 0.0, -9.81))
-        >>> twist0 = hinge.twist(omega=(0.0, 3.0, 0.0))
-        >>> first = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=0.5)
-        >>> second = lierb.integrate(pendulum, **first.end, dt=1e-3, t_end=1.0)
-        >>> whole = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=1.0)
-        >>> second.summary["omega"] == whole.summary["omega"]
-        True
-        """
-        if self._end is None:
-            raise ArgumentError("result.end: only a result that integrate returned has an end")
-        return self._end.keywords()
-
-    def __reduce__(self) -> Any:
-        """Without its end, whose problem may have functions that cannot be pickled."""
-        return Result, (self.summary, self.history)
-
-    def __repr__(self) -> str:
-        rows = "no history" if self.history is None else f"{self.history.num_rows} history rows"
-        return f"<lierb.Result: {self.summary.num_rows} trajectories, {rows}>"
 
 
 def integrate(
@@ -226,10 +161,10 @@ def integrate(
     output = engine.integrate(
         plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
     )
-    covers = _covers(problem)
+    covers = covers_of(problem)
     return Result(
-        _summary_table(output, metadata, covers),
-        _history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
+        summary_table(output, metadata, covers),
+        history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
         End(problem, plan, grid, output, STATUS_NAMES),
     )
 
@@ -352,112 +287,3 @@ def _report(error: ValueError | None, check: str) -> None:
     if check == "raise":
         raise error
     warnings.warn(str(error), InconsistentStateWarning, stacklevel=5)  # the caller of integrate
-
-
-# ---- tables ------------------------------------------------------------------------------------
-
-
-_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
-
-
-def _table(
-    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: str = ""
-) -> pa.Table:
-    """units : of the components of `lambda`, if any."""
-    key = (*columns, *covers, units)
-    if key not in _schemas:
-        _schemas[key] = _schema(columns, covers, units)
-    schema = _schemas[key].with_metadata({"lierb": metadata})
-    return pa.Table.from_arrays(list(columns.values()), schema=schema)
-
-
-def _schema(columns: dict[str, pa.Array], covers: Covers, units: str) -> pa.Schema:
-    fields = []
-    for name, array in columns.items():
-        plain = name.removesuffix("_max").removesuffix("_final")
-        unit = units if name == "lambda" else UNITS.get(plain)
-        described = {"unit": unit} if unit else {}
-        if plain in Covers._fields:
-            described["covers"] = getattr(covers, plain)
-        fields.append(pa.field(name, array.type, metadata=described or None))
-    return pa.schema(fields)
-
-
-class Covers(NamedTuple):
-    """In words, what is in the columns of that name."""
-
-    energy: str
-    energy_drift: str
-    work: str
-
-
-def _covers(problem: Problem) -> Covers:
-    stored = [force.name for force in problem.forces if force.kind.is_conservative]
-    working = [w for force in problem.forces if (w := _work_of(force))]
-    energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
-    if not working:
-        return Covers(energy, energy, "nothing: all that acts has a potential")
-    work = f"work of {', '.join(working)}"
-    return Covers(energy, f"{energy}; less the {work}", work)
-
-
-def _no_work(energy: pa.Array) -> pa.Array:
-    """Zero; NaN after a failure, as everything is."""
-    return numbers(np.where(np.isnan(energy.to_numpy()), np.nan, 0.0))
-
-
-def _work_of(force: Force) -> str:
-    """What of a force does work that its potential does not have, if anything."""
-    if not force.kind.is_conservative:
-        return force.name
-    if force.kind.is_users:
-        return f"{force.name} beyond its potential"
-    for part in ("damping", "torque"):
-        if part in force.parameters and np.any(force.parameters[part] != 0.0):
-            return f"{force.name}'s {part}"
-    return ""
-
-
-def _summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Table:
-    scalars = dict(zip(engine.SUMMARY_SCALARS, each_row(output.scalars), strict=True))
-    columns = {
-        "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
-        "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
-        "t": numbers(output.t),
-    }
-    columns |= {name: scalars[name] for name in SUMMARY_ORDER}
-    columns |= {name: vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)}
-    return _table(columns, metadata, covers)
-
-
-def _history_table(
-    output: engine.Output,
-    grid: engine.Grid,
-    recorded: tuple[str, ...],
-    plan: Plan,
-    metadata: str,
-    covers: Covers,
-) -> pa.Table:
-    saved = grid.saved_steps()
-    count = output.errors.shape[2]
-    columns = {
-        "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
-        "step": numbers(np.repeat(saved, count)),
-        "t": numbers(np.repeat(grid.time(saved), count)),
-    }
-    scalars = dict(zip(error_columns(plan), each_row(output.errors), strict=True))
-    energy, work = scalars.pop("energy"), scalars.pop("work", None)
-    columns |= scalars
-    if "state" in recorded:
-        for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
-            columns[name] = vectors(array)
-    if "energy" in recorded:
-        columns["energy"] = energy
-        columns["work"] = _no_work(energy) if work is None else work
-    units = ""
-    if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
-        columns["lambda"] = vectors(output.multipliers)
-        units = ", ".join(row.unit for row in plan.rows)
-    if "reaction" in recorded:
-        columns["reaction"] = vectors(output.reactions)
-    return _table(columns, metadata, covers, units)
