@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -21,15 +21,17 @@ from lierb.errors import (
     TimeGridError,
     unknown_name,
 )
+from lierb.failures import STATUS_NAMES, Failures, warn_of
 from lierb.joints import JOINTS
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
 from lierb.kernels.plan import block_lanes, plan_of
 from lierb.model import Problem
+from lierb.progress import Progress, check_progress
 from lierb.provenance import provenance
 from lierb.result import Result
 from lierb.tableaus import ButcherTableau, tableau_of
-from lierb.tables import STATUS_NAMES, covers_of, history_table, summary_table
+from lierb.tables import covers_of, history_table, summary_table
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
@@ -56,7 +58,7 @@ def integrate(
     check: str = "raise",
     solver: str = "auto",
     threads: int | None = None,
-    progress: bool | Callable[[int, int], None] | None = None,
+    progress: Progress = None,
 ) -> Result:
     """Integrate one body, or every body of a batch, from t0 to t_end.
 
@@ -81,12 +83,14 @@ def integrate(
         gain, found once (with check="raise" only: a start that is off by less than the tolerance is
         put on the subgroup). "reduced" has no choice of solver.
     threads : how many to use in this call. Default: Numba's number.
-    progress : True for a bar on stderr (needs `lierb[cli]`), False for none, or a function of
-        (body-steps done, body-steps in all). Default: a bar on a terminal after two seconds.
+    progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
+        False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
+        two seconds, on a terminal or in a notebook.
 
     Raises subclasses of `lierb.errors.LierbError` (a ValueError), before anything runs or, where a
     start of up to 4096 bodies is off its joint, within the first fraction of a second. A body that
-    fails on the way gets a status in `summary` and leaves the others untouched.
+    fails on the way gets a status in `summary` and leaves the others untouched; one
+    FailedTrajectoryWarning says how many do.
 
     >>> import lierb
     >>> body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
@@ -104,8 +108,7 @@ def integrate(
         save_every=save_every, measure_every=measure_every, record=record, check=check,
         solver=solver,
     )  # fmt: skip
-    if not (progress is None or isinstance(progress, bool) or callable(progress)):
-        raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
+    check_progress(progress)
     twists = as_numbers("twist0", twist0, (6,), copy=None)
     known = pose0.continuation if isinstance(pose0, EndPose) else None
     poses: Array | None = None
@@ -162,11 +165,14 @@ def integrate(
         plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
     )
     covers = covers_of(problem)
-    return Result(
+    result = Result(
         summary_table(output, metadata, covers),
         history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
         End(problem, plan, grid, output, STATUS_NAMES),
     )
+    if output.status.any():  # OK is 0
+        warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
+    return result
 
 
 # ---- arguments ---------------------------------------------------------------------------------

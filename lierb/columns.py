@@ -52,3 +52,34 @@ def texts(values: Sequence[str]) -> pa.Array:
 def repeated(value: str, rows: int) -> pa.Array:
     """A column of one string, stored once."""
     return pa.DictionaryArray.from_arrays(numbers(np.zeros(rows, np.int32)), texts([value]))
+
+
+def as_array(column: pa.ChunkedArray) -> NDArray:
+    """The inverse: (rows,), or (rows, width) of fixed-size lists; read-only.
+
+    Without a copy where the column is one chunk, as those are that `lierb.integrate` makes.
+    """
+    whole = _whole(column)
+    if pa.types.is_fixed_size_list(whole.type):
+        return _numbers_of(whole.flatten()).reshape(-1, whole.type.list_size)
+    return _numbers_of(whole)
+
+
+def as_codes(column: pa.ChunkedArray) -> tuple[NDArray, list[str]]:
+    """Of a column of few strings: each row's index into them, and the strings."""
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    whole = _whole(column.unify_dictionaries())
+    return _numbers_of(whole.indices), whole.dictionary.to_pylist()
+
+
+def _whole(column: pa.ChunkedArray) -> pa.Array:
+    return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
+
+
+def _numbers_of(array: pa.Array) -> NDArray:
+    """As `array.to_numpy()`, which looks for pandas first, too."""
+    dtype, buffer = np.dtype(array.type.to_pandas_dtype()), array.buffers()[1]
+    found: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)
+    found.setflags(write=False)
+    return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,7 +19,6 @@ from numpy.typing import NDArray
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, ForceError, ForkError
-from lierb.extras import remedy
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
@@ -39,8 +37,7 @@ from lierb.kernels.driver import (
 )
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
-
-Progress = bool | Callable[[int, int], None] | None
+from lierb.progress import Progress, reporter
 
 SUMMARY_SCALARS = (
     "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
@@ -337,7 +334,7 @@ def integrate(
             if not check(chunk.starts, chunk.start):
                 break
         check = None
-    with _reporter(progress, inputs.count * grid.steps) as report:
+    with reporter(progress, inputs.count * grid.steps) as report:
         for chunk in chunks:
             begin = 0 if check is None else UNSEEN
             if inputs.state is not None:
@@ -498,52 +495,3 @@ def _thread_mask(count: int) -> Iterator[None]:
     finally:
         if count != before:
             numba.set_num_threads(before)
-
-
-# ---- progress ----------------------------------------------------------------------------------
-
-QUIET_SECONDS = 2.0
-
-
-def _on_terminal() -> bool:
-    return sys.stderr is not None and sys.stderr.isatty()  # None: started without a console
-
-
-@contextmanager
-def _reporter(progress: Progress, total: int) -> Iterator[Callable[[int], None]]:
-    """A function that is told the body-steps done so far."""
-    if callable(progress):
-        tell = progress
-        yield lambda done: tell(done, total)
-    elif progress is False or (progress is None and not _on_terminal()):
-        yield lambda done: None
-    else:
-        with _bar(
-            total, quiet=0.0 if progress else QUIET_SECONDS, required=bool(progress)
-        ) as report:
-            yield report
-
-
-@contextmanager
-def _bar(total: int, quiet: float, required: bool) -> Iterator[Callable[[int], None]]:
-    try:
-        from rich.console import Console
-        from rich.progress import Progress as Bar
-    except ImportError:
-        if required:
-            raise ArgumentError(f"progress=True needs rich: {remedy('cli')}") from None
-        yield lambda done: None
-        return
-    bar = Bar(console=Console(stderr=True), transient=True)
-    task = bar.add_task("body-steps", total=total)
-    began = time.monotonic()
-
-    def report(done: int) -> None:
-        if time.monotonic() - began >= quiet and not bar.live.is_started:
-            bar.start()
-        bar.update(task, completed=done)
-
-    try:
-        yield report
-    finally:
-        bar.stop()

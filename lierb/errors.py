@@ -46,6 +46,10 @@ class InconsistentStateWarning(UserWarning):
     """With check="warn": the pose or twist violates the joint."""
 
 
+class FailedTrajectoryWarning(UserWarning):
+    """Trajectories ended before their time: their status is `singular` or `non_finite`."""
+
+
 class ScalarFunctionWarning(UserWarning):
     """A function of the user's runs body by body, because it cannot run for many at once."""
 

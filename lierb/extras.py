@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 from importlib import import_module, metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ EXTRAS = {
     "mesh": ("Making a body of a mesh", ("trimesh",)),
     "scipy": ("Drawing from normal distributions, or by Sobol points,", ("scipy",)),
     "plot": ("Drawing figures", ("matplotlib",)),
+    "pandas": ("A pandas data frame", ("pandas",)),
+    "polars": ("A polars data frame", ("polars",)),
     "study": ("Running studies", ("pydantic", "scipy", "tomli_w")),
     "report": ("Writing reports", ("jinja2", "plotly", "matplotlib", "pydantic")),
     "cluster": ("Running studies on a cluster", ("distributed",)),
@@ -23,6 +26,12 @@ DIRECT = "direct_url.json"  # where a distribution is from if not from an index:
 
 class MissingExtraError(ImportError):
     """A package of an optional part is not installed."""
+
+
+def is_installed(extra: str) -> bool:
+    """Whether the packages of `extra` are there, none of them imported."""
+    _, packages = EXTRAS[extra]
+    return all(find_spec(package) is not None for package in packages)
 
 
 def require(extra: str) -> None:

@@ -1,6 +1,6 @@
 """The joint catalogue, as data: each joint is a list of primitive rows, acting between two frames.
 
-Rows are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
+Lines are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
 Q turns about an axis ⊥ e₃.
@@ -50,14 +50,15 @@ from lierb.kernels.vec import (
     sub,
 )
 from lierb.kernels.zero import ZERO
+from lierb.shown import Lines, Shown, quantity
 
 PERPENDICULAR_TOLERANCE = 1e-9
 TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
 
-@dataclass(frozen=True, eq=False)
-class Joint:
+@dataclass(frozen=True, eq=False, repr=False)
+class Joint(Shown):
     """A joint between the ground and the body; made by the entries of this module.
 
     ground_frame : (4, 4) or (n, 4, 4), the joint frame seen from the ground.
@@ -75,8 +76,19 @@ class Joint:
     length: Array
     subgroup: str | None = None
 
-    def __repr__(self) -> str:
-        return f"<{self.name} joint: {' '.join(map(str, self.rows)) or 'no rows'}>"
+    def _shown(self) -> tuple[str, Lines]:
+        entry = JOINTS.get(self.name)
+        title = f"{self.name} joint{f': {entry.summary}' if entry else ''}"
+        rows = [("rows", " ".join(map(str, self.rows)) or "none")]
+        if self.subgroup:
+            rows.append(("motions", f"{self.subgroup}, a subgroup of SE(3)"))
+        rows.append(("on the body", _shown_frame(self.body_frame)))
+        rows.append(("on the ground", _shown_frame(self.ground_frame)))
+        if any(row.kind == "screw" for row in self.rows):
+            rows.append(("pitch", quantity(self.pitch, "m/rad")))
+        if any(row.kind == "rod" for row in self.rows):
+            rows.append(("length", quantity(self.length, "m")))
+        return title, rows
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
@@ -335,6 +347,12 @@ class Joint:
         return angle + np.where(self.pitch == 0.0, 0.0, whole)
 
 
+def _shown_frame(frame: Array) -> str:
+    origin, e1, e3 = frame[..., :3, 3], frame[..., :3, 0], frame[..., :3, 2]
+    parts = quantity(origin, "m", 1), f"e₁ {quantity(e1, '', 1)}", f"e₃ {quantity(e3, '', 1)}"
+    return ", ".join(parts) if frame.size == 16 else quantity(frame, item_axes=2)
+
+
 REQUIRED = {"pitch": "m/rad", "length": "m"}  # options without which an entry cannot be made
 
 
@@ -585,7 +603,7 @@ def from_rows(
     orientation. A `screw` row needs pitch=, and Omega1 and Omega2; a `rod` row needs length=, and
     goes with Omega, Q and cv rows only. Frames as for every joint.
 
-    Rows may say a thing twice. One given again is left out; of rows that depend on others where the
+    Lines may say a thing twice. One given again is left out; of rows that depend on others where the
     body is, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is what
     they exert together). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
     other, and the body is marked `singular`.
@@ -595,7 +613,10 @@ def from_rows(
 
     >>> import lierb
     >>> lierb.joints.from_rows(["d3", "Omega1", "Omega3"], body_point=(0.1, 0.0, 0.0))
-    <from_rows joint: d3 Omega1 Omega3>
+    from_rows joint
+      rows           d3 Omega1 Omega3
+      on the body    (0.1, 0, 0) m, e₁ (1, 0, 0), e₃ (0, 0, 1)
+      on the ground  (0, 0, 0) m, e₁ (1, 0, 0), e₃ (0, 0, 1)
     """
     if isinstance(rows, str) or not isinstance(rows, Iterable):
         raise ArgumentError(f"rows={rows!r}; expected a list of row names")

@@ -46,6 +46,7 @@ from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import Load, solve
 from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.vec import ZERO3, add, dot, norm
+from lierb.shown import Lines, Shown, counted, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -55,8 +56,8 @@ MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class Body:
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Body(Shown):
     """A rigid body, or one per member of a batch.
 
     mass : number or (n,), kg.
@@ -98,6 +99,19 @@ class Body:
         moments.setflags(write=False)
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
+
+    def _shown(self) -> tuple[str, Lines]:
+        count = batch_size(mass=self.mass, inertia=(self.inertia, 2), com=(self.com, 1)) or 1
+        rows = [("mass", quantity(self.mass, "kg")), ("inertia", _shown_inertia(self.inertia))]
+        if np.any(self.com != 0.0):
+            rows.append(("com", quantity(self.com, "m", 1)))
+        return f"lierb.Body{f': {count} of them' if count > 1 else ''}", rows
+
+
+def _shown_inertia(moments: Array) -> str:
+    if moments.size > 9 or np.any(moments.reshape(3, 3) != np.diag(np.diag(moments.reshape(3, 3)))):
+        return quantity(moments, "kg m²", 2)
+    return f"{quantity(np.diag(moments.reshape(3, 3)), item_axes=1)} kg m², principal"
 
 
 def _check_mass(masses: Array) -> None:
@@ -146,9 +160,16 @@ def _listed(numbers: Array) -> str:
     return ", ".join(f"{x:.6g}" for x in numbers)
 
 
+def _shown_element(element: Element) -> str:
+    shapes = element.kind.shapes
+    given = (f"{n} {quantity(a, item_axes=len(shapes[n]))}" for n, a in element.parameters.items())
+    return f"{element.name}: {', '.join(given) or 'no parameters'}"
+
+
 def _require(argument: str, value: object, kind: type, expected: str) -> None:
     if not isinstance(value, kind):
-        raise ArgumentError(f"{argument} must be {expected}, got {value!r}")
+        got = repr(value).splitlines()[0]
+        raise ArgumentError(f"{argument} must be {expected}, got {got}")
 
 
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
@@ -167,8 +188,8 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
     return elements
 
 
-@dataclass(frozen=True, eq=False, init=False)
-class Problem:
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Problem(Shown):
     """A body, the joint that holds it to the ground, and the forces on it.
 
     gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
@@ -205,6 +226,20 @@ class Problem:
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
+
+    def _shown(self) -> tuple[str, Lines]:
+        _, mass = self.body._shown()
+        name, held = self.joint._shown()
+        rows = [
+            ("body", "\n".join(f"{label} {text}" for label, text in mass)),
+            ("joint", "\n".join((name, *(f"{label} {text}" for label, text in held)))),
+            ("gravity", quantity(self.gravity, "m/s²", 1)),
+        ]
+        for label, elements in (("forces", self.forces), ("constraints", self.constraints)):
+            if elements:
+                rows.append((label, "\n".join(map(_shown_element, elements))))
+        count = counted(self.batch_size() or 1, "body", "bodies")
+        return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
 
     def of_body(self, body: int) -> Problem:
         """The problem of one body of the batch."""

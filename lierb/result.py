@@ -2,27 +2,127 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
+from lierb.arrays import Array, assembled, components
+from lierb.columns import as_array, numbers
 from lierb.continuation import End
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, unknown_name
+from lierb.extras import require
+from lierb.failures import Failures, has_failed
+from lierb.kernels import so3
+from lierb.kernels.vec import norm, scale
+from lierb.shown import FAILED, Lines, Shown, counted
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+
+STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
+TABLES = ("summary", "history")
+AXES = ("x", "y", "z")
+COMPONENTS = {
+    "rotation": tuple(i + j for i in AXES for j in AXES),
+    "position": AXES,
+    "omega": AXES,
+    "v": AXES,
+    "reaction": tuple(f"{what}_{i}" for what in ("torque", "force") for i in AXES),
+}
+LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
-@dataclass(frozen=True)
-class Result:
-    """What `integrate` gives back; its tables are pyarrow's.
+@dataclass(frozen=True, repr=False)
+class Result(Shown):
+    """What `integrate` gives back: two pyarrow tables, and the state in them as NumPy arrays.
 
     summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
     None without `save_every`.
+
+    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
+    state (`save_every=…, record="state"`), an axis of times before that of trajectories; else they
+    are of the end. Nobody can write to them: they are the tables' memory. A batch of one keeps its
+    axis. After a failure all but `t` are NaN.
+
+    >>> import lierb
+    >>> body = lierb.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+    >>> flight = lierb.Problem(body, lierb.joints.free())
+    >>> lierb.integrate(flight, **start).position.shape
+    (1, 3)
+    >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+    >>> result.t.shape, result.position.shape, result.quaternion.shape
+    ((6,), (6, 1, 3), (6, 1, 4))
     """
 
     summary: pa.Table
     history: pa.Table | None
     _end: End | None = field(default=None, repr=False, compare=False)
+
+    # ---- arrays ----
+
+    @property
+    def t(self) -> Array:
+        """Of the state, s: (times,) of the history, or (n,), the end of each trajectory.
+
+        A trajectory that failed ends there; the history goes on.
+        """
+        return self._state("t")[:, 0] if self._has_states else self._state("t")
+
+    @property
+    def position(self) -> Array:
+        """r in the ground frame, m: (times, n, 3), or (n, 3) at the end."""
+        return self._state("position", 3)
+
+    @property
+    def rotation(self) -> Array:
+        """R, from the body's axes to the ground's: (times, n, 3, 3), or (n, 3, 3) at the end."""
+        return self._state("rotation", 3, 3)
+
+    @property
+    def quaternion(self) -> Array:
+        """The rotation as a unit quaternion (w, x, y, z): (times, n, 4), or (n, 4) at the end.
+
+        Of the two, p and −p, that with w ≥ 0, so that a row is the same whatever else is saved.
+        Along a history it jumps where w would pass through 0. Made of `rotation` when asked for.
+        """
+        p = so3.quaternion(components(self.rotation, 2))
+        unit = assembled(scale(1.0 / norm(p), p))
+        unit.setflags(write=False)
+        return unit
+
+    @property
+    def omega(self) -> Array:
+        """Angular velocity in the body's axes, rad/s: (times, n, 3), or (n, 3) at the end."""
+        return self._state("omega", 3)
+
+    @property
+    def v(self) -> Array:
+        """Velocity of the body frame's origin, in the body's axes, m/s; shaped like `omega`."""
+        return self._state("v", 3)
+
+    @property
+    def failed(self) -> NDArray[np.int64]:
+        """Numbers of the trajectories whose status is not ok, in order."""
+        return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
+
+    @property
+    def _has_states(self) -> bool:
+        return self.history is not None and "position" in self.history.column_names
+
+    def _state(self, name: str, *item: int) -> Array:
+        count = self.summary.num_rows
+        if self.history is not None and self._has_states:
+            return as_array(self.history[name]).reshape(-1, count, *item)
+        return as_array(self.summary[name]).reshape(count, *item)
+
+    # ---- the end ----
 
     @cached_property
     def end(self) -> dict[str, Any]:
@@ -55,6 +155,112 @@ class Result:
         """Without its end, whose problem may have functions that cannot be pickled."""
         return Result, (self.summary, self.history)
 
-    def __repr__(self) -> str:
-        rows = "no history" if self.history is None else f"{self.history.num_rows} history rows"
-        return f"<lierb.Result: {self.summary.num_rows} trajectories, {rows}>"
+    # ---- data frames ----
+
+    def to_pandas(self, table: str = "summary") -> pandas.DataFrame:
+        """A table as a pandas data frame, vectors as a column for each component.
+
+        table : "summary" or "history".
+
+        `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
+        `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
+        `reaction_force_x` …; `lambda` becomes `lambda_1` …. `attrs["units"]` has their units.
+
+        Raises ArgumentError where there is no history, MissingExtraError without pandas.
+        """
+        require("pandas")
+        chosen = self._expanded(table)
+        frame = chosen.to_pandas()
+        frame.attrs["units"] = {f.name: _unit(f) for f in chosen.schema if _unit(f)}
+        return frame
+
+    def to_polars(self, table: str = "summary") -> polars.DataFrame:
+        """A table as a polars data frame, its columns as those of `to_pandas`.
+
+        table : "summary" or "history".
+
+        Raises ArgumentError where there is no history, MissingExtraError without polars.
+        """
+        require("polars")
+        import polars
+
+        frame = polars.from_arrow(self._expanded(table))
+        assert isinstance(frame, polars.DataFrame)
+        return frame
+
+    def _expanded(self, name: str) -> pa.Table:
+        if not isinstance(name, str) or name not in TABLES:
+            raise unknown_name("table", name, TABLES)
+        table = getattr(self, name)
+        if table is None:
+            raise ArgumentError("there is no history; integrate with save_every= for one")
+        columns: dict[pa.Field, Any] = {}
+        for field in table.schema:
+            columns |= _scalars(field, table[field.name])
+        return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
+
+    # ---- at a prompt ----
+
+    def _shown(self) -> tuple[str, Lines]:
+        options = _options_of(self.summary)
+        title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
+        if options:
+            title += " to t = {t_end:g} s ({cspace}, {method}, dt = {dt:g} s)".format(**options)
+        failures = Failures.of(self.summary)
+        rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
+        rows += self._largest()
+        rows.append(("history", self._told_history()))
+        shape = ", ".join(map(str, self.position.shape[:-1]))
+        rows.append(("arrays", f"{', '.join(STATE)}: ({shape}, …)"))
+        return title, rows
+
+    def _largest(self) -> Lines:
+        """The largest errors of the trajectories that are ok."""
+        ok = ~has_failed(self.summary)
+        if not ok.any():
+            return []
+        texts = []
+        for name in LARGEST:
+            field = self.summary.schema.field(f"{name}_max")
+            unit = _unit(field)
+            largest = as_array(self.summary[field.name])[ok].max()
+            plain = name.replace("_", " ")
+            texts.append(f"{plain} {largest:.2g}{f' {unit}' if unit != '1' else ''}")
+        return [("largest", ", ".join(texts))]
+
+    def _told_history(self) -> str:
+        if self.history is None:
+            return "none; save_every= keeps one"
+        times = self.history.num_rows // self.summary.num_rows
+        more = [n for n in ("energy", "lambda", "reaction") if n in self.history.column_names]
+        recorded = ", ".join(["errors", *["state"] * self._has_states, *more])
+        return f"{counted(times, 'time')}: {recorded}"
+
+
+def _options_of(table: pa.Table) -> dict[str, Any]:
+    """What `integrate` was called with, as the table's metadata has it."""
+    metadata = (table.schema.metadata or {}).get(b"lierb")
+    found: dict[str, Any] = json.loads(metadata)["options"] if metadata else {}
+    return found
+
+
+def _unit(field: pa.Field) -> str:
+    """ "" where it has none."""
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode()
+
+
+def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
+    """A column as it is, or one for each component of its vectors."""
+    if not pa.types.is_fixed_size_list(field.type):
+        return {field: column}
+    width = field.type.list_size
+    names = COMPONENTS.get(field.name, tuple(str(i + 1) for i in range(width)))
+    units = _unit(field).split(", ")
+    units = units * width if len(units) == 1 else units
+    return {
+        pa.field(
+            f"{field.name}_{name}", field.type.value_type, metadata={"unit": unit} if unit else None
+        ): numbers(values)
+        for name, unit, values in zip(names, units, as_array(column).T, strict=True)
+    }

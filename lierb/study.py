@@ -56,6 +56,7 @@ from lierb.joints import Joint
 from lierb.kernels import se3
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
+from lierb.shown import FAILED, Lines, Shown, counted
 
 NOTHING = "nothing"  # a design draws something
 PREVIEW = 8  # bodies that are made when a study is checked
@@ -263,7 +264,7 @@ class Batch:
     draws: dict[str, Array]
 
 
-class Study(Section):
+class Study(Shown, Section):
     """A study, checked when it is made; see the module for its tables.
 
     Raises StudyError (a ValueError) that names what is wrong.
@@ -345,6 +346,24 @@ class Study(Section):
                     f"{key}: has no effect, since each body draws its own; change "
                     f"sample.{'.'.join(path)}"
                 )
+
+    def _shown(self) -> tuple[str, Lines]:
+        run = self.integrate
+        tables = "summary and history" if run.save_every else "summary"
+        rows = [
+            ("settings", settings_told(run.cspace, run.method, run.dt)),
+            ("until", f"t = {run.t_end:g} s"),
+            ("tables", f"{tables}, in parts of at most {counted(self.output.part, *BODIES)}"),
+        ]
+        try:
+            count, quantities = counted(len(self.design), *BODIES), self.sample.quantities()
+        except LierbError as error:  # made without `of`, and not checked
+            return f"lierb.Study {self.name!r}", [*rows, (FAILED, str(error))]
+        drawn = "\n".join(f"{path}: {value!r}" for path, value in quantities.items())
+        rows.insert(0, ("sampled", drawn or "nothing"))
+        return f"lierb.Study {self.name!r}: {count} on a {self.joint.type} joint", rows
+
+    __str__ = Shown.__repr__
 
     @property
     def design(self) -> Design:
@@ -428,6 +447,15 @@ class Study(Section):
         """Of everything that the results depend on."""
         text = json.dumps(self.model_dump(exclude={"name"}), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+BODIES = ("body", "bodies")
+
+
+def settings_told(cspaces: list[str], methods: list[str], dts: list[float]) -> str:
+    """The settings as the product that they are."""
+    lists = [", ".join(each) for each in (cspaces, methods, [f"{dt:g}" for dt in dts])]
+    return f"{lists[0]} × {lists[1]} × dt = {lists[2]} s"
 
 
 NUMBERS = ("mass", "radius", "length", "density", "pitch")

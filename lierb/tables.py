@@ -10,11 +10,11 @@ import pyarrow as pa
 from lierb import engine
 from lierb.columns import each_row, numbers, texts, vectors
 from lierb.elements import Force
-from lierb.kernels.driver import NON_FINITE, OK, SINGULAR, error_columns
+from lierb.failures import STATUS_NAMES
+from lierb.kernels.driver import error_columns
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
 
-STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 SUMMARY_ORDER = (

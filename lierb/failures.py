@@ -1,0 +1,112 @@
+"""Trajectories that do not reach their end: what is said of them, and to whom."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.columns import as_codes
+from lierb.errors import FailedTrajectoryWarning
+from lierb.kernels.driver import NON_FINITE, OK, SINGULAR
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
+REMEDIES = {
+    "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
+    "the joint cannot be in, or where it has drifted open; a smaller dt, a c-space that keeps the "
+    "joint (lierb.predict) or rows that do not say a thing twice may help",
+    "non_finite": "non_finite: a number overflowed or was none, mostly because dt is too long for "
+    "the stiffest force or the fastest turn; a smaller dt helps there",
+}
+COLUMNS = ("trajectory", "status", "t")
+
+
+def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
+    """Row by row, whether the status is another one than ok."""
+    codes, names = as_codes(summary["status"])
+    found: NDArray[np.bool_] = np.array([name != STATUS_NAMES[OK] for name in names])[codes]
+    return found
+
+
+@dataclass(frozen=True)
+class Failures:
+    """What there is to say of trajectories that failed; there is at least one.
+
+    runs : trajectories in all.   counts : of those that failed, by status.
+    trajectory, status, t : of the first of them in the table; t in s.
+    setting : of a study, in which that one ran.
+    """
+
+    runs: int
+    counts: dict[str, int]
+    trajectory: int
+    status: str
+    t: float
+    setting: str = ""
+
+    @classmethod
+    def of(cls, summary: pa.Table) -> Failures | None:
+        """Those of a summary; None if all are ok."""
+        failed = has_failed(summary)
+        if not failed.any():
+            return None
+        codes, names = as_codes(summary["status"])
+        counts = np.bincount(codes[failed], minlength=len(names))
+        (first,) = summary.select(COLUMNS).slice(int(failed.argmax()), 1).to_pylist()
+        found = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
+        return cls(len(failed), found, **first)
+
+    @property
+    def count(self) -> int:
+        return sum(self.counts.values())
+
+    def __str__(self) -> str:
+        end = f"{self.status} at t = {self.t:g} s"
+        if self.runs == 1:
+            return f"the trajectory failed: {end}"
+        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        where = f" ({self.setting})" if self.setting else ""
+        return (
+            f"{self.count} of {self.runs} trajectories failed ({counted}); the first is "
+            f"trajectory {self.trajectory}, {end}{where}"
+        )
+
+    @property
+    def remedies(self) -> list[str]:
+        """What each status means, and what helps."""
+        return [REMEDIES[status] for status in self.counts]
+
+
+# ---- warnings ----------------------------------------------------------------------------------
+
+# A context variable, not `warnings.catch_warnings`, which threads share.
+_told_elsewhere: ContextVar[bool] = ContextVar("told_elsewhere", default=False)
+
+
+@contextmanager
+def told_elsewhere() -> Iterator[None]:
+    """Nobody is warned of what fails in the block: whoever opens it says so, once for all runs."""
+    token = _told_elsewhere.set(True)
+    try:
+        yield
+    finally:
+        _told_elsewhere.reset(token)
+
+
+def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
+    """Issue one FailedTrajectoryWarning, if there is reason to.
+
+    look : where to look.   options : of `warnings.warn`.
+    """
+    if failures is not None and not _told_elsewhere.get():
+        lines = (f"{failures}; {look}", *failures.remedies)
+        warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)
