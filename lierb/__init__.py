@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from lierb import bodies, errors, forces, joints, lie, sampling
 from lierb.api import integrate
 from lierb.elements import constraint, wrench
-from lierb.extras import require
+from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
 from lierb.kernels.dual import where
 from lierb.kernels.vocabulary import clip, log, quaternion, table
@@ -47,6 +47,12 @@ __all__ = [
 ]
 
 _STUDIES = {"Study": "lierb.study", "integrate_batches": "lierb.running", "run": "lierb.running"}
+
+
+def __dir__() -> list[str]:
+    """What is public, and no module that is not; studies where what they need is installed."""
+    underscored = [name for name in globals() if name.startswith("__")]
+    return sorted([*__all__, *underscored, *(_STUDIES if is_installed("study") else ())])
 
 
 def __getattr__(name: str) -> Any:

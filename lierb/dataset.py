@@ -14,6 +14,7 @@ import hashlib
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,12 +23,16 @@ from typing import Any
 from uuid import uuid4
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from lierb.errors import StudyError
+from lierb.failures import COLUMNS, Failures
 from lierb.provenance import machine
+from lierb.shown import FAILED, Lines, Shown
+from lierb.study import Setting, settings_told
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
@@ -41,21 +46,29 @@ QUICK_SECONDS = 0.05  # to write one that is not large
 
 @dataclass(frozen=True)
 class File:
-    """A part's table as it will be in the folder."""
+    """A part's table as it will be in the folder.
+
+    failed : rows whose status is not ok, by status.
+    """
 
     path: str
     rows: int
     content: pa.Buffer
+    failed: dict[str, int]
 
 
 @dataclass(frozen=True)
 class Stored:
-    """A file that is safe in the folder under a name that no reader sees."""
+    """A file that is safe in the folder under a name that no reader sees.
+
+    failed : as in File.
+    """
 
     path: str
     aside: str
     rows: int
     sha256: str
+    failed: dict[str, int]
 
 
 def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> list[File]:
@@ -66,11 +79,13 @@ def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> l
         repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
         sink = pa.BufferOutputStream()
         pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
-        files.append(File(f"{name}/part-{part}.parquet", table.num_rows, sink.getvalue()))
+        failures = Failures.of(table) if "status" in table.column_names else None
+        failed = failures.counts if failures else {}
+        files.append(File(f"{name}/part-{part}.parquet", table.num_rows, sink.getvalue(), failed))
     return files
 
 
-class Dataset:
+class Dataset(Shown):
     """The folder of one study's results."""
 
     def __init__(self, folder: str | Path) -> None:
@@ -155,7 +170,7 @@ class Dataset:
         return [
             Stored(
                 file.path, self._write_aside(file.path, file.content), file.rows,
-                hashlib.sha256(file.content).hexdigest(),
+                hashlib.sha256(file.content).hexdigest(), file.failed,
             )
             for file in files
         ]  # fmt: skip
@@ -168,7 +183,7 @@ class Dataset:
         """
         for file in files:
             self._rename(file.aside, file.path)
-        self.parts[part] = {file.path: {"rows": file.rows, "sha256": file.sha256} for file in files}
+        self.parts[part] = {file.path: _entry(file) for file in files}
         self._written = False
         if time.monotonic() >= self._next_writing:
             self._write_manifest()
@@ -237,6 +252,56 @@ class Dataset:
         if not chosen:
             raise StudyError(f"{self.folder} has no finished part with {name}")
         return ds.dataset(chosen, format="parquet")
+
+    @property
+    def trajectories(self) -> int:
+        """How many rows the summary has, by the manifest."""
+        return sum(entry["rows"] for _, entry in self._summaries())
+
+    def failures(self) -> Failures | None:
+        """The trajectories that failed, by the manifest; None if all are ok."""
+        failing = [
+            (path, entry["failed"]) for path, entry in self._summaries() if "failed" in entry
+        ]
+        if not failing:
+            return None
+        columns = ["cspace", "method", "dt", *COLUMNS]
+        table = ds.dataset(failing[0][0], format="parquet")
+        (first,) = table.head(1, columns=columns, filter=pc.field("status") != "ok").to_pylist()
+        setting = Setting(*(first.pop(name) for name in columns[:3]))
+        counts: Counter[str] = Counter()
+        for _, failed in failing:
+            counts.update(failed)
+        return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
+
+    def _summaries(self) -> Iterator[tuple[Path, dict[str, Any]]]:
+        """Files of the summary, setting by setting, and their entries."""
+        for _, files in sorted(self.parts.items()):
+            for name, entry in files.items():
+                if Path(name).parent.name == "summary":
+                    yield self.folder / name, entry
+
+    def _shown(self) -> tuple[str, Lines]:
+        if not self.manifest:
+            return f"lierb.Dataset of {self.folder}, not read", []
+        study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
+        run = study["integrate"]
+        lines = [
+            ("settings", settings_told(run["cspace"], run["method"], run["dt"])),
+            ("trajectories", str(self.trajectories)),
+            ("parts", f"{done} of {asked}{'' if done == asked else '; resume=True does the rest'}"),
+        ]
+        if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
+            lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))
+        tables = ("summary", "history") if run["save_every"] else ("summary",)
+        lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
+        return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines
+
+
+def _entry(file: Stored) -> dict[str, Any]:
+    """Of the manifest."""
+    entry: dict[str, Any] = {"rows": file.rows, "sha256": file.sha256}
+    return entry | {"failed": file.failed} if file.failed else entry
 
 
 def _sync(folder: Path) -> None:

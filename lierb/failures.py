@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -64,6 +65,16 @@ class Failures:
         (first,) = summary.select(COLUMNS).slice(int(failed.argmax()), 1).to_pylist()
         found = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
         return cls(len(failed), found, **first)
+
+    @classmethod
+    def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
+        """Those of several summaries of `runs` trajectories in all, the first one's first."""
+        if not each:
+            return None
+        counts: Counter[str] = Counter()
+        for failures in each:
+            counts.update(failures.counts)
+        return replace(each[0], runs=runs, counts=dict(counts))
 
     @property
     def count(self) -> int:

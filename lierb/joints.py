@@ -1,6 +1,6 @@
 """The joint catalogue, as data: each joint is a list of primitive rows, acting between two frames.
 
-Lines are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
+Rows are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
 Q turns about an axis ⊥ e₃.
@@ -603,7 +603,7 @@ def from_rows(
     orientation. A `screw` row needs pitch=, and Omega1 and Omega2; a `rod` row needs length=, and
     goes with Omega, Q and cv rows only. Frames as for every joint.
 
-    Lines may say a thing twice. One given again is left out; of rows that depend on others where the
+    Rows may say a thing twice. One given again is left out; of rows that depend on others where the
     body is, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is what
     they exert together). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
     other, and the body is marked `singular`.

@@ -10,7 +10,8 @@ import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.arrays import Array
-from lierb.columns import numbers, repeated, vectors
+from lierb.columns import as_array, numbers, repeated, vectors
+from lierb.failures import told_elsewhere
 from lierb.sampling import Design
 from lierb.study import Batch, Setting, Study
 from lierb.units import unit_of
@@ -39,10 +40,11 @@ class Part:
     ) -> dict[str, pa.Table]:
         """What its bodies do: `summary`, and `history` if there is a history."""
         batch = study.batch(self.first, self.count, design)
-        result = integrate(
-            batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
-            progress=progress or False, **study.options(self.setting),
-        )  # fmt: skip
+        with told_elsewhere():
+            result = integrate(
+                batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
+                progress=progress or False, **study.options(self.setting),
+            )  # fmt: skip
         tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
         if result.history is not None:
             tables["history"] = self._labelled(result.history)
@@ -51,7 +53,7 @@ class Part:
     def _labelled(self, table: pa.Table) -> pa.Table:
         """With the trajectories' numbers in the study, and the setting before."""
         rows = table.num_rows
-        own = numbers(table["trajectory"].to_numpy() + self.first)
+        own = numbers(as_array(table["trajectory"]) + self.first)
         table = table.set_column(0, table.schema.field("trajectory"), own)
         dt = numbers(np.full(rows, self.setting.dt))
         table = table.add_column(0, pa.field("dt", dt.type, metadata={"unit": "s"}), dt)

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +19,16 @@ from lierb.changes import written
 from lierb.cluster import spread
 from lierb.dataset import Dataset, Stored, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyWarning
-from lierb.parts import Part, Progress, parts_of
+from lierb.failures import Failures, told_elsewhere, warn_of
+from lierb.parts import Part, parts_of
+from lierb.progress import Progress, check_progress, reporter
 from lierb.provenance import machine
 from lierb.study import Setting, Study, tables_of
 
 if TYPE_CHECKING:
     from distributed import Client
+
+REPLAY = "lierb.running.replay, or `lierb run STUDY --only NUMBER`, shows all that one of them did"
 
 
 def run(
@@ -33,7 +38,7 @@ def run(
     changes: Mapping[str, Any] | None = None,
     resume: bool = False,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = None,
     client: Client | None = None,
     gather: bool = False,
 ) -> Dataset:
@@ -45,7 +50,7 @@ def run(
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
         that are missing or damaged are done (again). The results are the same, bit for bit.
     threads : as in `lierb.integrate`; with `client`, of each worker, its own number if None.
-    progress : a function of (body-steps done, body-steps in all).
+    progress : as in `lierb.integrate`.
     client : a dask.distributed.Client; its workers run the parts, one task a part, and write them
         into `out`, which they must see under the same path. The files are the same, bit for bit.
     gather : the workers send their parts back, and this process writes them.
@@ -53,8 +58,10 @@ def run(
     Raises StudyError for a study that is wrong, for a folder that has results already (without
     `resume`), those of another study, or another run that writes to it; with `client`, for a
     cluster without workers, one that is lost, or a part whose workers die again and again. After
-    Ctrl-C the parts under way are finished first; a second Ctrl-C loses them.
+    Ctrl-C the parts under way are finished first; a second Ctrl-C loses them. One
+    FailedTrajectoryWarning says how many trajectories failed, if any did.
     """
+    check_progress(progress)
     if gather and client is None:
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     if client is not None and client.asynchronous:
@@ -65,14 +72,13 @@ def run(
         _opened(dataset, given, text, changes or {}, resume)
         parts = parts_of(given)
         steps = {part.name: part.body_steps(given) for part in parts}
-        done, total = sum(steps[name] for name in dataset.parts), sum(steps.values())
-
-        def tell(within: int) -> None:
-            if progress is not None:
-                progress(done + within, total)
-
+        done = sum(steps[name] for name in dataset.parts)
         left = [part for part in parts if part.name not in dataset.parts]
-        with _interruptible() as stopping:
+        with reporter(progress, sum(steps.values())) as report, _interruptible() as stopping:
+
+            def tell(within: int) -> None:
+                report(done + within)
+
             if client is None:
                 finished = _here(given, left, dataset, threads, stopping, tell)
             else:
@@ -85,6 +91,7 @@ def run(
         if len(dataset.parts) < len(parts):
             raise KeyboardInterrupt
         dataset.drop_unfinished()
+    warn_of(dataset.failures(), REPLAY, stacklevel=3)
     return dataset
 
 
@@ -111,20 +118,32 @@ def integrate_batches(
     """A study's results as a stream, for those who want no files.
 
     table : "summary", or "history" if the study has `save_every`.
-    Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for.
+    Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for. At the end
+    one FailedTrajectoryWarning says how many trajectories failed, if any did.
     """
     given, _ = _loaded(study, {})
     known = ("summary", "history") if given.integrate.save_every else ("summary",)
     if table not in known:
         raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
-    design = given.design
-    made = (part.tables(given, design, threads)[table] for part in parts_of(given))
-    first = next(made)
+    design, parts = given.design, parts_of(given)
+    seen: list[Failures] = []
+
+    def made() -> Iterator[pa.Table]:
+        for part in parts:
+            tables = part.tables(given, design, threads)
+            if failures := Failures.of(tables["summary"]):
+                seen.append(replace(failures, setting=part.setting.label))
+            yield tables[table]
+
+    tables = made()
+    first = next(tables)
 
     def batches() -> Iterator[pa.RecordBatch]:
         yield from first.to_batches()
-        for each in made:
+        for each in tables:
             yield from each.to_batches()
+        failures = Failures.joined(seen, sum(part.count for part in parts))
+        warn_of(failures, REPLAY, stacklevel=3)
 
     return pa.RecordBatchReader.from_batches(first.schema, batches())
 
@@ -139,7 +158,10 @@ def compile_for(
     for setting in given.settings:
         options = given.options(setting) | {"t0": 0.0, "t_end": setting.dt}
         began = time.perf_counter()
-        integrate(batch.problem, twist0=batch.twist0, pose0=batch.pose0, progress=False, **options)
+        with told_elsewhere():  # of one step
+            integrate(
+                batch.problem, twist0=batch.twist0, pose0=batch.pose0, progress=False, **options
+            )
         took.append((setting, time.perf_counter() - began))
     return took
 

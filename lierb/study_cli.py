@@ -13,9 +13,10 @@ import click
 from lierb.changes import parsed, written
 from lierb.errors import StudyError
 from lierb.extras import require
+from lierb.failures import told_elsewhere
 from lierb.shipped import example as text_of
 from lierb.shipped import examples
-from lierb.terminal import INTERRUPTED, body_steps, print_whole, wrapped
+from lierb.terminal import INTERRUPTED, print_whole, wrapped
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -114,10 +115,10 @@ def run(
         _replay(loaded, folder, only, threads)
         return
     try:
-        with _client(workers, scheduler) as client, body_steps() as progress:
+        with _client(workers, scheduler) as client, told_elsewhere():
             dataset = run_study(
                 study, folder, changes=changes, resume=resume, threads=threads,
-                progress=progress, client=client, gather=gather,
+                client=client, gather=gather,
             )  # fmt: skip
     except KeyboardInterrupt:
         options = [word for each in written(changes) for word in ("--set", each)]
@@ -128,6 +129,7 @@ def run(
     _show(dataset)
     if report:
         _report(dataset, folder / "report.html")
+    _end_with_failures(dataset)
 
 
 def _require_one_way(
@@ -168,6 +170,7 @@ def show(folder: Path) -> None:
     dataset = Dataset(folder)
     dataset.read()
     _show(dataset)
+    _end_with_failures(dataset)
 
 
 @click.command()
@@ -246,15 +249,32 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.dataset import STUDY as STUDY_FILE
     from lierb.findings import findings, table_of
 
     print_whole(table_of(findings(dataset)))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
-    folder = dataset.folder
-    rest = shlex.join(["lierb", "run", f"{folder / STUDY_FILE}", "--out", f"{folder}", "--resume"])
-    state = "" if done == asked else f"; the rest with: {rest}"
-    click.echo(f"{folder}: {done} of {asked} parts{state}")
+    state = "" if done == asked else f"; the rest with: {_again(dataset, '--resume')}"
+    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+
+
+def _end_with_failures(dataset: Dataset) -> None:
+    """How many failed, why, and what to do: what is read last."""
+    failures = dataset.failures()
+    if failures is None:
+        return
+    click.secho(str(failures), fg="red", bold=True)
+    for remedy in failures.remedies:
+        click.echo(wrapped(remedy))
+    replay = _again(dataset, "--only", str(failures.trajectory))
+    click.echo(f"That one again, everything recorded:\n  {replay}")
+
+
+def _again(dataset: Dataset, *options: str) -> str:
+    """The command that runs the study of a folder into it."""
+    from lierb.dataset import STUDY as STUDY_FILE
+
+    study, folder = str(dataset.folder / STUDY_FILE), str(dataset.folder)
+    return shlex.join(["lierb", "run", study, "--out", folder, *options])
 
 
 @click.command()

@@ -25,37 +25,6 @@ def print_whole(table: Table) -> None:
 
 
 @contextmanager
-def body_steps() -> Iterator[Callable[[int, int], None] | None]:
-    """A bar of body-steps on standard error, with their rate and the time left."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield None
-        return
-    columns = (
-        BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None, rate="")
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-            speed = bar.tasks[0].speed
-            if speed:
-                bar.update(task, rate=f"{speed / 1e6:.1f} M body-steps/s")
-
-        yield show
-
-
-@contextmanager
 def progress_of_cases() -> Iterator[Callable[[int, int, str], None]]:
     """A bar on standard error; where that is no terminal, a line for each joint or figure."""
     from rich.console import Console

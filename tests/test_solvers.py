@@ -12,6 +12,7 @@ from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, slow_but, tilted
 
 import lierb
 from lierb import api, engine
+from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.coefficients import TINY
 
 JOINTS = [name for name in SUBGROUP_JOINTS if name != "free"]
@@ -122,7 +123,8 @@ def test_a_force_without_end_fails_in_its_own_step(neighbours):
 
     problem, twist0 = tilted("spherical")
     problem = lierb.Problem(problem.body, problem.joint, GRAVITY, forces=[blow()])
-    result = lierb.integrate(problem, twist0=[twist0, neighbours * twist0], dt=1e-3, t_end=0.2)
+    with pytest.warns(FailedTrajectoryWarning, match=r"2 non_finite.* t = 0\.1 s"):
+        result = lierb.integrate(problem, twist0=[twist0, neighbours * twist0], dt=1e-3, t_end=0.2)
     assert result.summary["status"].to_pylist() == ["non_finite"] * 2
     assert result.summary["t"].to_pylist() == [0.1, 0.1]
 
