@@ -16,6 +16,7 @@ from studies import PARTS, TEXT, sorted_rows, study
 import lierb
 from lierb.cli import cli
 from lierb.dataset import Dataset
+from lierb.errors import FailedTrajectoryWarning
 
 pytest.importorskip("plotly")
 from lierb.report import POINTS, write_report
@@ -158,12 +159,19 @@ def test_unfinished_and_failed_bodies_are_told(tmp_path):
     """Of the last setting no part is finished, and of no setting is the history quiet."""
     spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
     given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"save_every": 10})
-    done = lierb.run(given, tmp_path / "out")
+    with pytest.warns(FailedTrajectoryWarning):
+        done = lierb.run(given, tmp_path / "out")
     last = [name for name in done.parts if name.startswith("03-")]
     for name in last:
         (tmp_path / "out" / "summary" / f"part-{name}.parquet").unlink()
     done.drop_damaged()
-    page = Page(write_report(done, tmp_path / "page.html").read_text(encoding="utf-8"))
+    text = write_report(done, tmp_path / "page.html").read_text(encoding="utf-8")
+    page, failures = Page(text), done.failures()
+    assert failures.count == sum(row["status"] != "ok" for row in sorted_rows(done.folder))
+    told = f"<b>{failures.count} of {failures.runs} runs failed</b>: {failures.count} non_finite"
+    assert text.index("<h1>") < text.index(told) < text.index('class="lead"') < text.index("<h2")
+    assert f"--only {failures.trajectory}" in page.texts["pre"][0]
+    assert "No run failed" not in text
     assert f"Unfinished: {PARTS - len(last)} of {PARTS} parts." in " ".join(page.texts["p"])
     assert "Bodies that failed" in page.texts["h2"]
 
