@@ -170,7 +170,7 @@ def integrate(
         history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
         End(problem, plan, grid, output, STATUS_NAMES),
     )
-    if output.status.any():  # OK is 0
+    if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
     return result
 
