@@ -18,6 +18,7 @@ from lierb.errors import ArgumentError, unknown_name
 from lierb.extras import require
 from lierb.failures import Failures, has_failed
 from lierb.kernels import so3
+from lierb.kernels.constraints import Row
 from lierb.kernels.vec import norm, scale
 from lierb.shown import FAILED, Lines, Shown, counted
 
@@ -202,7 +203,7 @@ class Result(Shown):
     # ---- at a prompt ----
 
     def _shown(self) -> tuple[str, Lines]:
-        options = _options_of(self.summary)
+        options = _told(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if options:
             title += " to t = {t_end:g} s ({cspace}, {method}, dt = {dt:g} s)".format(**options)
@@ -215,12 +216,12 @@ class Result(Shown):
         return title, rows
 
     def _largest(self) -> Lines:
-        """The largest errors of the trajectories that are ok."""
-        ok = ~has_failed(self.summary)
+        """The largest errors of the trajectories that are ok, of those that there are rows for."""
+        ok, kinds = ~has_failed(self.summary), _kinds_of(_told(self.summary))
         if not ok.any():
             return []
         texts = []
-        for name in LARGEST:
+        for name in kinds:
             field = self.summary.schema.field(f"{name}_max")
             unit = _unit(field)
             largest = as_array(self.summary[field.name])[ok].max()
@@ -237,11 +238,22 @@ class Result(Shown):
         return f"{counted(times, 'time')}: {recorded}"
 
 
-def _options_of(table: pa.Table) -> dict[str, Any]:
-    """What `integrate` was called with, as the table's metadata has it."""
+def _told(table: pa.Table) -> dict[str, Any]:
+    """What the metadata of a table of lierb's tell."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
-    found: dict[str, Any] = json.loads(metadata)["options"] if metadata else {}
+    found: dict[str, Any] = json.loads(metadata) if metadata else {}
     return found
+
+
+def _kinds_of(told: dict[str, Any]) -> list[str]:
+    """Those of LARGEST that there are rows for; an added row may be of either kind."""
+    kinds = {"energy_drift"}
+    for name in told.get("problem", {}).get("rows", [""]):
+        try:
+            kinds.add("position_error" if Row.parse(name).is_translational else "rotation_error")
+        except ValueError:
+            kinds.update(LARGEST)
+    return [name for name in LARGEST if name in kinds]
 
 
 def _unit(field: pa.Field) -> str:

@@ -84,6 +84,22 @@ def test_link_leads_somewhere(page, match):
         assert anchor in _anchors(file)
 
 
+def _with_examples() -> list[str]:
+    """Modules whose docstrings have some."""
+    files = (ROOT / "lierb").glob("*.py")
+    return sorted(f"lierb.{f.stem}" for f in files if ">>> " in f.read_text(encoding="utf-8"))
+
+
+SLOW = {"lierb.paper"}  # all of its section 5
+
+
+@pytest.mark.parametrize("name", slow_but(_with_examples(), *{*_with_examples()} - SLOW))
+def test_examples_of_docstrings_run(name):
+    found = doctest.testmod(importlib.import_module(name))
+    assert found.attempted > 0
+    assert found.failed == 0
+
+
 @pytest.mark.parametrize("page", slow_but(PAGES, *QUICK), ids=lambda page: page.stem)
 def test_examples_run(page):
     result = doctest.testfile(str(page), module_relative=False, encoding="utf-8")

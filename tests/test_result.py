@@ -281,6 +281,16 @@ def test_repr_tells_what_failed(failing, result):
     assert "failed" not in repr(result)
 
 
+def test_repr_tells_the_largest_errors_that_there_are_rows_for(result, failing):
+    """A spherical joint has no rows for rotation: no zero is said to be kept."""
+    drift = max(result.summary["energy_drift_max"].to_pylist())
+    assert f"largest  position error 0 m, energy drift {drift:.2g} J" in repr(result)
+    assert "rotation error" not in repr(result)
+    ok = [0, 1, 3]
+    drift = max(failing[0].summary["energy_drift_max"].to_numpy()[ok])
+    assert f"energy drift {drift:.2g} J" in repr(failing[0])
+
+
 # ---- failures of studies -----------------------------------------------------------------------
 
 # Drag so strong that steps of a millisecond overflow, for some of the bodies.

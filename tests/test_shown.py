@@ -74,7 +74,7 @@ def test_body_says_its_numbers():
         "mass": "6.075 kg", "inertia": "(0.0126563, 0.0468281, 0.0569531) kg m², principal",
     }  # fmt: skip
     tilted = np.array(((2.0, 0.1, 0.0), (0.1, 2.0, 0.0), (0.0, 0.0, 2.0)))
-    batch = lierb.Body([1.0, 3.0, 2.0], tilted, com=[(0.0, 0.0, 0.1), (0.0, 0.0, 0.2), (0, 0, 0)])
+    batch = lierb.Body([1.0, 3.0, 2.0], tilted[None], com=0.1 * np.eye(3))
     assert "3 of them" in repr(batch)
     assert lines(batch) == {
         "mass": "1 … 3 kg", "inertia": "((2, 0.1, 0), (0.1, 2, 0), (0, 0, 2)) kg m²",
