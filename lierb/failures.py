@@ -25,7 +25,7 @@ REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; a smaller dt, a c-space that keeps the "
     "joint (lierb.predict) or rows that do not say a thing twice may help",
-    "non_finite": "non_finite: a number overflowed or was none, mostly because dt is too long for "
+    "non_finite": "non_finite: a number overflowed or became NaN, mostly as dt is too long for "
     "the stiffest force or the fastest turn; a smaller dt helps there",
 }
 COLUMNS = ("trajectory", "status", "t")
