@@ -61,8 +61,8 @@ def as_array(column: pa.ChunkedArray) -> NDArray:
     """
     whole = _whole(column)
     if pa.types.is_fixed_size_list(whole.type):
-        return _numbers_of(whole.flatten()).reshape(-1, whole.type.list_size)
-    return _numbers_of(whole)
+        return numbers_of(whole.flatten()).reshape(-1, whole.type.list_size)
+    return numbers_of(whole)
 
 
 def as_codes(column: pa.ChunkedArray) -> tuple[NDArray, list[str]]:
@@ -70,14 +70,14 @@ def as_codes(column: pa.ChunkedArray) -> tuple[NDArray, list[str]]:
     if not pa.types.is_dictionary(column.type):
         column = column.dictionary_encode()
     whole = _whole(column.unify_dictionaries())
-    return _numbers_of(whole.indices), whole.dictionary.to_pylist()
+    return numbers_of(whole.indices), whole.dictionary.to_pylist()
 
 
 def _whole(column: pa.ChunkedArray) -> pa.Array:
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
-def _numbers_of(array: pa.Array) -> NDArray:
+def numbers_of(array: pa.Array) -> NDArray:
     """As `array.to_numpy()`, which looks for pandas first, too."""
     dtype, buffer = np.dtype(array.type.to_pandas_dtype()), array.buffers()[1]
     found: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)

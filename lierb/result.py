@@ -196,8 +196,8 @@ class Result(Shown):
         if table is None:
             raise ArgumentError("there is no history; integrate with save_every= for one")
         columns: dict[pa.Field, Any] = {}
-        for field in table.schema:
-            columns |= _scalars(field, table[field.name])
+        for each in table.schema:
+            columns |= _scalars(each, table[each.name])
         return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
 
     # ---- at a prompt ----
@@ -206,7 +206,8 @@ class Result(Shown):
         options = _told(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if options:
-            title += " to t = {t_end:g} s ({cspace}, {method}, dt = {dt:g} s)".format(**options)
+            times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
+            title += f" {times} ({{cspace}}, {{method}}, dt = {{dt:g}} s)".format(**options)
         failures = Failures.of(self.summary)
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
         rows += self._largest()
@@ -222,9 +223,9 @@ class Result(Shown):
             return []
         texts = []
         for name in kinds:
-            field = self.summary.schema.field(f"{name}_max")
-            unit = _unit(field)
-            largest = as_array(self.summary[field.name])[ok].max()
+            column = self.summary.schema.field(f"{name}_max")
+            unit = _unit(column)
+            largest = as_array(self.summary[column.name])[ok].max()
             plain = name.replace("_", " ")
             texts.append(f"{plain} {largest:.2g}{f' {unit}' if unit != '1' else ''}")
         return [("largest", ", ".join(texts))]
@@ -233,7 +234,9 @@ class Result(Shown):
         if self.history is None:
             return "none; save_every= keeps one"
         times = self.history.num_rows // self.summary.num_rows
-        more = [n for n in ("energy", "lambda", "reaction") if n in self.history.column_names]
+        more = [
+            n for n in ("energy", "work", "lambda", "reaction") if n in self.history.column_names
+        ]
         recorded = ", ".join(["errors", *["state"] * self._has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
 

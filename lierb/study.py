@@ -352,7 +352,7 @@ class Study(Shown, Section):
         tables = "summary and history" if run.save_every else "summary"
         rows = [
             ("settings", settings_told(run.cspace, run.method, run.dt)),
-            ("until", f"t = {run.t_end:g} s"),
+            ("times", f"{run.t0:g} … {run.t_end:g} s"),
             ("tables", f"{tables}, in parts of at most {counted(self.output.part, *BODIES)}"),
         ]
         try:

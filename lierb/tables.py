@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from lierb import engine
-from lierb.columns import each_row, numbers, texts, vectors
+from lierb.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.elements import Force
 from lierb.failures import STATUS_NAMES
 from lierb.kernels.driver import error_columns
@@ -75,7 +75,7 @@ def covers_of(problem: Problem) -> Covers:
 
 def _no_work(energy: pa.Array) -> pa.Array:
     """Zero; NaN after a failure, as everything is."""
-    return numbers(np.where(np.isnan(energy.to_numpy()), np.nan, 0.0))
+    return numbers(np.where(np.isnan(numbers_of(energy)), np.nan, 0.0))
 
 
 def _work_of(force: Force) -> str:
