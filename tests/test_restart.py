@@ -12,7 +12,13 @@ from cases import GRAVITY, box, column, joint, tilted
 
 import lierb
 from lierb import engine
-from lierb.errors import ArgumentError, PoseError, TimeGridError, TwistError
+from lierb.errors import (
+    ArgumentError,
+    FailedTrajectoryWarning,
+    PoseError,
+    TimeGridError,
+    TwistError,
+)
 from lierb.kernels.stepper import TIDY_EVERY
 
 DT = 1e-2
@@ -250,7 +256,8 @@ def test_a_pickled_result_has_no_end():
 def test_end_of_failed_trajectories_names_them():
     problem, twist0 = lively("spherical")
     twist0[1, :3] = 1e100
-    result = run(problem, 5, twist0=twist0, check="off")
+    with pytest.warns(FailedTrajectoryWarning):
+        result = run(problem, 5, twist0=twist0, check="off")
     with pytest.raises(
         ArgumentError, match=r"end: 1 of 3 trajectories failed .*: 1 \(non_finite at 0\.01 s\)"
     ):
