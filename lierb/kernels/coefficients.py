@@ -101,16 +101,6 @@ def coefficients(z: Any) -> Coefficients:
     return Coefficients(*_anywhere(z, 1.0, _taylor, _long))
 
 
-def step_coefficients(z: Any) -> Coefficients:
-    """The same for a time step, in which θ is small: what they multiply there is smaller still.
-
-    Up to 0.0215 rad three terms, and four of sinc, leave out less than 2⁻⁵⁴ of exp X and dexp⁻¹ V,
-    though a coefficient itself may be off by 3e-15. Beyond SINCOS_RANGE they are NaN: what such a
-    step leads to is seen to be no motion.
-    """
-    return Coefficients(*_in_step(z, 1.0, _taylor, _long))
-
-
 class HalfAngleCoefficients(NamedTuple):
     """Functions of φ = θ/2, on which formulas of ξ/2 are built."""
 
@@ -124,8 +114,25 @@ class HalfAngleCoefficients(NamedTuple):
 
 
 def half_angle_coefficients(z: Any) -> HalfAngleCoefficients:
-    """For a time step, at z = φ²."""
-    return HalfAngleCoefficients(*_in_step(z, 0.25, _half_taylor, _half_long))
+    """For a time step, in which φ² = z is small: what they multiply there is smaller still.
+
+    Up to θ = 0.0215 rad three terms, and four of sinc θ, leave out less than 2⁻⁵⁴ of exp X and
+    dexp⁻¹ V, though a coefficient itself may be off by 3e-15. Beyond SINCOS_RANGE they are NaN:
+    what such a step leads to is seen to be no motion.
+    """
+    tiny = z <= 0.25 * TINY
+    if taken_for_granted(tiny):
+        return HalfAngleCoefficients(*_half_taylor(z, TINY_TERMS, ()))
+
+    def within_range(z: Any) -> tuple[Any, ...]:
+        return _half_long(where(z <= 0.25 * SINCOS_RANGE**2, z, NAN))
+
+    found: tuple[Any, ...] = branch(
+        all_lanes(tiny),
+        lambda: _half_taylor(z, TINY_TERMS, ()),
+        lambda: _anywhere(z, 0.25, _half_taylor, within_range, ((tiny, TINY_TERMS),)),
+    )
+    return HalfAngleCoefficients(*found)
 
 
 _conditions: ContextVar[list[Any] | None] = ContextVar("conditions", default=None)
@@ -156,23 +163,6 @@ def taken_for_granted(condition: Any) -> bool:
 
 Taylor = Callable[[Any, int, Cuts], tuple[Any, ...]]  # of z, so many terms or, where cut, fewer
 Beyond = Callable[[Any], tuple[Any, ...]]
-
-
-def _in_step(z: Any, share: float, taylor: Taylor, beyond: Beyond) -> tuple[Any, ...]:
-    """Each function where it is best, for a time step; z = share · θ²."""
-    tiny = z <= share * TINY
-    if taken_for_granted(tiny):
-        return taylor(z, TINY_TERMS, ())
-
-    def within_range(z: Any) -> tuple[Any, ...]:
-        return beyond(where(z <= share * SINCOS_RANGE**2, z, NAN))
-
-    found: tuple[Any, ...] = branch(
-        all_lanes(tiny),
-        lambda: taylor(z, TINY_TERMS, ()),
-        lambda: _anywhere(z, share, taylor, within_range, ((tiny, TINY_TERMS),)),
-    )
-    return found
 
 
 def _anywhere(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from lierb.kernels import so3
 from lierb.kernels.coefficients import Coefficients
 from lierb.kernels.so3 import angle_coefficients as _angle_coefficients
@@ -24,9 +22,9 @@ Pose = tuple[Mat, Vec]
 identity: Pose = (so3.identity, ZERO3)
 
 
-def angle_coefficients(x: Vec, *functions: Any) -> Coefficients:
+def angle_coefficients(x: Vec) -> Coefficients:
     """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
-    return _angle_coefficients(x[:3], *functions)
+    return _angle_coefficients(x[:3])
 
 
 def compose(c1: Pose, c2: Pose) -> Pose:
@@ -44,12 +42,6 @@ def exp(x: Vec, k: Coefficients | None = None) -> Pose:
     """(exp ξ, dexp_ξ η)  (Müller, eq. expX)."""
     k = k or angle_coefficients(x)
     return so3.exp(x[:3], k), so3.dexp(x[:3], x[3:], k)
-
-
-def compose_exp(c: Pose, x: Vec, k: Coefficients | None = None) -> Pose:
-    """C exp X; see `so3.compose_exp`."""
-    k = k or angle_coefficients(x)
-    return so3.compose_exp(c[0], x[:3], k), mat_vec_add(c[0], so3.dexp(x[:3], x[3:], k), c[1])
 
 
 def log(c: Pose) -> Vec:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from lierb.kernels.arithmetic import fma, where
@@ -27,11 +26,9 @@ from lierb.kernels.vec import (
 identity: Mat = IDENTITY
 
 
-def angle_coefficients(
-    xi: Vec, functions: Callable[[Any], Coefficients] = coefficients
-) -> Coefficients:
+def angle_coefficients(xi: Vec) -> Coefficients:
     """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
-    return functions(dot(xi, xi))
+    return coefficients(dot(xi, xi))
 
 
 def compose(r1: Mat, r2: Mat) -> Mat:
@@ -47,16 +44,6 @@ def inverse(r: Mat) -> Mat:
 def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
     """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues)."""
     return add(IDENTITY, _exp_minus_identity(xi, k or angle_coefficients(xi)))
-
-
-def compose_exp(r: Mat, xi: Vec, k: Coefficients | None = None) -> Mat:
-    """R exp ξ, as R + R (exp ξ − I): where ξ is small, so is what is rounded."""
-    change = _exp_minus_identity(xi, k or angle_coefficients(xi))
-    return tuple(
-        fma(r[i], change[j], fma(r[i + 1], change[j + 3], fma(r[i + 2], change[j + 6], r[i + j])))
-        for i in (0, 3, 6)
-        for j in range(3)
-    )
 
 
 def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:

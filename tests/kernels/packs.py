@@ -12,14 +12,12 @@ from lierb.kernels.coefficients import (
     coefficients,
     half_angle_coefficients,
     sincos,
-    step_coefficients,
 )
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.vec import inverse_symmetric, principal_axes
 
 FORMULAS = {
     "coefficients": coefficients,
-    "step_coefficients": step_coefficients,
     "half_angle_coefficients": half_angle_coefficients,
     "sincos": sincos,
     "atan2": lambda y, x: (atan2(y, x),),

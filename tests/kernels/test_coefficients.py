@@ -15,7 +15,6 @@ from lierb.kernels.coefficients import (
     HalfAngleCoefficients,
     coefficients,
     half_angle_coefficients,
-    step_coefficients,
 )
 
 NAMES = Coefficients._fields
@@ -99,25 +98,6 @@ def test_coefficients_have_no_step_at_the_cutovers(number_type, name, cutover):
 def test_coefficients_at_zero_are_the_limits(number_type):
     limits = [1.0, 1 / 2, 1 / 6, -1 / 12, -1 / 60, 1 / 12, 1 / 360]
     assert evaluate(number_type, np.zeros(1))[:, 0].tolist() == limits
-
-
-@every_number
-def test_steps_leave_out_less_than_exp_and_dexpinv_can_tell(number_type):
-    """How far off each is, times the power of θ that it never comes without there."""
-    theta = np.concatenate([np.geomspace(1e-9, module.TINY**0.5, 200), angles()])
-    z = theta**2
-    values = {
-        "lanes": lambda: on_lanes("step_coefficients", z, results=len(NAMES)),
-        "arrays": lambda: np.array(step_coefficients(z)),
-        "floats": lambda: np.array([step_coefficients(x) for x in z.tolist()]).T,
-    }[number_type]()
-    tiny = z <= module.TINY
-    assert np.array_equal(values[:, ~tiny], evaluate(number_type, z[~tiny]))
-    exact = [oracle.coefficients(mp.sqrt(x)) for x in z[tiny].tolist()]
-    for name, found in zip(NAMES, values[:, tiny]):
-        power = {"b": 2, "a1": 2, "c0": 2, "b1": 3, "c1": 3}.get(name, 1)
-        error = abs(found - np.array([e[name] for e in exact])) * theta[tiny] ** power
-        assert error.max() <= 2.0**-54
 
 
 # Each as a multiple of a coefficient of θ = 2φ, and what it never comes without, as (factor, power)

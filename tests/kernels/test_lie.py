@@ -19,12 +19,10 @@ from kernels.samples import (
     matrices,
     nearest_rotation,
     norms,
-    packed,
     reference,
     relative_errors,
     sweep,
     twists,
-    unpacked,
 )
 from lierb.kernels import so3
 
@@ -78,21 +76,6 @@ def test_compose_sweep(group, number_type):
     # an entry is a sum of at most four products, which may cancel: relative to its largest terms
     scale = 1.0 if group == "so3" else 1.0 + abs(left[:, :3, 3:]) + abs(right[:, :3, 3]).max()
     assert np.max(errors[:, :3] / scale) <= 1e-15
-
-
-@everywhere
-def test_compose_exp_sweep(group):
-    left, X = configurations(group), sweep(group)
-    product, exp = oracle.lie[group].compose, oracle.lie[group].exp
-    expected = [oracle.to_float(product(c, exp(x))) for c, x in zip(left.tolist(), X.tolist())]
-    numbers = GROUPS[group].compose_exp(unpacked(group, "g", left), unpacked(group, "x", X))
-    errors = abs(packed(group, "g", numbers, X.shape[:1]) - np.array(expected))
-    scale = 1.0 if group == "so3" else 1.0 + abs(left[:, :3, 3:]) + abs(X[:, 3:]).max()
-    # a sum of at most four products; those of 20 m reach the places on SE(3)
-    assert np.max(errors[:, :3] / scale) <= 1e-15
-    # by small angles, nothing but the last sum's rounding: half an ulp of 1
-    small = norms(X) <= 0.01
-    assert np.max(errors[small, :3, :3]) <= 2.0**-53 * 1.05
 
 
 @everywhere
