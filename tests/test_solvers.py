@@ -131,13 +131,14 @@ def test_a_force_without_end_fails_in_its_own_step(neighbours):
 
 @pytest.mark.parametrize("name", ["spherical", "revolute"])
 @pytest.mark.parametrize("gravity", [NO_GRAVITY, GRAVITY], ids=["weightless", "gravity"])
-@pytest.mark.parametrize("solver", FAST)
+@pytest.mark.parametrize("solver", [*FAST, "saddle"])
 def test_exactness_lasts_a_million_steps(name, gravity, solver):
     """Steady rotation about a tilted axis is the worst case: rounding adds up linearly there."""
     problem, twist0 = tilted(name, gravity)
     result = integrate(
-        problem, twist0=twist0, dt=1e-4, t_end=100.0, measure_every=10, **FAST[solver]
-    )
+        problem, twist0=twist0, dt=1e-4, t_end=100.0, measure_every=10,
+        **FAST.get(solver, {"solver": solver}),
+    )  # fmt: skip
     (summary,) = result.summary.to_pylist()
     far = 1.0 + np.linalg.norm(summary["position"])
     assert summary["position_error_max"] <= 2e-15 * far
