@@ -45,7 +45,7 @@ from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
 from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import Load, solve
 from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.vec import ZERO3, add, dot, norm
+from lierb.kernels.vec import ZERO3, add, diagonal, dot, norm
 from lierb.shown import Lines, Shown, counted, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
@@ -53,6 +53,7 @@ NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it c
 CLOSED = 1e-13  # rad, and relative to the problem's length: where rounding ends it
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
+LEAST_GYRATION = 0.03  # of the problem's length, that a pose is closed with
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
 
 
@@ -342,8 +343,9 @@ class Problem(Shown):
         pose : (4, 4), (n, 4, 4) or SciPy.   Returns (4, 4) or (n, 4, 4).
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that makes up for
-        the constraints' values. Ends where rounding does, relative to the problem's own length.
-        Raises PoseError where that leads nowhere: from too far away, in a singular configuration,
+        the constraints' values; a body that is small beside its arm counts as larger there, or it
+        would rather turn by a radian than move by a hair. Ends where rounding does, relative to
+        the problem's own length. Raises PoseError where that leads nowhere: from too far away, in a singular configuration,
         or from exactly half a turn off.
 
         >>> import lierb
@@ -357,7 +359,12 @@ class Problem(Shown):
         self.batch_size(pose=(poses, 2))
         rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
         placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
-        small = CLOSED * length_of(parameters)  # m
+        length = length_of(parameters)
+        small = CLOSED * length  # m
+        stout = body.mass * (LEAST_GYRATION * length) ** 2
+        trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
+        added = where(trace < stout, stout, 0.0 * stout)
+        body = body._replace(inertia=add(body.inertia, diagonal((added, added, added))))
         # Functions of the user's see the place from the origins of the user's frames.
         rounding = rounding_of(parameters, pose_components(poses))
         with np.errstate(all="ignore"):

@@ -147,3 +147,33 @@ def test_projected_twists_and_closed_poses_satisfy_the_joint(name):
     # a few roundings of a motion of 3 rad/s and 2 m/s, and of places of 1 m
     np.testing.assert_allclose(velocity[:, rows], 0.0, atol=1e-14)
     np.testing.assert_allclose(place[:, rows], 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", ["planar", "schoenflies"])
+def test_a_body_that_slides_turns_as_it_likes(name):
+    """Gravity has no moment about the centre of mass: the spin stays, whatever the arm."""
+    made = getattr(lierb.joints, name)(body_point=ARM, axis=AXIS)
+    gravity = np.array((0.3, 1.0, -9.81))
+    problem = lierb.Problem(BODIES, made, gravity)
+    start = problem.project(np.concatenate([0.5 * AXIS, (0.2, 0.1, 0.3)]))
+    result = integrate(problem, twist0=start, dt=1e-3, t_end=END)
+    # 2000 steps of a quotient's rounding
+    np.testing.assert_allclose(column(result.summary, "omega") @ AXIS, 0.5, rtol=0, atol=1e-13)
+    assert column(result.summary, "energy_drift_max").max() < 1e-11
+    force = -(gravity @ AXIS) * AXIS if name == "planar" else np.zeros(3)
+    spun = SIZES[:, None] * np.cross(0.5 * AXIS, SHAPE * 0.5 * AXIS)
+    axes = made.body_frame[:3, :3]
+    found = column(result.history, "reaction")[-len(SIZES) :]
+    np.testing.assert_allclose(found[:, 3:] @ axes.T, np.tile(force, (len(SIZES), 1)), atol=1e-13)
+    np.testing.assert_allclose(found[:, :3] @ axes.T, spun + np.cross(-ARM, force), atol=1e-12)
+
+
+def test_a_pose_is_closed_near_by():
+    """What is tilted by 5e-5 is turned back by as much; the kinetic metric alone turned by 0.8."""
+    made = lierb.joints.planar(body_point=ARM, axis=AXIS)
+    problem = lierb.Problem(BODIES, made)
+    off = made.closed_pose @ lierb.lie.se3.exp((1e-5, 5e-5, 2e-5, 1e-4, -2e-4, 0.0))
+    closed = problem.close(off)
+    turned = lierb.log(off[:3, :3].T @ closed[:, :3, :3])
+    assert np.linalg.norm(turned, axis=1).max() < 1e-3
+    assert np.linalg.norm(closed[:, :3, 3] - off[:3, 3], axis=1).max() < 1e-3

@@ -64,7 +64,17 @@ from lierb.kernels.subgroup import (
     projected,
     reduced_inertia,
 )
-from lierb.kernels.vec import IDENTITY, ZERO6, Mat, diagonal, dot, mat_mat
+from lierb.kernels.vec import (
+    IDENTITY,
+    ZERO3,
+    ZERO6,
+    Mat,
+    Vec,
+    diagonal,
+    dot,
+    mat_mat,
+    mat_vec_add,
+)
 from lierb.kernels.zero import ZERO, is_zero
 
 # ---- columns -----------------------------------------------------------------------------------
@@ -133,12 +143,14 @@ def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
     return [load(array, (c, first), plan.lanes) for c in range(count)]
 
 
-def parameters_of(numbers: list[Any], turn: Mat = IDENTITY) -> tuple[Parameters, Any, Any]:
+def parameters_of(
+    numbers: list[Any], turn: Mat = IDENTITY, shift: Vec = ZERO3
+) -> tuple[Parameters, Any, Any]:
     """Parameters, pose and twist from the numbers of the input columns.
 
     A pose of NaN stands for the one in which the joint is closed, `lierb.joints.Joint.closed_pose`.
 
-    turn : of the joint's axes on the body.
+    turn, shift : of the joint's axes on the body, and of its point, along them.
     """
     parts = {name: tuple(numbers[columns]) for name, columns in INPUT_SLICES.items()}
     parameters = Parameters(
@@ -156,7 +168,7 @@ def parameters_of(numbers: list[Any], turn: Mat = IDENTITY) -> tuple[Parameters,
         closed = closed_pose(parameters.ground, parameters.body, parameters.length)
     axes, point = parameters.body
     return (
-        parameters._replace(body=(mat_mat(axes, turn), point)),
+        parameters._replace(body=(mat_mat(axes, turn), mat_vec_add(axes, shift, point))),
         where(pose[1][0] == pose[1][0], pose, closed),
         parts["twist"],
     )
@@ -171,9 +183,10 @@ def body_of(
     elements: tuple[Element, ...],
     numbers: list[Any],
     turn: Mat = IDENTITY,
+    shift: Vec = ZERO3,
 ) -> Body:
     """The body, with its elements, from the numbers of all input columns."""
-    parameters, _, _ = parameters_of(numbers, turn)
+    parameters, _, _ = parameters_of(numbers, turn, shift)
     return body_with(space, parameters, elements, numbers[INPUT_COLUMNS:])
 
 
@@ -187,6 +200,10 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
         body = plan.space.centred(turned, centre)._replace(
             turn=turn, origin_inertia=diagonal(moments), moments=moments, differences=differences
         )
+    if plan.slides_as_it_turns:
+        shift = (*body.com[:2], ZERO)
+        moved = body_of(plan.space, plan.elements, numbers, shift=shift)
+        body = plan.space.centred(moved, (ZERO, ZERO, body.com[2]))._replace(shift=shift)
     if plan.slots is None:
         return body
     return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
@@ -194,7 +211,7 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> Body:
 
 def _start(plan: Plan, body: Body, inputs: Any, first: Any) -> tuple[Parameters, Any, Any]:
     """Parameters in the body's own joint axes; pose and twist as given."""
-    return parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first), body.turn)
+    return parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first), body.turn, body.shift)
 
 
 def initial_state(plan: Plan, body: Body, inputs: Any, first: Any) -> State:

@@ -45,7 +45,7 @@ from lierb.kernels.vec import (
     scale,
     sub,
 )
-from lierb.kernels.zero import ZERO
+from lierb.kernels.zero import ZERO, is_zero
 
 Pose = tuple[Mat, Vec]
 
@@ -89,6 +89,7 @@ class Body(NamedTuple):
     first_moment: Vec  # m c
     gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
     turn: Mat = IDENTITY  # from the user's joint axes on the body to those that are used
+    shift: Vec = ZERO3  # from the user's joint point on the body to the one that is used
     # Of a body that turns about a point, in principal axes: K₁ K₂ K₃, K₂ − K₃, K₃ − K₁, K₁ − K₂
     moments: Vec = ()
     differences: Vec = ()
@@ -108,7 +109,8 @@ class Body(NamedTuple):
         """
         omega, v = velocity[:3], velocity[3:]
         spin = gyroscopic(self, omega) if self.differences else cross(momentum[:3], omega)
-        torque = cross_add(momentum[3:], v, spin)
+        # Of a body that turns and slides about its centre of mass, m v × v is but rounding.
+        torque = spin if not is_zero(*self.shift) else cross_add(momentum[3:], v, spin)
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force
 

@@ -91,6 +91,15 @@ class Plan(Tag):
         joint = [row for row in self.rows if isinstance(row, Row)]
         return len(joint) == 3 and holds_a_point(self.rows)
 
+    @cached_property
+    def slides_as_it_turns(self) -> bool:
+        """Whether H has turns about e₃ and slides normal to it. Any point of the body will do then
+        for the joint's, but for its height: the centre of mass, beside which nothing is small.
+        """
+        if self.slots is None:
+            return False
+        return self.slots[0] < 0 <= self.slots[2] and min(self.slots[3:5]) >= 0
+
     @property
     def is_local(self) -> bool:
         return self.update == "local"

@@ -119,11 +119,17 @@ def accelerate(
         x.omega + x.point_rate,
         turning,
     )
+    torque, force = found.wrench[:3], found.wrench[3:]
+    aside = cross(body.shift, force)  # about the user's joint point
+    multipliers = tuple(
+        x - aside[r.i] if r.kind == "Omega" else x
+        for r, x in zip(rows, found.multipliers, strict=True)
+    )
     return Acceleration(
         plan.space.velocity_rate(body, chart[0], velocity, found.turning, found.moving),
-        found.multipliers,
-        mat_vec(body.turn, found.wrench[:3]) + mat_vec(body.turn, found.wrench[3:]),
-        applied.power + _driving_power(plan, body, x, found.multipliers),
+        multipliers,
+        mat_vec(body.turn, add(torque, aside)) + mat_vec(body.turn, force),
+        applied.power + _driving_power(plan, body, x, multipliers),
         found.singular,
         found.dropped,
     )
