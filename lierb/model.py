@@ -345,8 +345,8 @@ class Problem(Shown):
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that makes up for
         the constraints' values; a body that is small beside its arm counts as larger there, or it
         would rather turn by a radian than move by a hair. Ends where rounding does, relative to
-        the problem's own length. Raises PoseError where that leads nowhere: from too far away, in a singular configuration,
-        or from exactly half a turn off.
+        the problem's own length. Raises PoseError where that leads nowhere: from too far away, in a
+        singular configuration, or from exactly half a turn off.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
