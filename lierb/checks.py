@@ -89,6 +89,8 @@ def _pose_violation(
         error = _root(squared)
         if error <= most < np.inf:
             continue
+        if not max(error, most) < np.inf:
+            return PoseError(_overflow(label, f"{what} error"))
         values = [
             f"{r} = {_plain(value(r, x, body)):.3g}"
             for r in rows
@@ -118,6 +120,8 @@ def _twist_violation(
         error = _root(squared)
         if error <= most < np.inf:
             continue
+        if not max(error, most) < np.inf:
+            return TwistError(_overflow(label, what))
         rows = ", ".join(
             f"{r}: {dot(jacobian(r, x, body), velocity) - prescribed_rate(r, x, body):.3g}"
             for r in problem.rows
@@ -129,6 +133,13 @@ def _twist_violation(
             'joint allows, or check="warn" to integrate it all the same'
         )
     return None
+
+
+def _overflow(label: str, what: str) -> str:
+    return (
+        f"{label} has a {what} beyond all numbers: the squares of what it is made of overflow; "
+        "give smaller numbers, or choose larger units"
+    )
 
 
 def _held_by(problem: Problem) -> str:

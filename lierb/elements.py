@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from lierb.arrays import Array, as_numbers, batch_size
 from lierb.errors import ArgumentError, ForceError, ScalarFunctionWarning, unknown_name
 from lierb.kernels import elements as kinds
-from lierb.kernels.fingerprint import Reference, UnfitFunctionError, fingerprint, watched
+from lierb.kernels.fingerprint import TEXT, Reference, UnfitFunctionError, fingerprint, watched
 from lierb.kernels.functions import (
     ANY,
     Function,
@@ -338,6 +338,10 @@ def _told(error: Exception) -> str:
 _IN_PLAIN_WORDS = {
     "yield in a closure": "it has a generator expression, such as sum(… for …), which Numba does "
     "not compile: write a list, sum([… for …])",
+    "Can't unify return type": "it returns different kinds of things in its branches: return the "
+    "same kind everywhere, such as np.array or tuples of numbers",
+    "format spec in f-strings": TEXT,
+    "Untyped global name 'format'": TEXT,
 }
 
 

@@ -538,6 +538,17 @@ def test_pose_that_does_not_close_names_the_body():
         integrate(pose0=poses)
 
 
+@pytest.mark.parametrize("far", [1e155, 1e300])  # whose squares are beyond all numbers
+def test_starts_whose_squares_overflow_are_told_as_such(far):
+    C = shifted(joints.spherical(POINT).closed_pose, (far, 0.0, 0.0))
+    with pytest.raises(PoseError, match=r"^pose0 has a position error beyond .* overflow") as told:
+        integrate(pose0=C)
+    assert "inf" not in str(told.value)
+    with pytest.raises(TwistError, match=r"^twist0 has a velocity beyond .* overflow") as told:
+        integrate(twist0=(0.0, 0.0, 0.0, far, 0.0, 0.0))
+    assert "inf" not in str(told.value)
+
+
 def test_pose_turned_off_the_axis_is_a_rotation_error():
     top = spherical_top(joint=joints.revolute(POINT))
     turned = np.eye(4)

@@ -62,6 +62,18 @@ REFUSED = {
     "np.pi = 3.0; return r, r": "changes np.pi",
     "return r * hash('a'), r": "uses hash",
     "return np.loadtxt('x'), r": "uses np.loadtxt",
+    "return np.empty(3) + r, r": "uses np.empty, .*write np.zeros",
+    "return np.empty_like(r) + r, r": "uses np.empty_like, .*write np.zeros_like",
+    "return r * len(f'{r}'), r": "makes text of numbers",
+    "return r * len(str(t)), r": "makes text of numbers",
+    "return r * len(np.array2string(gains)), r": "makes text of numbers",
+    "return r * (np.datetime64('now') > t), r": "reads a clock, np.datetime64",
+    "params.k = 3.0; return r, r": "changes .k: parameters cannot be changed, .* of your own",
+    "params.k += 3.0; return r, r": "changes .k: parameters cannot be changed, .* of your own",
+    "return r * len([k for k in {'a', 'b'}]), r": "uses a set, .*for more than `in`: write a tuple",
+    "return r * next(iter({'a', t})), r": "uses a set",
+    "return r * len({k for k in 'ab'}), r": "uses a set",
+    "return r * len(list(set('ab'))), r": "uses a set",
 }
 
 
@@ -85,6 +97,54 @@ def test_what_is_no_function_of_its_arguments_is_refused(line, way):
         message = "runs neither|cannot be compiled"
     with pytest.raises(ForceError, match=message):
         lierb.wrench(function)()
+
+
+SEEN_WHEN_TRACED = {
+    "return table['make'](3) + r, r": "it uses np.empty, .*write np.zeros",
+    "return r * len(repr(t)), r": "it makes text of numbers",
+    "return r * len(str([t > 0.0])), r": "it makes text of numbers",
+    "return r * len('{:.3f}'.format(t)), r": "it makes text of numbers",
+    "return r * len(f'{gains}'), r": "it makes text of numbers",
+    "return r * (np.array('now', dtype='M8[s]') > t), r": "it reads a clock",
+    "params.shape = (1,); return r, r": "it changes .shape: parameters cannot be changed",
+    "return r * len(sorted(words)), r": "it uses a set",
+    "return r * len(table['words'] | words), r": "it uses a set",
+    "return r * len(words.union('ab')), r": "it uses a set",
+    "return r * (words == {}), r": "it uses a set",
+}
+
+
+@pytest.mark.parametrize("line", SEEN_WHEN_TRACED)
+def test_what_no_name_tells_is_refused_where_it_is_done(line):
+    words = {"a", "b"}
+    table = {"words": frozenset(words), "make": np.empty}
+    function = of_source(f"    {line}\n", words=words, table=table)
+    message = f'pushed cannot be compiled: line 2, ".*": {SEEN_WHEN_TRACED[line]}'
+    with pytest.raises(ForceError, match=message):
+        lierb.wrench(function)()
+
+
+def test_sets_tell_what_is_in_them():
+    body = "    known = ('a' in words) + ('c' not in words) + (3 in {1, 2, 3}) + len(words)\n"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # it does not run body by body
+        force = lierb.wrench(of_source(body + "    return r, r * known\n", words={"a", "b"}))()
+    assert force.kind.function.python(0.0, 0, 2.0, 0, 0, ())[1] == 10.0
+
+
+@COMPILED
+def test_uninitialised_memory_is_found_under_another_name():
+    line = "    m = np; return r, m.empty(3)\n"
+    with pytest.raises(ForceError, match=r'line 4, ".*": it uses np\.empty'):
+        lierb.wrench(of_source(BRANCH + line))()
+
+
+@COMPILED
+def test_branches_that_return_different_kinds_are_told():
+    body = BRANCH + "    return (1.0, 2.0, 3.0), r\n"
+    with pytest.raises(ForceError, match=r"returns different kinds .* np\.array or tuples") as told:
+        lierb.wrench(of_source(body))()
+    assert "unify" not in str(told.value)
 
 
 def noisy_helper(x):

@@ -20,6 +20,7 @@ from lierb.kernels.arithmetic import absolute, all_lanes, branch, floor, fma, pl
 from lierb.kernels.arithmetic import sqrt as root
 from lierb.kernels.arithmetic import where as select
 from lierb.kernels.coefficients import SINCOS_RANGE, atan2, sincos
+from lierb.kernels.fingerprint import TEXT, UnfitFunctionError
 from lierb.kernels.lanes import Lane, Mask
 from lierb.kernels.zero import ZERO, Zero, is_zero
 
@@ -53,7 +54,10 @@ class Dual:
         self.factors = factors
 
     def __repr__(self) -> str:
-        return "<a number of many bodies>"
+        raise UnfitFunctionError(TEXT)
+
+    def __format__(self, _: str) -> str:
+        raise UnfitFunctionError(TEXT)
 
     def _along(self, slope: Any, value: Any) -> Dual:
         """f(self), from f(value) and f′(value)."""
@@ -183,8 +187,7 @@ class Condition:
     def __init__(self, mask: Any) -> None:
         self.mask = mask
 
-    def __repr__(self) -> str:
-        return "<a condition on many bodies>"
+    __repr__, __format__ = Dual.__repr__, Dual.__format__
 
     def __bool__(self) -> bool:
         raise TypeError(DECIDES)

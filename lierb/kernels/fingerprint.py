@@ -38,7 +38,22 @@ OUTSIDE_NUMPY = (
     "load", "loadtxt", "genfromtxt", "fromfile", "memmap", "save", "savez", "savez_compressed",
     "savetxt", "seterr", "geterr", "set_printoptions", "get_printoptions", "setbufsize",
 )  # fmt: skip
+TEXT_NUMPY = ("array2string", "array_str", "array_repr", "format_float_positional",
+              "format_float_scientific")  # fmt: skip
+UNINITIALISED = (np.empty, np.empty_like)
+TEXT = (
+    "it makes text of numbers (str, repr, format, an f-string), which have no digits before they "
+    "run: compute with the numbers themselves"
+)
+NO_ORDER = (
+    "it uses a set, whose order may be another one in every process, for more than `in`: write a "
+    "tuple or a list"
+)
 ALONE = "a function of the user's is one of its arguments alone"
+NO_CHANGE = (
+    "it changes .{}: parameters cannot be changed, nor what else it is given; use a variable of "
+    "your own"
+)
 
 
 class UnfitFunctionError(TypeError):
@@ -124,7 +139,19 @@ def is_known(module: types.ModuleType) -> bool:
 
 
 def refusal(value: Any, name: str) -> str | None:
-    """Why a function may not use this, known to it as `name`; None if it may."""
+    """Why a function may not name this, known to it as `name`; None if it may."""
+    if any(value is known for known in UNINITIALISED):  # which NumPy's own functions call
+        return (
+            f"it uses {name}, whose numbers are whatever was in memory before; write "
+            f"{name.replace('empty', 'zeros')}"
+        )
+    if value is set or value is frozenset:
+        return NO_ORDER
+    return refusal_of_call(value, name)
+
+
+def refusal_of_call(value: Any, name: str) -> str | None:
+    """Why neither a function nor what it calls may use this; None if they may."""
     if _is_users(value):
         return None
     module = _origin(value)
@@ -134,9 +161,11 @@ def refusal(value: Any, name: str) -> str | None:
             f"it draws random numbers, {name}: they would be the same constants for every body and "
             f"in every step; {ALONE}: sample a parameter instead"
         )
-    if top in CLOCKS:
+    if top in CLOCKS or value is np.datetime64:  # of "now"
         return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
     bare = getattr(value, "__name__", "")
+    if top == "numpy" and bare in TEXT_NUMPY and value is getattr(np, bare, None):
+        return TEXT
     outside = (
         (top == "builtins" and value is getattr(builtins, bare, None) and bare in OUTSIDE)
         or (module in ("io", "_io"))
@@ -180,28 +209,45 @@ def _require_pure(function: Any, seen: list[Any]) -> None:
                     raise UnfitFunctionError(f"{at(code, line)}: {why}")
                 if _is_users(value):
                     _require_pure(_undecorated(value), seen)
-        before = None
-        for step in dis.get_instructions(code):
-            line = step.positions.lineno if step.positions else None
-            if step.opname == "IMPORT_NAME":
-                raise UnfitFunctionError(
-                    f"{at(code, line)}: it imports something itself; import that outside"
-                )
-            is_outer = step.opname in ("STORE_DEREF", "DELETE_DEREF") and step.argval in free
-            changed = step.argval if is_outer or step.opname in _CHANGES_GLOBAL else None
-            if step.opname in ("STORE_ATTR", "DELETE_ATTR") and before is not None:
-                changed = f"{before}.{step.argval}"
-            if changed is not None:
-                raise UnfitFunctionError(
-                    f"{at(code, line)}: it changes {changed}, which is not its own; {ALONE}"
-                )
-            is_name = step.opname == "LOAD_GLOBAL" or (
-                step.opname == "LOAD_DEREF" and step.argval in free
-            )
-            before = step.argval if is_name else None
+        steps: list[Any] = [None, *dis.get_instructions(code), None]
+        for before, step, after in zip(steps, steps[1:], steps[2:], strict=False):
+            why = _refusal_of_step(before, step, after, free)
+            if why:
+                line = step.positions.lineno if step.positions else None
+                raise UnfitFunctionError(f"{at(code, line)}: {why}")
 
 
 _CHANGES_GLOBAL = ("STORE_GLOBAL", "DELETE_GLOBAL")
+_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # attributes that can be set
+
+
+def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -> str | None:
+    """What is wrong with one instruction between two others."""
+    if step.opname == "IMPORT_NAME":
+        return "it imports something itself; import that outside"
+    if _makes_set(step) and getattr(after, "opname", "") != "CONTAINS_OP":
+        return NO_ORDER
+    is_outer = step.opname in ("STORE_DEREF", "DELETE_DEREF") and step.argval in free
+    changed = step.argval if is_outer or step.opname in _CHANGES_GLOBAL else None
+    if step.opname in ("STORE_ATTR", "DELETE_ATTR"):
+        if _is_outside(before, free):
+            changed = f"{before.argval}.{step.argval}"
+        elif step.argval not in _OF_ARRAYS:
+            return NO_CHANGE.format(step.argval)
+    return None if changed is None else f"it changes {changed}, which is not its own; {ALONE}"
+
+
+def _is_outside(step: Any, free: frozenset[str]) -> bool:
+    """Whether an instruction reads a variable that is not the function's own."""
+    return getattr(step, "opname", "") == "LOAD_GLOBAL" or (
+        getattr(step, "opname", "") == "LOAD_DEREF" and step.argval in free
+    )
+
+
+def _makes_set(step: Any) -> bool:
+    return step.opname == "BUILD_SET" or (
+        step.opname == "LOAD_CONST" and isinstance(step.argval, frozenset)
+    )
 
 
 def _scopes(code: types.CodeType, free: frozenset[str]) -> Iterator[tuple[Any, frozenset[str]]]:

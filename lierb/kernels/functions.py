@@ -25,6 +25,8 @@ from lierb.kernels.arithmetic import flatten, plain
 from lierb.kernels.dual import REPLACEMENTS, Condition, Dual
 from lierb.kernels.fingerprint import (
     ALONE,
+    NO_CHANGE,
+    NO_ORDER,
     Reference,
     UnfitFunctionError,
     at,
@@ -140,7 +142,16 @@ class Function:
 
 @cache
 def _bundle_type(name: str, shapes: Shapes) -> Any:
-    return namedtuple(name, [n for n, _ in shapes])
+    return _unchangeable(namedtuple(name, [n for n, _ in shapes]))
+
+
+def _unchangeable(bundle: Any) -> Any:
+    bundle.__setattr__ = bundle.__delattr__ = _refuses_attribute
+    return bundle
+
+
+def _refuses_attribute(_: Any, name: str, *__: Any) -> None:
+    raise UnfitFunctionError(NO_CHANGE.format(name))
 
 
 def _object_array(members: list[Any]) -> Any:
@@ -181,7 +192,10 @@ def _number(name: str, x: Any) -> Any:
 def _brief(x: Any) -> str:
     if has_traced(x) or isinstance(x, np.ndarray):
         return f"an array of shape {np.shape(x)}" if isinstance(x, np.ndarray) else f"a {_kind(x)}"
-    text = repr(x)
+    try:
+        text = repr(x)
+    except UnfitFunctionError:  # there are traced numbers deep inside
+        return f"a {_kind(x)}"
     return text if len(text) < 60 and "object at" not in text else f"a {type(x).__name__}"
 
 
@@ -336,8 +350,8 @@ class _Rebuilt:
         if type(value) is dict:
             made = {key: self.value(x, name, set()) for key, x in value.items()}
             return self.container(name, made)
-        if type(value) is set:
-            return frozenset(value)
+        if type(value) in (set, frozenset):
+            return self.container(name, frozenset(value))
         return self.known(value)
 
     def _module(self, module: types.ModuleType, name: str, attributes: set[str]) -> Any:
@@ -361,6 +375,8 @@ def _constant(name: str, value: Any) -> Any:
 
 
 def _frozen(name: str, value: Any) -> Any:
+    if type(value) is frozenset:
+        return _Set(value)
     if type(value) not in (list, dict):
         return value
     frozen = _FrozenList(value) if type(value) is list else _FrozenDict(value)
@@ -382,6 +398,27 @@ class _FrozenDict(dict):
     name = ""
     pop = popitem = clear = update = setdefault = _refuses_change
     __setitem__ = __delitem__ = __ior__ = _refuses_change
+
+
+class _Set:
+    """A set of the user's: no more than what is in it, for it has an order of each process."""
+
+    def __init__(self, members: frozenset[Any]) -> None:
+        self.__contains = members.__contains__
+        self.__count = len(members)
+
+    def __contains__(self, member: Any) -> bool:
+        return self.__contains(member)
+
+    def __len__(self) -> int:
+        return self.__count
+
+    def _refuses_more(self, *_: Any) -> Any:
+        raise UnfitFunctionError(NO_ORDER)
+
+    __hash__ = None  # type: ignore[assignment]
+    __iter__ = __getattr__ = __eq__ = __lt__ = __le__ = __gt__ = __ge__ = _refuses_more
+    __or__ = __and__ = __sub__ = __xor__ = __ror__ = __rand__ = __rsub__ = __rxor__ = _refuses_more
 
 
 def _where_traced(function: Any, replacement: Any) -> Any:

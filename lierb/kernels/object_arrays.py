@@ -18,7 +18,7 @@ import numpy as np
 
 from lierb.kernels import dual
 from lierb.kernels.dual import Condition, Dual, choice
-from lierb.kernels.fingerprint import UnfitFunctionError, refusal
+from lierb.kernels.fingerprint import UNINITIALISED, UnfitFunctionError, refusal
 
 MOST_ROWS = 4  # of matrices that are inverted: by cofactors, of which there are n!
 TRACED = (Dual, Condition)
@@ -433,7 +433,7 @@ SPELLED_OUT: dict[Any, Callable[..., Any]] = {
     np.fix: _fix, np.isclose: _isclose, np.allclose: _allclose, np.linspace: _linspace,
     np.nan_to_num: _nan_to_num,
     np.zeros_like: _filled_like(0.0), np.ones_like: _filled_like(1.0),
-    np.empty_like: _filled_like(None), np.full_like: _full_like,
+    np.empty_like: _filled_like(None), np.full_like: _full_like,  # for NumPy's own functions
     np.real: lambda x: x, np.imag: lambda x: 0.0 * x,
     np.dot: lambda a, b, out=None: np.dot(np.asarray(_objects(a)), np.asarray(_objects(b))),
 }  # fmt: skip
@@ -456,6 +456,8 @@ def _array(given: Any, dtype: Any = None, **_: Any) -> Any:
             raise UntraceableError(f"numbers of many bodies do not become {dtype}; use np.floor")
         return numbers(given)
     found = np.array(given, dtype=None if dtype is not None and _is_real(dtype) else dtype)
+    if found.dtype.kind == "M":
+        raise UnfitFunctionError(refusal(np.datetime64, "np.datetime64"))
     if found.dtype.kind in "f" or (dtype is not None and _is_real(dtype)):
         return found.astype(float).astype(object).view(Numbers)
     return found
@@ -467,10 +469,6 @@ def _zeros(shape: Any, dtype: Any = None, **_: Any) -> Any:
 
 def _ones(shape: Any, dtype: Any = None, **_: Any) -> Any:
     return _made(np.ones, shape, dtype)
-
-
-def _empty(shape: Any, dtype: Any = None, **_: Any) -> Any:
-    return _filled(shape, None)
 
 
 def _full(shape: Any, value: Any, dtype: Any = None, **_: Any) -> Any:
@@ -489,7 +487,7 @@ def _made(of: Any, shape: Any, dtype: Any) -> Any:
 
 MADE: dict[Any, Callable[..., Any]] = {
     np.array: _array, np.asarray: _array, np.asanyarray: _array, np.ascontiguousarray: _array,
-    np.zeros: _zeros, np.ones: _ones, np.empty: _empty, np.full: _full, np.eye: _eye,
+    np.zeros: _zeros, np.ones: _ones, np.full: _full, np.eye: _eye,
     np.identity: _eye,
 }  # fmt: skip
 _FLOATS: dict[type, type] = {np.float64: dual.Float}
@@ -502,6 +500,8 @@ class Spoken:
         self.function = function
 
     def __call__(self, *given: Any, **options: Any) -> Any:
+        if self.function in UNINITIALISED:  # and named where nobody has looked: as a default, say
+            raise UnfitFunctionError(refusal(self.function, f"np.{self.function.__name__}"))
         if self.function in MADE:
             return MADE[self.function](*given, **options)
         if not (any(map(has_traced, given)) or any(map(has_traced, options.values()))):

@@ -16,7 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from lierb.kernels.fingerprint import ALONE, CLOCKS, RANDOM, UnfitFunctionError, at, refusal
+from lierb.kernels.fingerprint import (
+    ALONE,
+    CLOCKS,
+    RANDOM,
+    TEXT,
+    UnfitFunctionError,
+    at,
+    attributes_of,
+    refusal,
+    refusal_of_call,
+)
 
 MARK = "__lierb_traced__"  # among the globals of functions that are traced
 # They may do what they like on a user's behalf: look a warning's line up in its file, say.
@@ -76,7 +86,7 @@ class _Calls:
         if event not in ("c_call", "call") or caller is None or _is_trusted(caller):
             return
         if event == "c_call":
-            why = refusal(argument, _name_of(argument))
+            why = refusal_of_call(argument, _name_of(argument))
         else:
             why = _of_module(frame.f_globals.get("__name__", ""), frame.f_code.co_name)
         if why is None:
@@ -97,6 +107,8 @@ def _name_of(function: Any) -> str:
 def _of_module(module: str, name: str) -> str | None:
     """What is wrong with calling a Python function of that module."""
     top = module.split(".")[0]
+    if top == "numpy" and module.endswith(".arrayprint"):
+        return TEXT
     if top in RANDOM or top in CLOCKS or module.startswith("numpy.random") or top in _SYSTEM:
         return refusal(sys.modules.get(module, types.ModuleType(module)), f"{module}.{name}")
     return None
@@ -133,6 +145,7 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
     if dispatcher in seen or not hasattr(dispatcher, "overloads"):
         return
     seen.append(dispatcher)
+    names = attributes_of(dispatcher.py_func)
     for found in list(dispatcher.overloads.values()):
         if getattr(found, "lifted", ()):
             raise UnfitFunctionError(f"it runs Python code of its own (objmode); {ALONE}")
@@ -141,12 +154,22 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
             value = getattr(ty, "typing_key", None) or getattr(ty, "pymod", None)
             if hasattr(ty, "dispatcher"):
                 require_pure_code(ty.dispatcher, seen)
-            elif value is not None:
-                why = refusal(value, _dotted(value))
-                if why is not None:
-                    line = _line_of(variable, annotation.blocks)
-                    place = at(dispatcher.py_func.__code__, line) if line else dispatcher.__name__
-                    raise UnfitFunctionError(f"{place}: {why}")
+                continue
+            # Numba makes np.array of np.empty, which the code does not name then.
+            why = TEXT if _is_text_of_numbers(ty) else None
+            if value is not None:
+                is_named = getattr(value, "__name__", "") in names
+                why = (refusal if is_named else refusal_of_call)(value, _dotted(value))
+            if why is not None:
+                line = _line_of(variable, annotation.blocks)
+                place = at(dispatcher.py_func.__code__, line) if line else dispatcher.__name__
+                raise UnfitFunctionError(f"{place}: {why}")
+
+
+def _is_text_of_numbers(ty: Any) -> bool:
+    """Whether Numba has put the name of a type where Python would write a number or an array."""
+    text = getattr(ty, "literal_value", None)
+    return isinstance(text, str) and text.startswith("<object type:")
 
 
 def _dotted(value: Any) -> str:
@@ -155,6 +178,7 @@ def _dotted(value: Any) -> str:
     owner = type(getattr(value, "__self__", None))
     module = str(getattr(value, "__module__", None) or owner.__module__)
     prefix = "np.random." if module.startswith("numpy.random") else f"{module}."
+    prefix = "np." if module == "numpy" else prefix
     name = getattr(value, "__name__", str(value))
     return name if module in ("builtins", "") else f"{prefix}{name}"
 
