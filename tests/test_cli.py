@@ -68,6 +68,7 @@ def run_without(modules, *arguments):
 
 @pytest.mark.usefixtures("short_run")
 class TestPaper:
+    @pytest.mark.slow
     def test_writes_tables_and_figures_and_says_where(self, tmp_path):
         out = tmp_path / "out"
         result = invoke("paper", "--out", out)

@@ -177,7 +177,9 @@ SHAPED = lierb.Body(  # the inertia less Steiner's part: 2 × a rotation's diago
 )
 
 
-@pytest.mark.parametrize("function", [common, further, branching_common])
+@pytest.mark.parametrize(
+    "function", [common, further, pytest.param(branching_common, marks=pytest.mark.slow)]
+)
 def test_numpy_is_numpys(function):
     sizes = np.array([0.25, 0.75])
     with warnings.catch_warnings():
