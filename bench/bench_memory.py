@@ -28,6 +28,7 @@ with open("/proc/self/clear_refs", "w") as marks:
 before = status("VmRSS")
 result = run()
 outputs = sum(table.nbytes for table in (result.summary, result.history) if table is not None)
+outputs += result._end.output.ends.nbytes  # with which a run goes on
 print(status("VmHWM") - before - outputs)
 """
 

@@ -14,12 +14,12 @@ Forces and accelerations are those at the joint's point, in body axes, in both c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from lierb.kernels import quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.arithmetic import fma, where
-from lierb.kernels.quaternion import Quaternion, rotated
 from lierb.kernels.vec import (
     IDENTITY,
     UNIT,
@@ -48,6 +48,7 @@ from lierb.kernels.vec import (
 from lierb.kernels.zero import ZERO, is_zero
 
 Pose = tuple[Mat, Vec]
+Turn = Callable[[Vec], Vec]  # of a vector from one set of axes to another
 
 
 class Parameters(NamedTuple):
@@ -305,7 +306,7 @@ class SE3:
         return Kinematics(pose[0], pose[1], omega, ZERO3, v, cross(omega, v), is_body_fixed=True)
 
     @staticmethod
-    def velocity_rate(body: Body, q: Quaternion, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
+    def velocity_rate(body: Body, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
         """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
         return turning + cross_add(velocity[3:], velocity[:3], moving)
 
@@ -361,11 +362,11 @@ class SO3xR3:
         return Kinematics(q, d, omega, body.arm, rate, cross(omega, swing), is_body_fixed=False)
 
     @staticmethod
-    def velocity_rate(body: Body, q: Quaternion, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
+    def velocity_rate(body: Body, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec) -> Vec:
         """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
         omega, com = velocity[:3], neg(body.arm)  # seen from the point
         bend = cross_add(omega, cross(omega, com), moving)
-        return turning + rotated(q, cross_add(turning, com, bend))
+        return turning + to_ground(cross_add(turning, com, bend))
 
     @staticmethod
     def kinetic_energy(body: Body, velocity: Vec) -> Any:

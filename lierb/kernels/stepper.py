@@ -15,7 +15,7 @@ from lierb.kernels import quaternion, subgroup
 from lierb.kernels.arithmetic import PI, any_lanes, branch, fma, maximum, where
 from lierb.kernels.constraints import acceleration, jacobian, prescribed_rate, value
 from lierb.kernels.elements import Applied, applied_to
-from lierb.kernels.newton_euler import Body, Kinematics, spinning
+from lierb.kernels.newton_euler import Body, Kinematics, Turn, spinning
 from lierb.kernels.plan import Plan
 from lierb.kernels.quaternion import Chart
 from lierb.kernels.saddle import Load, has_others, solve
@@ -95,11 +95,14 @@ def accelerate(
     time: Any = ZERO,
     q: Mat | None = None,
     fall: Vec | None = None,
+    to_ground: Turn | None = None,
 ) -> Acceleration:
     """The saddle point at one state.
 
-    q, fall : the chart's Q, and gravity in body axes, where they are known already.
+    q, fall, to_ground : the chart's Q, gravity in body axes, and the way from these to the
+        ground's, where they are known already.
     """
+    to_ground = to_ground or partial(quaternion.rotated, chart[0])
     q = quaternion.matrix(chart[0]) if q is None else q
     x = plan.space.kinematics(body, (q, chart[1]), velocity)._replace(time=time)
     seen = x.at_point()
@@ -126,7 +129,7 @@ def accelerate(
         for r, x in zip(rows, found.multipliers, strict=True)
     )
     return Acceleration(
-        plan.space.velocity_rate(body, chart[0], velocity, found.turning, found.moving),
+        plan.space.velocity_rate(body, to_ground, velocity, found.turning, found.moving),
         multipliers,
         mat_vec(body.turn, add(torque, aside)) + mat_vec(body.turn, force),
         applied.power + _driving_power(plan, body, x, multipliers),
@@ -203,7 +206,11 @@ def _saddle_stage(
     fixed = quaternion.matrix(chart[0])
     q = tuple(z for i in range(3) for z in quaternion.rotate(neg(x), row(fixed, i), k))
     fall = quaternion.rotate(neg(x), falling, k)
-    found = accelerate(plan, body, moved, velocity, time, q, fall)
+
+    def to_ground(a: Vec) -> Vec:
+        return mat_vec(fixed, quaternion.rotate(x, a, k))
+
+    found = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
     singular = found.singular
     if has_others(plan.rows):  # another rank is another joint
         singular = where(found.dropped == body.dropped, singular, 1.0)
