@@ -209,3 +209,24 @@ def test_a_start_off_by_less_than_the_tolerance_is_put_on_the_subgroup(solver):
     pose0[:3, 3] += 5e-11  # 8.7e-11 in all; 1e-9 of the arm, 0.156 m, is allowed
     result = integrate(problem, twist0=twist0, pose0=pose0, dt=1e-2, t_end=0.1, **FAST[solver])
     assert result.summary["position_error_max"][0].as_py() < 1e-15
+
+
+@pytest.mark.parametrize(
+    "name", slow_but(["spherical", "revolute", "universal"], "spherical", "revolute")
+)
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+def test_what_rows_keep_still_changes_no_bit(name, cspace):
+    """Alone, a start that is on its joint takes steps without what its rows keep at zero; beside
+    one that is off by what passes for rounding of whoever made it, it takes general ones.
+    """
+    problem, twist0 = tilted(name)
+    options = {"dt": 1e-3, "t_end": 0.1, "cspace": cspace, "solver": "saddle"}
+    alone = integrate(problem, twist0=twist0, **options)
+    off = twist0 + 1e-11 * np.array([0.0, 0.0, 0.0, 1.0, -2.0, 1.0])
+    beside = integrate(problem, twist0=np.stack([twist0, off]), **options)
+    for table in ("summary", "history"):
+        mine = getattr(beside, table).filter(pc.field("trajectory") == 0)
+        assert mine.equals(getattr(alone, table))
+    if cspace == "SE3":  # the other one has something to lose
+        opened = column(beside.summary, "position_error_max")
+        assert opened[0] < 1e-16 < 1e-13 < opened[1]
