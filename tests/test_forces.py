@@ -459,6 +459,7 @@ def test_inertia_is_about_the_centre_of_mass_and_in_body_axes(cspace):
     np.testing.assert_allclose(column(found, "omega"), omega, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_motors_see_their_body():
     def heavy(t, body, params):
         return params.gain * body.mass * math.sin(3.0 * t)
@@ -482,6 +483,7 @@ def test_motors_see_their_body():
     np.testing.assert_allclose(*ends, atol=1e-13)  # one rounding of the torque apart
 
 
+@pytest.mark.slow
 def test_constraints_see_their_body():
     def held_by_mass(R, r, params, body):
         end = r + R @ body.com

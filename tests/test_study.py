@@ -429,6 +429,7 @@ def test_history_has_its_own_parts(tmp_path):
     assert {"cspace", "method", "dt", "trajectory", "step", "rotation"} <= set(errors.column_names)
 
 
+@pytest.mark.slow
 def test_one_body_is_replayed_bit_for_bit(whole):
     rows = Dataset(whole)
     rows.read()
