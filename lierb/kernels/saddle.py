@@ -206,6 +206,7 @@ class Support:
         return spread, inverse * (mass * (heavy + trace))
 
     def moving(self, load: Load, turning: Vec, moves: Vec) -> Vec:
+        """a."""
         if self.is_point:
             return moves
         falling = axpy(1.0 / self.body.mass, load.force, cross(self.centre, turning))
@@ -256,9 +257,9 @@ def solve(
     total, found = load, {}
     singular: Any = ZERO
     dropped: Any = ZERO
+    arms = [jacobian(r) for r in others]
     if others:
         still = (ZERO,) * len(moves)
-        arms = [jacobian(r) for r in others]
         loads = [
             Load(cross_add(arm[3:], support.centre, arm[:3]), arm[3:], arm[:3]) for arm in arms
         ]
@@ -282,8 +283,8 @@ def solve(
     for i, r in fixed.items():
         found[r] = -torques[i]
     wrench = torques + support.force(holding)
-    for r in others:
-        wrench = axpy(-found[r], jacobian(r), wrench)
+    for r, arm in zip(others, arms, strict=True):
+        wrench = axpy(-found[r], arm, wrench)
     return Solution(turning, moving, tuple(found[r] for r in rows), wrench, singular, dropped)
 
 
