@@ -201,8 +201,13 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> Body:
 
 def gyroscopic(body: Body, omega: Vec) -> Vec:
     """(Kω) × ω of a body that turns about a point."""
+    return tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+
+
+def _products(omega: Vec) -> Vec:
+    """Ω₂Ω₃, Ω₃Ω₁, Ω₁Ω₂."""
     x, y, z = omega
-    return tuple(d * w for d, w in zip(body.differences, (y * z, z * x, x * y), strict=True))
+    return y * z, z * x, x * y
 
 
 def spinning(body: Body, omega: Vec, fall: Vec, torque: Vec) -> Vec:
@@ -211,7 +216,7 @@ def spinning(body: Body, omega: Vec, fall: Vec, torque: Vec) -> Vec:
     fall : gravity in body axes.   torque : of all other forces, about the point.
     """
     c = sub(body.com, body.arm)
-    products = omega[1] * omega[2], omega[2] * omega[0], omega[0] * omega[1]
+    products = _products(omega)
     found = []
     for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # what stands before products is constant
         easy = 1.0 / body.moments[i]
