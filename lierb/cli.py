@@ -126,11 +126,28 @@ def info(as_json: bool) -> None:
         "CPU": f"{found['cpu']} ({', '.join(found['vectors'])}{', fma' * found['fma']})",
         "lanes": f"{found['lanes']} bodies in a vector register",
         "threads": f"{found['threads']} ({found['threading_layer']})",
-        "cache": cache["folder"] or "none: the JIT is off",
-        "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB",
+        "cache": cache["folder"] or "none: the JIT is off, or no folder can be written",
+        "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB "
+        f"of at most {cache['most_bytes'] / 1e6:.0f}",
     }
     for name, text in rows.items():
         click.echo(f"{name:10}{text}")
+
+
+@cli.command()
+@click.option("--clear", is_flag=True, help="Delete them all, whatever version they are of.")
+def cache(clear: bool) -> None:
+    """Compiled kernels on the disk: where they are, how many, how large."""
+    import lierb
+    from lierb.installation import clear_cache
+
+    if clear:
+        deleted = clear_cache()
+        click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
+        return
+    found = lierb.info()["cache"]
+    told = f"{found['kernels']} kernels of this version, {found['bytes'] / 1e6:.1f} MB"
+    click.echo(f"{told}, in {found['folder']}")
 
 
 @cli.command()

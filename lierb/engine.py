@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.arrays import Array
-from lierb.errors import ArgumentError, ForceError, ForkError
+from lierb.errors import ArgumentError, ForceError
+from lierb.forks import check_threads
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
@@ -324,7 +324,7 @@ def integrate(
         whether it wants to see the next chunk. It sees all of them before the first step, or, where
         they are but one chunk, after the driver's first call.
     """
-    _check_threads()
+    check_threads()
     used = _threads(threads, -(-inputs.count // plan.lanes))
     output = Output.empty(plan, inputs.count, grid, with_state)
     chunks = _Chunks(inputs, plan.lanes)
@@ -439,36 +439,14 @@ def _report_raised(plan: Plan, error: Exception) -> None:
 # ---- threads -----------------------------------------------------------------------------------
 
 _driver_lock = threading.Lock()  # Numba's workqueue layer aborts the process when entered twice
-_lacks_threads = False
-
-
-def _after_fork() -> None:
-    """In a forked child: whether the parent had started Numba's threads (lierb or anybody)."""
-    global _lacks_threads
-    with suppress(ValueError):  # what Numba raises before its threads have started
-        numba.threading_layer()
-        _lacks_threads = True
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
 
 
 def threading_layer() -> str:
     """Numba's threading layer, its threads started."""
-    _check_threads()
+    check_threads()
     with _driver_lock:
         numba.get_num_threads()  # starts them
     return str(numba.threading_layer())
-
-
-def _check_threads() -> None:
-    """Before any lock: a forked child may have inherited it locked."""
-    if _lacks_threads:
-        raise ForkError(
-            "this process was forked after Numba's threads had started in its parent, which it "
-            "lacks; start workers with multiprocessing.get_context('spawn')"
-        )
 
 
 def _threads(count: int | None, blocks: int) -> int:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import llvmlite
@@ -16,8 +17,9 @@ from lierb.api import check_names, integrate
 from lierb.engine import threading_layer
 from lierb.errors import unknown_name
 from lierb.joints import JOINTS, REQUIRED, Joint
-from lierb.kernels._jit import cached_kernels
+from lierb.kernels import _jit, disk_cache
 from lierb.kernels.batch import apply
+from lierb.kernels.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.kernels.driver import integrate_block
 from lierb.kernels.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.model import Body, Problem
@@ -29,6 +31,8 @@ VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
 
 def info() -> dict[str, Any]:
     """Versions, CPU, lanes, threads and the disk cache, as plain values; `lierb info` prints them.
+
+    loaded : kernels in this process's memory.   cache : those of this version on the disk.
 
     Starts Numba's threads, to see which layer they run on.
 
@@ -45,6 +49,7 @@ def info() -> dict[str, Any]:
         "lanes": DEFAULT_LANES,
         "threads": numba.get_num_threads(),
         "threading_layer": threading_layer(),
+        "loaded": _jit.kernels_loaded(),
         "cache": _cache(),
     }
 
@@ -52,13 +57,24 @@ def info() -> dict[str, Any]:
 def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, and those of this version of lierb that are there."""
     if numba.config.DISABLE_JIT:
-        return {"folder": None, "kernels": 0, "bytes": 0}
-    kernels = [*cached_kernels(integrate_block), *cached_kernels(apply)]
+        return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
+    caches: list[DiskCache] = [integrate_block._cache, apply._cache]
+    kernels = dict(sized(path for each in caches for path in each.entries()))
     return {
-        "folder": integrate_block.stats.cache_path,
+        "folder": caches[0].cache_path,
         "kernels": len(kernels),
-        "bytes": sum(path.stat().st_size for path in kernels),
+        "bytes": sum(kernels.values()),
+        "most_bytes": MOST_BYTES,
     }
+
+
+def clear_cache() -> dict[Path, int]:
+    """Delete all compiled code of lierb on the disk, of any version; the files and their bytes.
+
+    Processes that run keep theirs; the next ones compile anew. Raises OSError for a file that may
+    not be deleted.
+    """
+    return disk_cache.clear()
 
 
 # ---- warming up ----------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import Array, as_floats
 from lierb.errors import ArgumentError
+from lierb.forks import check_compiler
 from lierb.kernels import _jit
 from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
 from lierb.kernels.lanes import DEFAULT_LANES
@@ -111,6 +112,7 @@ class Group:
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
+        check_compiler(is_needed=not _jit.is_ready(apply, tag))
         run = _jit.compiled(apply, tag, *arguments)
         with np.errstate(all="ignore"):
             run(tag, *arguments)

@@ -1,9 +1,13 @@
 """The disk cache of compiled code, through processes of their own with a cache of their own."""
 
+import errno
+import hashlib
+import io
 import json
 import os
 import pickle
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -12,9 +16,10 @@ from pathlib import Path
 
 import numba
 import pytest
+from numba.core.caching import InTreeCacheLocator
 
 import lierb
-from lierb.kernels import _jit
+from lierb.kernels import _jit, disk_cache
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -171,11 +176,10 @@ def test_processes_that_compile_at_once_are_both_right(copy):
 
 
 @pytest.mark.slow
-def test_interrupted_compilation_leaves_no_lock_behind(copy):
-    process = copy.start()
-    while not list((copy.folder / "cache").rglob("lierb.lock")):  # it is compiling now
-        assert process.poll() is None
-        time.sleep(0.01)
+def test_process_killed_while_it_compiles_leaves_nothing_behind(copy):
+    process = copy.start(FALL + "print(flush=True)\nfall()")
+    process.stdout.readline()
+    time.sleep(0.5)
     process.kill()
     process.communicate()
     assert fallen(copy.run()) == FALLEN["Euler"]
@@ -313,14 +317,11 @@ class Recorder(pickle.Unpickler):
 def needed_packages(folder):
     """What must be there for the cache's files to be read."""
     found = set()
-    for path in folder.rglob("*.nb[ic]"):
-        with path.open("rb") as stream:
-            if path.suffix == ".nbc":
-                stream.seek(_jit.DIGEST_SIZE)
-            while stream.peek(1):
-                recorder = Recorder(stream)
-                recorder.load()
-                found |= recorder.packages
+    for path in folder.rglob("*.nbc"):
+        content = path.read_bytes()[disk_cache.DIGEST_SIZE :]
+        recorder = Recorder(io.BytesIO(content.partition(b"\0")[2]))
+        recorder.load()
+        found |= recorder.packages
     assert "numba" in found
     return found
 
@@ -390,50 +391,162 @@ def exchange(first, second):
 
 
 DAMAGES = {
-    "index cut": lambda index, *data: cut(40, index),
-    "index empty": lambda index, *data: cut(0, index),
-    "index of something else": lambda index, *data: index.write_bytes(b"no pickle at all"),
-    "index that lists nothing": lambda index, *data: index.write_bytes(pickle.dumps(None)),
-    "data cut": lambda index, *data: cut(100, *data),
-    "data empty": lambda index, *data: cut(0, *data),
-    "data with a bit wrong": lambda index, *data: [flip_a_bit(file) for file in data],
-    "data exchanged": lambda index, *data: exchange(*data),
-    "data gone": lambda index, *data: [file.unlink() for file in data],
-    "stamp no text": lambda index, *data: next(index.parent.glob("*.stamp")).write_bytes(b"\xff"),
+    "cut": lambda *files: cut(100, *files),
+    "empty": lambda *files: cut(0, *files),
+    "a bit wrong": lambda *files: [flip_a_bit(file) for file in files],
+    "exchanged": lambda *files: exchange(*files),
+    "something else": lambda *files: [file.write_bytes(b"no code at all") for file in files],
+    "an honest digest of nonsense": lambda *files: [
+        file.write_bytes(signed(b"x")) for file in files
+    ],
+    "gone": lambda *files: [file.unlink() for file in files],
+    "folders": lambda *files: [(file.unlink(), file.mkdir()) for file in files],
 }
+
+
+def signed(content):
+    return hashlib.sha256(content).digest() + content
 
 
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(disk_cache, "_has_warned", False)
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def two_files(own_cache):
     assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
     assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
-    return [*tmp_path.rglob("*.nbi"), *tmp_path.rglob("*.nbc")]
+    return sorted(own_cache.rglob("*.nbc"))
 
 
-@pytest.mark.parametrize("name", DAMAGES)
-def test_damaged_entry_is_compiled_anew_and_replaced(own_cache, name):
-    DAMAGES[name](*own_cache)
+@pytest.mark.parametrize("name", sorted(DAMAGES.keys() - {"folders"}))
+def test_damaged_file_is_compiled_anew_and_replaced(two_files, name):
+    DAMAGES[name](*two_files)
     assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
     assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
 
 
-class Gone:
-    """Something that no longer exists when the index is read again."""
+def test_folder_in_the_place_of_a_file_costs_a_warning(two_files):
+    DAMAGES["folders"](*two_files)
+    with pytest.warns(RuntimeWarning, match="compiled code cannot be kept"):
+        assert computed(3.0) == (6.0, False)
 
 
-def read_index(index):
-    with index.open("rb") as file:
-        return pickle.load(file), *pickle.load(file)
+def full(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_foreign_entry_hides_no_other(own_cache, monkeypatch):
-    index = own_cache[0]
-    version, stamp, entries = read_index(index)
-    index.write_bytes(pickle.dumps(version) + pickle.dumps((stamp, {Gone(): "1.nbc"} | entries)))
-    monkeypatch.delattr(sys.modules[__name__], "Gone")
-    with pytest.raises(AttributeError):  # as Numba would read it
-        read_index(index)
-    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
+def test_full_disk_costs_a_warning_and_leaves_nothing_unfinished(own_cache, monkeypatch):
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.warns(RuntimeWarning, match=r"kept \(.*: No space left on device\)") as told:
+        assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
+    assert len(told) == 1
+    assert not [path for path in own_cache.rglob("*") if path.is_file()]
+
+
+def test_folder_that_cannot_be_made_costs_a_warning(own_cache):
+    own_cache.write_text("a file, where the folder should be")
+    with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR to a folder that can be written"):
+        assert computed(3.0) == (6.0, False)
+    assert lierb.info()["cache"]["folder"] is None
+
+
+def test_without_a_folder_beside_the_sources_the_users_own_is_taken(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    beside = InTreeCacheLocator(product, __file__)
+    monkeypatch.setattr(InTreeCacheLocator, "get_cache_path", lambda _: __file__)  # a file
+    assert [computed(11.0), computed(11.0)] == [(22.0, False), (22.0, True)]
+    assert list(tmp_path.rglob("test_cache.product-*.nbc"))
+    monkeypatch.undo()
+    assert not list(Path(beside.get_cache_path()).glob("test_cache.product-*"))
+
+
+def test_sources_that_were_edited_leave_no_code_behind(two_files, monkeypatch):
+    monkeypatch.setattr(disk_cache, "source_stamp", lambda: "another")
+    assert computed(3.0) == (6.0, False)
+    (left,) = two_files[0].parent.iterdir()
+    assert "-another-" in left.name
+
+
+def test_code_used_last_stays_when_there_is_too_much(two_files, monkeypatch):
+    first, second = two_files
+    os.utime(first, (1.0, 1.0))
+    monkeypatch.setattr(disk_cache, "MOST_BYTES", 2 * first.stat().st_size + 100)
     assert computed(7.0) == (14.0, False)
-    assert entries.items() < read_index(index)[2].items()  # written again, without it
+    assert not first.exists()
+    assert second.exists()
+
+
+def test_file_left_unfinished_is_deleted_once_it_is_old(two_files):
+    old, new = (file.with_name(f".{file.stem}.0123abcd.nbc.unfinished") for file in two_files)
+    foreign = old.with_name("thesis.unfinished")
+    for file in (old, new, foreign):
+        file.write_text("half")
+    for file in (old, foreign):
+        os.utime(file, (1.0, 1.0))
+    assert computed(7.0) == (14.0, False)
+    assert not old.exists()
+    assert new.exists()
+    assert foreign.exists()
+
+
+def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
+    two_files[0].rename(two_files[0].with_name("test_cache.product-0123-4567.nbc"))
+    foreign = two_files[0].with_name("other.function-1.py311.1.nbc")
+    foreign.write_text("of another package")
+    cleared = disk_cache.clear()
+    assert len(cleared) == 2
+    assert min(cleared.values()) > 1000
+    assert list(foreign.parent.iterdir()) == [foreign]
+    assert disk_cache.clear() == {}
+
+
+# ---------------------------------------------------------------- Ctrl-C, and forks
+
+INTERRUPTED = """
+import signal, sys, time, threading
+import numpy as np
+import lierb
+
+class Alarm(Exception):
+    pass
+
+def alarm(number, frame):
+    raise Alarm
+
+signal.signal(signal.SIGALRM, alarm)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+def compute():
+    turn = lierb.lie.so3.exp([[0.0, 0.0, np.pi / 2]])
+    twice = lierb.lie.so3.ad([[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    return np.round([turn[0, 1, 0], twice[0, 2]], 12).tolist()
+
+kind, after = sys.argv[1], float(sys.argv[2])
+outcome = "result"
+try:
+    signal.setitimer(signal.ITIMER_REAL, after)
+    if kind == "SIGINT":
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    compute()
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+except (KeyboardInterrupt, Alarm) as error:
+    outcome = type(error).__name__
+print(json.dumps([outcome, compute()]))
+"""
+INTERRUPTED = "import json\n" + INTERRUPTED
+
+
+@pytest.mark.slow  # each compiles two functions
+@pytest.mark.parametrize("kind", ["SIGINT", "SIGALRM"])
+@pytest.mark.parametrize("after", [0.02, 0.1, 0.4, 0.7])
+def test_interrupted_compilation_leaves_the_next_call_right(copy, kind, after):
+    if not hasattr(signal, "setitimer"):
+        pytest.skip("no timers of signals here")
+    outcome, found = copy.run(INTERRUPTED, kind, str(after))
+    assert outcome in {"result", {"SIGINT": "KeyboardInterrupt", "SIGALRM": "Alarm"}[kind]}
+    assert found == [1.0, 1.0]

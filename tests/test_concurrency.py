@@ -300,6 +300,22 @@ os._exit(0)
 """,
     "after Numba's threads were started by others": "numba.get_num_threads(); forked()",
     "before any run": "forked(); run()",
+    "while another thread compiles": """
+import tempfile
+numba.config.CACHE_DIR = tempfile.mkdtemp()  # nothing is compiled yet
+threading.Thread(target=lierb.lie.so3.exp, args=([1.0, 2.0, 3.0],)).start()
+while not lierb.kernels._jit.is_compiling():
+    pass
+def child():
+    signal.alarm(15)
+    try:
+        lierb.lie.so3.exp([1.0, 2.0, 3.0])
+        print("ran", flush=True)
+    except ForkError as error:
+        print("ForkError:", error, flush=True)
+forked()
+lierb.lie.so3.exp([1.0, 2.0, 3.0])  # the parent goes on
+""",
     "twice": """
 def child():
     if os.fork() == 0:

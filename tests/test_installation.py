@@ -96,9 +96,13 @@ def test_info_counts_the_kernels_of_this_version(tmp_path):
     assert run(count, tmp_path) == ["0"]
     run(WARM_UP, tmp_path)
     assert run(count, tmp_path) == ["1"]
-    (stamp,) = tmp_path.rglob("driver.integrate_block.stamp")
-    stamp.write_text("another version")
+    (kernel,) = tmp_path.rglob("driver.integrate_block-*.nbc")
+    _, stamp, digest = kernel.name.split("-")
+    kernel.rename(kernel.with_name(f"driver.integrate_block-{stamp[::-1]}-{digest}"))
     assert run(count, tmp_path) == ["0"]
+    told = run("from lierb.cli import cli; cli(['cache', '--clear'])", tmp_path)
+    assert told[:3] == ["Deleted", "2", "files,"]  # the loop over blocks has a file, too
+    assert not list(tmp_path.rglob("*.nbc"))
 
 
 def test_info_is_plain_and_complete():

@@ -1,4 +1,4 @@
-"""The one place with Numba options: formulas in @njit code, tags, and the disk cache.
+"""The one place with Numba options: formulas in @njit code, tags, and compiling.
 
 A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
 result's type, and then for its instructions, and both times the formula runs once on traced numbers
@@ -9,26 +9,20 @@ time, and Numba's type inference never sees the inside of a formula.
 from __future__ import annotations
 
 import hashlib
-import io
-import pickle
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
-import llvmlite
 import numba
-from filelock import FileLock
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
-from numba.core.runtime import rtsys
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import (
     NativeValue,
@@ -43,6 +37,7 @@ from numba.extending import (
 from numba.np.arrayobj import populate_array
 
 from lierb.kernels.arithmetic import flatten
+from lierb.kernels.disk_cache import DiskCache, source_stamp
 from lierb.kernels.lanes import BIT, DOUBLE, INT32, ArrayRef, Index, Lane, LaneType, Predicate
 from lierb.kernels.zero import is_zero
 
@@ -117,133 +112,74 @@ def _unbox_tag(ty: TagType, obj: Any, context: Any) -> NativeValue:
     return NativeValue(context.context.get_dummy_value())
 
 
-@cache
-def source_stamp() -> str:
-    """Digest of every source that compiled code depends on, and of the compilers."""
-    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-source_stamp()  # now: later, a file may differ from what this process has imported
-
-
-# ---- the disk cache ----------------------------------------------------------------------------
-
-
-class Unknown:
-    """What stands in an index for an object that is not plain data."""
-
-    def __init__(self, *_: Any, **__: Any) -> None: ...
-
-    def __setstate__(self, _: Any) -> None: ...
-
-
-class PlainUnpickler(pickle.Unpickler):
-    """Reads text, numbers and their collections; imports nothing and calls nothing."""
-
-    def find_class(self, module: str, name: str) -> type[Unknown]:
-        return Unknown
-
-
-class CacheFiles(IndexDataCacheFile):
-    """Numba's index and data files, of which a damaged or foreign one is as good as none.
-
-    The index is text: key → data file. A data file begins with the digest of the rest, and names
-    the key that it is of; only then is it unpickled.
-    """
-
-    def save(self, key: str, data: Any) -> None:
-        super().save(key, (key, data))
-
-    def load(self, key: str) -> Any:
-        found = super().load(key)
-        return found[1] if found is not None and found[0] == key else None
-
-    def _load_index(self) -> dict[str, str]:
-        try:
-            stream = io.BytesIO(Path(self._index_path).read_bytes())
-            version = PlainUnpickler(stream).load()
-            stamp, entries = PlainUnpickler(stream).load()
-            known = (version, stamp) == (self._version, self._source_stamp)
-            plain = {k: v for k, v in entries.items() if isinstance(k, str) and isinstance(v, str)}
-        except Exception:  # there is no telling what unpickling nonsense raises
-            return {}
-        return plain if known else {}
-
-    def _save_data(self, name: str, data: Any) -> None:
-        content = self._dump(data)
-        with self._open_for_write(self._data_path(name)) as file:
-            file.write(hashlib.sha256(content).digest() + content)
-
-    def _load_data(self, name: str) -> Any:
-        stored = Path(self._data_path(name)).read_bytes()
-        digest, content = stored[:DIGEST_SIZE], stored[DIGEST_SIZE:]
-        return pickle.loads(content) if hashlib.sha256(content).digest() == digest else None
-
-
-DIGEST_SIZE = hashlib.sha256().digest_size
-
-
-class QuickCache(FunctionCache):
-    """Numba's cache of a function, which loads machine code without what only a compiler needs.
-
-    Numba imports all its overloads first, and with them scipy.linalg where SciPy is installed: two
-    thirds of the time to a process's first result.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self._cache_file = CacheFiles(
-            self.cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
-        )
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)  # arrays count references
-        try:
-            return self._load_overload(sig, target_context)
-        except Exception:  # what cannot be loaded is compiled, and saved in its place
-            return None
-
-    def _index_key(self, sig: Any, codegen: Any) -> str:
-        """Numba's key as text: it holds types, and these whatever they are made of."""
-        return hashlib.sha256(repr(super()._index_key(sig, codegen)).encode()).hexdigest()
+# ---- compiling ---------------------------------------------------------------------------------
 
 
 def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: njit with OPTIONS and the disk cache."""
+    """Decorator: njit with OPTIONS and the disk cache, for a function that is no closure."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(cache=True, **OPTIONS, **options)(function)
+        dispatcher = numba.njit(**OPTIONS, **options)(function)
         if hasattr(dispatcher, "_cache"):  # no: the JIT is off
-            dispatcher._cache = QuickCache(function)
+            dispatcher._cache = DiskCache(function)
         return dispatcher
 
     return decorate
 
 
 _ready: dict[tuple[Any, Tag], Callable[..., Any]] = {}
-_compiling = threading.Lock()
+_compiling = threading.RLock()  # compiling may need something compiled
 
 
 def compiled(dispatcher: Any, tag: Tag, *args: Any) -> Callable[..., Any]:
     """The code of `dispatcher` for (tag, *args): compiled, or from the disk cache, once a process.
 
     A function of such arguments, and of no others: it spares Numba's look at each one's type.
-
-    Numba's cache index has neither lock nor check on load: two processes that write it at once can
-    pair one's entry with the other's code. Hence a file lock around whatever may load or save.
     """
     key = dispatcher, tag
     if key not in _ready:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return dispatcher
-        with _compiling:
-            if key not in _ready:
-                with _cache_lock(dispatcher):
-                    _ready[key] = dispatcher.compile(tuple(map(numba.typeof, (tag, *args))))
+        operands = tuple(map(numba.typeof, (tag, *args)))
+        undisturbed(_compile, key, operands)
     return _ready[key]
+
+
+def _compile(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
+    with _compiling:
+        if key not in _ready:
+            _ready[key] = key[0].compile(operands)
+
+
+def undisturbed(work: Callable[..., None], *args: Any) -> None:
+    """work(*args) to its end, even where Ctrl-C ends the wait for it.
+
+    Handlers of signals run in the main thread, between any two of its instructions: one that raises
+    amidst Numba's work leaves its registries half made, and every later call failing. Hence the
+    work is done in a thread of its own; what comes next finds it done, or waits for it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        work(*args)
+        return
+    pool = ThreadPoolExecutor(1, "lierb")
+    try:
+        pool.submit(copy_context().run, work, *args).result()
+    finally:
+        pool.shutdown(wait=False)
+
+
+def is_ready(dispatcher: Any, tag: Tag) -> bool:
+    """Whether `compiled` has nothing to do any more."""
+    return (dispatcher, tag) in _ready
+
+
+def is_compiling() -> bool:
+    """Whether another thread compiles, lierb or anybody: in a forked child, one that it lacks."""
+    for lock in (_compiling, global_compiler_lock._lock):
+        if not lock.acquire(blocking=False):
+            return True
+        lock.release()
+    return False
 
 
 _entries: dict[tuple[Any, Tag], Any] = {}
@@ -260,13 +196,31 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     if (dispatcher, tag) not in _entries:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return partial(dispatcher, tag)
-        compiled(dispatcher, tag, *args)
-        operands = tuple(map(numba.typeof, (tag, *args)))
-        result = dispatcher.overloads[operands]
-        _callable.add(operands[1:])
-        address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
-        _entries[dispatcher, tag] = address
+        undisturbed(_enter, (dispatcher, tag), tuple(map(numba.typeof, (tag, *args))))
     return _entries[dispatcher, tag]
+
+
+def _enter(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
+    _compile(key, operands)
+    result = key[0].overloads[operands]
+    _callable.add(operands[1:])
+    _entries[key] = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+    _release(result.library)
+
+
+def kernels_loaded() -> int:
+    """How many are in this process's memory."""
+    return len(_entries)
+
+
+def _release(library: Any) -> None:
+    """Let go of the LLVM code behind machine code that nothing will be linked with any more.
+
+    3 of the 7 MB that a kernel takes once it is compiled, 1.1 of 1.3 where it came from the disk.
+    What is left of the former is lost in LLVM's passes, and with the process.
+    """
+    library._codegen._engine._ee.remove_module(library._final_module)
+    library._final_module = library._shared_module = library._compiled_object = None
 
 
 def call(entry: Any, *args: Any) -> int:
@@ -325,39 +279,6 @@ def _propagate(context: Any, raised: Any) -> Any:
         return context.get_dummy_value()
 
     return types.none(raised), generate
-
-
-@contextmanager
-def _cache_lock(dispatcher: Any) -> Iterator[None]:
-    folder = Path(dispatcher.stats.cache_path)
-    folder.mkdir(parents=True, exist_ok=True)
-    with FileLock(folder / "lierb.lock"):
-        _prune(folder, dispatcher.py_func)
-        yield
-
-
-def _prune(folder: Path, function: Callable[..., Any]) -> None:
-    """Delete code that other versions of the sources left behind: no tag can ask for it again."""
-    mark = folder / f"{_stem(function)}.stamp"
-    if mark.exists() and mark.read_bytes() == source_stamp().encode():
-        return
-    for entry in folder.glob(f"{_stem(function)}-*.nb[ic]"):
-        entry.unlink(missing_ok=True)
-    mark.write_bytes(source_stamp().encode())
-
-
-def cached_kernels(dispatcher: Any) -> list[Path]:
-    """The files of machine code that the disk cache holds for this version of the sources."""
-    folder, stem = Path(dispatcher.stats.cache_path), _stem(dispatcher.py_func)
-    mark = folder / f"{stem}.stamp"
-    if not mark.exists() or mark.read_bytes() != source_stamp().encode():
-        return []
-    return sorted(folder.glob(f"{stem}-*.nbc"))
-
-
-def _stem(function: Callable[..., Any]) -> str:
-    """How the names of its files in the cache begin."""
-    return f"{function.__module__.rsplit('.', 1)[-1]}.{function.__qualname__}"
 
 
 # ---- formulas in @njit code --------------------------------------------------------------------

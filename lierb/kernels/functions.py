@@ -254,7 +254,7 @@ def compile_alone(function: Function) -> None:
     """Compile the function for one body at a time; raises what Numba raises."""
     compiled, samples = _dispatcher(function), tuple(function.samples())
     if hasattr(compiled, "compile"):
-        compiled.compile((numba.typeof(samples),))
+        _jit.undisturbed(compiled.compile, (numba.typeof(samples),))
         require_pure_code(compiled)
     else:  # the JIT is off
         compiled(samples)
