@@ -17,7 +17,7 @@ EXTRAS = {
     "plot": ("Drawing figures", ("matplotlib",)),
     "pandas": ("A pandas data frame", ("pandas",)),
     "polars": ("A polars data frame", ("polars",)),
-    "study": ("Running studies", ("pydantic", "scipy", "tomli_w")),
+    "study": ("Running studies", ("filelock", "pydantic", "scipy", "tomli_w")),
     "report": ("Writing reports", ("jinja2", "plotly", "matplotlib", "pydantic")),
     "cluster": ("Running studies on a cluster", ("distributed",)),
 }

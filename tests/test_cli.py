@@ -245,7 +245,7 @@ def test_remedy_in_the_checkout_and_with_uv_and_from_nowhere(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     assert remedy("study") == "uv pip install -e '.[study]'"
     monkeypatch.setattr(sys, "path", [])
-    assert remedy("study") == "pip install pydantic scipy tomli_w"
+    assert remedy("study") == "pip install filelock pydantic scipy tomli_w"
 
 
 def test_all_hints_to_install_come_from_one_function():
