@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -234,6 +235,7 @@ def install(site, monkeypatch, **files):
     folder.mkdir(parents=True)
     for name, text in {"METADATA": "Name: lierb\nVersion: 0.1.0\n", **files}.items():
         (folder / name).write_text(text)
+    import_module("urllib.request")  # which looks at URLs, while the standard library is found
     monkeypatch.setattr(sys, "path", [str(site)])
 
 
