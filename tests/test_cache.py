@@ -505,7 +505,15 @@ def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
     assert disk_cache.clear() == {}
 
 
-# ---------------------------------------------------------------- Ctrl-C, and forks
+# ---------------------------------------------------------------- Ctrl-C
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_code_that_two_calls_wait_for_is_entered_once():
+    key = _jit.cached()(product), Times(13.0)
+    for _ in range(2):  # the wait for the first one was interrupted
+        _jit._enter(key, (numba.typeof(key[1]), numba.float64))
+
 
 INTERRUPTED = """
 import signal, sys, time, threading

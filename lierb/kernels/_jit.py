@@ -201,11 +201,14 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
 
 
 def _enter(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
-    _compile(key, operands)
-    result = key[0].overloads[operands]
-    _callable.add(operands[1:])
-    _entries[key] = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
-    _release(result.library)
+    with _compiling:
+        if key in _entries:
+            return
+        _compile(key, operands)
+        result = key[0].overloads[operands]
+        _callable.add(operands[1:])
+        _entries[key] = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+        _release(result.library)
 
 
 def kernels_loaded() -> int:
