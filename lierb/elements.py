@@ -44,7 +44,7 @@ class Element:
     parameters: dict[str, Array]
 
     @classmethod
-    def of(cls, name: str, kind: kinds.Element, **given: ArrayLike) -> Self:
+    def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
         parameters = {
             parameter: as_numbers(parameter, given[parameter], shape)
             for parameter, shape in kind.shapes.items()

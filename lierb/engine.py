@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from textwrap import shorten
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,15 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.arrays import Array
-from lierb.errors import ArgumentError, ForceError
+from lierb.errors import ArgumentError
 from lierb.forks import check_threads
 from lierb.kernels import _jit
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
     INPUT_COLUMNS,
     INPUT_SLICES,
+    MARKS,
     OK,
+    RAISED_AT_END,
     RESUMED,
+    STARTS,
     STATE_COLUMNS,
     SUMMARY_COLUMNS,
     UNSEEN,
@@ -35,6 +39,7 @@ from lierb.kernels.driver import (
     integrate_block,
     integrate_blocks,
 )
+from lierb.kernels.functions import line_that_raised
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
 from lierb.progress import Progress, reporter
@@ -56,6 +61,7 @@ CHUNK_BODIES = 4096
 # body into the registers and out again.
 CALL_SECONDS = 0.15
 FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast a plan runs
+MESSAGE_LENGTH = 200  # of an exception's words, in one line
 
 
 @dataclass(frozen=True)
@@ -242,7 +248,7 @@ class Chunk:
     @property
     def starts(self) -> Array:
         """1 for a body that starts on its joint, else 0."""
-        starts: Array = self.found[-1]
+        starts: Array = self.found[STARTS]
         return starts
 
 
@@ -261,6 +267,7 @@ class Output:
     status, t (s), scalars : [body].
     errors : [column][time][body].   states, multipliers, reactions : [time][body][component].
     ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
+    raised : what a function of the user's has raised, in words, by body: of the first such body.
     """
 
     status: NDArray[np.int8]
@@ -271,6 +278,7 @@ class Output:
     multipliers: Array
     reactions: Array
     ends: Array
+    raised: dict[int, str]
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
@@ -285,6 +293,7 @@ class Output:
             np.empty((rows * plan.multipliers, count, len(plan.rows))),
             np.empty((rows * plan.reaction, count, 6)),
             np.empty((len(end_columns(plan)), count)),
+            {},
         )
 
     @property
@@ -307,6 +316,17 @@ class Output:
         self.t[bodies] = grid.time(grid.steps)
         if (failed := status != OK).any():
             self.t[bodies][failed] = grid.time(failed_step[failed])
+
+    def hear(self, plan: Plan, chunk: Chunk, is_last: bool) -> None:
+        """Take what functions have raised in a call of the driver, and free its memory."""
+        marks = chunk.summary[RAISED_AT_END] if is_last else chunk.carried[MARKS]
+        found = np.unique(np.abs(marks)).astype(np.int64).tolist()
+        errors = {mark: _jit.exception_of(mark) for mark in found if mark > _jit.HEARD}
+        for body in np.flatnonzero(marks > _jit.HEARD)[:1].tolist():
+            if chunk.start + body < min(self.raised, default=math.inf):
+                self.raised.clear()
+                told = exception_told(plan, errors[int(marks[body])])
+                self.raised[chunk.start + body] = told
 
 
 def integrate(
@@ -377,6 +397,8 @@ def _run_chunk(
         calls = max(1, round(left * blocks / ahead))
         end = done + -(-left // calls)
         seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
+        if plan.calls_functions:
+            output.hear(plan, chunk, is_last=end == grid.steps)
         pace.seconds = seconds / ((end - done) * blocks)
         ahead = pace.steps(CALL_SECONDS)
         begin = done = end
@@ -417,23 +439,18 @@ def _call_driver(
     run = _jit.compiled(integrate_blocks, *loop)
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         began = time.perf_counter()
-        try:
-            run(*loop)
-        except Exception as error:
-            _report_raised(plan, error)
-            raise
+        run(*loop)
         return max(time.perf_counter() - began, 1e-6)
 
 
-def _report_raised(plan: Plan, error: Exception) -> None:
-    """Raise ForceError for what a function of the user's, compiled as it is, has raised."""
-    names = [f.name for element in plan.elements for f in element.functions if not f.is_traced]
-    if names:
-        what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise ForceError(
-            f"{' or '.join(dict.fromkeys(names))} raised {what}, for some body and at some time of "
-            "the run"
-        ) from error
+def exception_told(plan: Plan, error: Exception) -> str:
+    """What a function of the user's that runs body by body has raised, in words."""
+    functions = [f for element in plan.elements for f in element.functions if not f.is_traced]
+    names = " or ".join(dict.fromkeys(f.name for f in functions))
+    message = shorten(str(error), MESSAGE_LENGTH)
+    what = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    line = line_that_raised(error, functions)
+    return f"{names} raised {what}{f' ({line})' if line else ''}"
 
 
 # ---- threads -----------------------------------------------------------------------------------

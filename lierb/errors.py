@@ -47,7 +47,7 @@ class InconsistentStateWarning(UserWarning):
 
 
 class FailedTrajectoryWarning(UserWarning):
-    """Trajectories ended before their time: their status is `singular` or `non_finite`."""
+    """Trajectories ended before their time: they are `singular`, `non_finite` or `raised`."""
 
 
 class ScalarFunctionWarning(UserWarning):

@@ -15,19 +15,22 @@ from numpy.typing import NDArray
 
 from lierb.columns import as_codes
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.driver import NON_FINITE, OK, SINGULAR
+from lierb.kernels.driver import NON_FINITE, OK, RAISED, SINGULAR
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite"}
+STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite", RAISED: "raised"}
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; a smaller dt, a c-space that keeps the "
     "joint (lierb.predict) or rows that do not say a thing twice may help",
     "non_finite": "non_finite: a number overflowed or became NaN, mostly as dt is too long for "
     "the stiffest force or the fastest turn; a smaller dt helps there",
+    "raised": "raised: a function of yours that runs body by body raised an exception; return "
+    "numbers there instead, or end the run before",
 }
+RAISED_KEY = b"lierb.raised"  # of a summary's metadata: what the first trajectory's function raised
 COLUMNS = ("trajectory", "status", "t")
 
 
@@ -39,12 +42,22 @@ def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
+class Raised:
+    """What a function of the user's has raised, in words, in which trajectory; t in s."""
+
+    trajectory: int
+    t: float
+    what: str
+
+
+@dataclass(frozen=True)
 class Failures:
     """What there is to say of trajectories that failed; there is at least one.
 
     runs : trajectories in all.   counts : of those that failed, by status.
     trajectory, status, t : of the first of them in the table; t in s.
     setting : of a study, in which that one ran.
+    raised : the first exception, that of the first trajectory in the table that has one.
     """
 
     runs: int
@@ -53,6 +66,7 @@ class Failures:
     status: str
     t: float
     setting: str = ""
+    raised: Raised | None = None
 
     @classmethod
     def of(cls, summary: pa.Table) -> Failures | None:
@@ -62,9 +76,14 @@ class Failures:
             return None
         codes, names = as_codes(summary["status"])
         counts = np.bincount(codes[failed], minlength=len(names))
-        (first,) = summary.select(COLUMNS).slice(int(failed.argmax()), 1).to_pylist()
+        first = _row(summary, int(failed.argmax()))
         found = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
-        return cls(len(failed), found, **first)
+        raised = None
+        if STATUS_NAMES[RAISED] in found:
+            row = _row(summary, int((codes == names.index(STATUS_NAMES[RAISED])).argmax()))
+            what = (summary.schema.metadata or {}).get(RAISED_KEY, b"").decode()
+            raised = Raised(row["trajectory"], row["t"], what) if what else None
+        return cls(len(failed), found, **first, raised=raised)
 
     @classmethod
     def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
@@ -74,7 +93,8 @@ class Failures:
         counts: Counter[str] = Counter()
         for failures in each:
             counts.update(failures.counts)
-        return replace(each[0], runs=runs, counts=dict(counts))
+        raised = next((failures.raised for failures in each if failures.raised), None)
+        return replace(each[0], runs=runs, counts=dict(counts), raised=raised)
 
     @property
     def count(self) -> int:
@@ -83,18 +103,34 @@ class Failures:
     def __str__(self) -> str:
         end = f"{self.status} at t = {self.t:g} s"
         if self.runs == 1:
-            return f"the trajectory failed: {end}"
+            return f"the trajectory failed: {end}{self._exception}"
         counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
         where = f" ({self.setting})" if self.setting else ""
         return (
             f"{self.count} of {self.runs} trajectories failed ({counted}); the first is "
-            f"trajectory {self.trajectory}, {end}{where}"
+            f"trajectory {self.trajectory}, {end}{where}{self._exception}"
         )
+
+    @property
+    def _exception(self) -> str:
+        """The first one, and of which trajectory, where that is not said already."""
+        if self.raised is None:
+            return ""
+        raised = self.raised
+        if raised.trajectory == self.trajectory:
+            return f": {raised.what}"
+        return f"; in trajectory {raised.trajectory}, at t = {raised.t:g} s, {raised.what}"
 
     @property
     def remedies(self) -> list[str]:
         """What each status means, and what helps."""
         return [REMEDIES[status] for status in self.counts]
+
+
+def _row(summary: pa.Table, number: int) -> dict[str, Any]:
+    (found,) = summary.select(COLUMNS).slice(number, 1).to_pylist()
+    row: dict[str, Any] = found
+    return row
 
 
 # ---- warnings ----------------------------------------------------------------------------------

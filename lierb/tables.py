@@ -10,7 +10,7 @@ import pyarrow as pa
 from lierb import engine
 from lierb.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.elements import Force
-from lierb.failures import STATUS_NAMES
+from lierb.failures import RAISED_KEY, STATUS_NAMES
 from lierb.kernels.driver import error_columns
 from lierb.kernels.plan import Plan
 from lierb.model import Problem
@@ -100,7 +100,11 @@ def summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Ta
     }
     columns |= {name: scalars[name] for name in SUMMARY_ORDER}
     columns |= {name: vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)}
-    return _table(columns, metadata, covers)
+    table = _table(columns, metadata, covers)
+    for what in output.raised.values():
+        told = {RAISED_KEY: what.encode(errors="backslashreplace")}
+        table = table.replace_schema_metadata(table.schema.metadata | told)
+    return table
 
 
 def history_table(

@@ -32,7 +32,7 @@ from lierb.kernels.arithmetic import (
     where,
 )
 from lierb.kernels.coefficients import TINY, angles_taken_for_tiny
-from lierb.kernels.elements import Element, body_with, parameter_count
+from lierb.kernels.elements import Applied, Element, body_with, parameter_count
 from lierb.kernels.measures import Measures, measure
 from lierb.kernels.newton_euler import (
     SE3,
@@ -95,11 +95,13 @@ def input_columns(elements: tuple[Element, ...]) -> int:
     return INPUT_COLUMNS + parameter_count(elements)
 
 
-OK, SINGULAR, NON_FINITE = 0, 1, 2  # status codes
+OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 
 X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
 STATE_COLUMNS = 25
-SUMMARY_COLUMNS = 11 + 1  # as `store_summary` says; whether the start is on the joint
+# As `store_summary` says; whether the start is on the joint; what functions have raised at last.
+STARTS, RAISED_AT_END = 11, 12
+SUMMARY_COLUMNS = RAISED_AT_END + 1
 SETTLED = 16 * 2.0**-52  # of a twist: what turning it to joint axes may leave
 # In place of step 0: for a start that is to be looked at, and for one that goes on from `carried`.
 UNSEEN, RESUMED = -1, -2
@@ -131,7 +133,8 @@ class Record(NamedTuple):
     dropped: Any  # at the start; see `Body`
 
 
-CARRIED_COLUMNS = STATE_COLUMNS + len(Record._fields)
+MARKS = STATE_COLUMNS + len(Record._fields)  # what a function has raised, if the plan calls any
+CARRIED_COLUMNS = MARKS + 1
 LARGEST = 1.7976931348623157e308
 NAN = float("nan")
 
@@ -260,8 +263,11 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
     start = _measured(plan, body, state, ZERO)
     dropped: Any = nothing
     if plan.slots is None and has_others(plan.rows):
-        found = accelerate(plan, body, chart_of(plan, state), state.v_or_mu)
-        dropped = dropped + found.dropped
+        # No force makes rows depend on others.
+        chart, still = chart_of(plan, state), Applied(ZERO6, ZERO)
+        dropped = dropped + accelerate(plan, body, chart, state.v_or_mu, applied=still).dropped
+    if plan.calls_functions:
+        _jit.set_marks(nothing + float(_jit.CLEAR))
     return Record(*(nothing,) * 8, start.energy, nothing, nothing, dropped)
 
 
@@ -276,11 +282,17 @@ def _state_of(plan: Plan, numbers: tuple[Any, ...], pitch: Any) -> State:
 
 
 def load_record(plan: Plan, carried: Any, first: Any) -> Record:
-    return Record(*_columns(plan, carried, CARRIED_COLUMNS, first)[STATE_COLUMNS:])
+    record = Record(*_columns(plan, carried, MARKS, first)[STATE_COLUMNS:])
+    if plan.calls_functions:
+        before = load(carried, (MARKS, first), plan.lanes)
+        pending = where(before > _jit.SILENT, float(_jit.HEARD), float(_jit.CLEAR))
+        _jit.set_marks(where(record.status == OK, pending, float(_jit.SILENT)))
+    return record
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    for c, number in (*_placed(state), *enumerate(record, STATE_COLUMNS)):
+    numbers = (*record, *_raised_in_call(plan, Record(*record)))
+    for c, number in (*_placed(state), *enumerate(numbers, STATE_COLUMNS)):
         store(carried, (c, first), number, plan.lanes)
 
 
@@ -347,10 +359,19 @@ def _advanced(
     # An angle that is not finite spoils all of Q.
     numbers = (q[0], *moved.v_or_mu, *moved.x, *d, moved.work)
     fine = _are_finite(*numbers) & (singular <= 0.5)
+    if plan.calls_functions:
+        fine = fine & (_jit.marks(record.status) == _jit.CLEAR)
 
     def marked() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
         alive = record.status == OK
+        if plan.calls_functions:
+            known = _jit.marks(record.status)
+            now = where(known > _jit.SILENT, float(RAISED), now)  # which NaN has made singular
+            fails = where(
+                (now > 0.0) | (record.status > 0.0), float(_jit.SILENT), float(_jit.CLEAR)
+            )
+            _jit.set_marks(maximum(known, fails))
         fresh = (now > 0.0) & alive
         return (
             # NaN from the next step on, and from there into the pose.
@@ -366,6 +387,27 @@ def _advanced(
         moved._replace(v_or_mu=v_or_mu),
         record._replace(status=status, failed_step=failed_step),
     )
+
+
+def heard(plan: Plan, record: Record, k: Any) -> Record:
+    """The record, where a function has raised since the last step: asked for λ or the reaction."""
+    record = Record(*record)
+    if not plan.calls_functions:
+        return record  # never
+    fresh = (_jit.marks(record.status) > _jit.SILENT) & (record.status == OK)
+    return record._replace(
+        status=where(fresh, float(RAISED), record.status),
+        failed_step=where(fresh, real(k), record.failed_step),
+    )
+
+
+def _raised_in_call(plan: Plan, record: Record) -> Any:
+    """What functions have raised; negative where the body had failed before."""
+    if not plan.calls_functions:
+        return ()
+    known = _jit.marks(record.status)
+    counts = (record.status == OK) | (record.status == RAISED)
+    return (where(counts, known, -known),)
 
 
 def _stepped(
@@ -568,6 +610,8 @@ def store_summary(plan: Plan, state: State, record: Record, summary: Any, first:
     )  # fmt: skip
     for c, number in enumerate(numbers):
         store(summary, (c, first), number, plan.lanes)
+    for number in _raised_in_call(plan, r):
+        store(summary, (RAISED_AT_END, first), number, plan.lanes)
 
 
 def store_start(plan: Plan, inputs: Any, summary: Any, first: Any, time: Any) -> None:
@@ -587,13 +631,13 @@ def store_start(plan: Plan, inputs: Any, summary: Any, first: Any, time: Any) ->
         fine = fine & (sqrt(square) <= most) & (most <= LARGEST)
     for bearing in bearings(plan.rows, chart[0]):
         fine = fine & (bearing > 0.0)
-    store(summary, (SUMMARY_COLUMNS - 1, first), where(fine, 1.0, 0.0), plan.lanes)
+    store(summary, (STARTS, first), where(fine, 1.0, 0.0), plan.lanes)
 
 
 for _formula in (
     load_body, initial_state, initial_record, load_state, load_record, store_carried, advance,
     advance_still, has_still, is_still, is_gentle, advance_gently, tidy, observe,
-    store_errors, store_state, store_forces, store_summary, store_start, store_end,
+    store_errors, store_state, store_forces, store_summary, store_start, store_end, heard,
 ):  # fmt: skip
     _jit.kernel(_formula)
 
@@ -652,6 +696,8 @@ def integrate_block(
                 row = (k + save_every - 1) // save_every
                 store_errors(plan, record, now, errors, row, column)
                 store_forces(plan, body, state, record, multipliers, reactions, row, column, time)
+                if k == last:  # before, the next step fails
+                    record = heard(plan, record, k)
             if k == last or (save and rotations.shape[0] > 1):
                 row = rotations.shape[0] - 1 if k == last else k // save_every
                 states = (rotations, places, omegas, velocities)
@@ -698,7 +744,7 @@ def integrate_blocks(
 ):  # fmt: skip
     """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
 
-    counter : [0, 0], of blocks that some thread has taken; what a user's function has raised.
+    counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
     """
     blocks = inputs.shape[1] // lanes
     for _ in prange(threads):  # each takes what comes next: cores need not be equally fast

@@ -127,7 +127,7 @@ class Function:
         if any(isinstance(x, Lane) for x in members):
             numbers = _jit.call_compiled(compiled, [samples], self._flat(members), count)
         else:
-            numbers = compiled(tuple(self._bundled(members, np.array)))
+            numbers = _jit.call_in_python(compiled, tuple(self._bundled(members, np.array)), count)
         parts = []
         for shape in self.results:
             size = math.prod(shape)
@@ -268,6 +268,20 @@ def where_it_was(error: BaseException | None) -> str | None:
             found = at(trace.tb_frame.f_code, trace.tb_lineno)
         trace = trace.tb_next
     return found
+
+
+def line_that_raised(error: Exception, functions: Iterable[Function]) -> str | None:
+    """The line of the user's at which compiled code has raised, if Numba knows it.
+
+    It adds a frame for it that has a file and a line, and nothing else of the function's.
+    """
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    files = {function.python.__code__.co_filename for function in functions}
+    if trace is None or trace.tb_frame.f_code.co_filename not in files:
+        return None
+    return at(trace.tb_frame.f_code, trace.tb_lineno)
 
 
 # ---- made fit for either way -------------------------------------------------------------------

@@ -119,10 +119,17 @@ class Plan(Tag):
         """Whether something can change E = T + U, so that its work has to be counted."""
         return any(element.does_work for element in self.elements)
 
+    @cached_property
+    def calls_functions(self) -> bool:
+        """Whether functions of the user's are called body by body, and so may raise."""
+        return any(not f.is_traced for element in self.elements for f in element.functions)
+
     @property
     def takes_gentle_steps(self) -> bool:
-        """Whether steps are so little work that it pays to try them without branches."""
-        if not self.is_local:
+        """Whether steps are so little work that it pays to try them without branches. What is but
+        tried asks no function that may raise.
+        """
+        if not self.is_local or self.calls_functions:
             return False
         if self.solver == "saddle":
             return bool(self.still) and len(self.stages) <= GENTLE_STAGES

@@ -96,11 +96,12 @@ def accelerate(
     q: Mat | None = None,
     fall: Vec | None = None,
     to_ground: Turn | None = None,
+    applied: Applied | None = None,
 ) -> Acceleration:
     """The saddle point at one state.
 
-    q, fall, to_ground : the chart's Q, gravity in body axes, and the way from these to the
-        ground's, where they are known already.
+    q, fall, to_ground, applied : the chart's Q, gravity in body axes, the way from these to the
+        ground's, and all other forces, where they are known already.
     """
     to_ground = to_ground or partial(quaternion.rotated, chart[0])
     q = quaternion.matrix(chart[0]) if q is None else q
@@ -108,7 +109,7 @@ def accelerate(
     seen = x.at_point()
     rows = plan.rows
     fall = mat_t_vec(q, body.gravity) if fall is None else fall
-    applied = applied_to(body, plan.elements, x.motion)
+    applied = applied or applied_to(body, plan.elements, x.motion)
     turning = None
     if body.moments:
         turning = spinning(body, x.omega, fall, applied.wrench[:3])
