@@ -119,16 +119,22 @@ def test_what_is_said_does_not_depend_on_threads(mixed, threads):
     assert str(told[0].message) == mixed[1]
 
 
-def test_calls_of_the_driver_may_be_cut_anywhere(mixed, monkeypatch):
+@pytest.fixture
+def one_step_a_call(monkeypatch):
+    """A list that grows by one with each call of the driver."""
     calls, call = [], engine._call_driver
     monkeypatch.setattr(engine, "_call_driver", lambda *given: calls.append(0) or call(*given))
     monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
     monkeypatch.setattr(engine, "CALL_SECONDS", 1e-12)
     engine._pace.cache_clear()
+    yield calls
+    engine._pace.cache_clear()
+
+
+def test_calls_of_the_driver_may_be_cut_anywhere(mixed, one_step_a_call):
     with pytest.warns(FailedTrajectoryWarning) as told:
         result = thrown(40, options=SAVED, kind=KINDS, size=SIZES)
-    engine._pace.cache_clear()
-    assert len(calls) == 8
+    assert len(one_step_a_call) == 8
     require_same(result, mixed[0])
     assert str(told[0].message) == mixed[1]
 
@@ -197,14 +203,14 @@ def test_a_study_would_count_them(mixed):
 # ---- where else a function is asked -------------------------------------------------------------
 
 
-def held(t_end: float, record=(), t0: float = 0.0, **parameters) -> lierb.Result:
+def held(t_end: float, t0: float = 0.0, method: str = "Euler", **parameters) -> lierb.Result:
     """On a joint with rows that depend on the pose, from rest."""
     problem = lierb.Problem(
         lierb.Body(2.0, (1.0, 1.0, 1.0)), joint("universal"), forces=touchy(**parameters)
     )
     return lierb.integrate(
-        problem, twist0=np.zeros(6), dt=0.125, t0=t0, t_end=t_end, method="Euler", save_every=1,
-        record=("state", "reaction", *record),
+        problem, twist0=np.zeros(6), dt=0.125, t0=t0, t_end=t_end, method=method, save_every=1,
+        record=("state", "reaction"),
     )  # fmt: skip
 
 
@@ -228,6 +234,21 @@ def test_a_reaction_that_cannot_be_told_at_the_end_is_a_failure():
     assert np.isnan(reaction[5:, 1]).all()
     assert np.isfinite(result.v[:5]).all()  # of t = 0.5 s the state is known
     assert np.isnan(result.v[5:, 1]).all()
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
+def test_a_call_may_end_between_a_reaction_and_the_step_that_fails(one_step_a_call):
+    """The reaction at 0.5 s, of the call before, makes the step fail, and is told once."""
+    result = held(1.0, kind=[CALM, CONSTANT])
+    assert len(one_step_a_call) == 8
+    assert column(result.summary, "t").tolist() == [1.0, 0.625]
+    assert "trajectory 1, raised at t = 0.625 s: touchy raised" in repr(result)
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
+def test_what_raises_is_not_called_singular():
+    """Of the NaN that the first stage leaves, rows seem to depend on each other in the second."""
+    assert statuses(held(1.0, method="Heun", kind=[CALM, CONSTANT])) == ["ok", "raised"]
 
 
 def test_a_motor_s_torque_may_raise():
