@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lierb.arrays import Array
 from lierb.errors import ArgumentError
 from lierb.forks import check_threads
-from lierb.kernels import _jit
+from lierb.kernels import _jit, calls
 from lierb.kernels.driver import (
     CARRIED_COLUMNS,
     INPUT_COLUMNS,
@@ -321,8 +321,8 @@ class Output:
         """Take what functions have raised in a call of the driver, and free its memory."""
         marks = chunk.summary[RAISED_AT_END] if is_last else chunk.carried[MARKS]
         found = np.unique(np.abs(marks)).astype(np.int64).tolist()
-        errors = {mark: _jit.exception_of(mark) for mark in found if mark > _jit.HEARD}
-        for body in np.flatnonzero(marks > _jit.HEARD)[:1].tolist():
+        errors = {mark: calls.exception_of(mark) for mark in found if mark > calls.HEARD}
+        for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
             if chunk.start + body < min(self.raised, default=math.inf):
                 self.raised.clear()
                 told = exception_told(plan, errors[int(marks[body])])

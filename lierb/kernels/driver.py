@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from numba import njit, prange
 
-from lierb.kernels import _jit, quaternion, so3
+from lierb.kernels import _jit, calls, quaternion, so3
 from lierb.kernels.arithmetic import (
     absolute,
     all_lanes,
@@ -267,7 +267,7 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
         chart, still = chart_of(plan, state), Applied(ZERO6, ZERO)
         dropped = dropped + accelerate(plan, body, chart, state.v_or_mu, applied=still).dropped
     if plan.calls_functions:
-        _jit.set_marks(nothing + float(_jit.CLEAR))
+        calls.set_marks(nothing + float(calls.CLEAR))
     return Record(*(nothing,) * 8, start.energy, nothing, nothing, dropped)
 
 
@@ -285,8 +285,8 @@ def load_record(plan: Plan, carried: Any, first: Any) -> Record:
     record = Record(*_columns(plan, carried, MARKS, first)[STATE_COLUMNS:])
     if plan.calls_functions:
         before = load(carried, (MARKS, first), plan.lanes)
-        pending = where(before > _jit.SILENT, float(_jit.HEARD), float(_jit.CLEAR))
-        _jit.set_marks(where(record.status == OK, pending, float(_jit.SILENT)))
+        pending = where(before > calls.SILENT, float(calls.HEARD), float(calls.CLEAR))
+        calls.set_marks(where(record.status == OK, pending, float(calls.SILENT)))
     return record
 
 
@@ -360,18 +360,18 @@ def _advanced(
     numbers = (q[0], *moved.v_or_mu, *moved.x, *d, moved.work)
     fine = _are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
-        fine = fine & (_jit.marks(record.status) == _jit.CLEAR)
+        fine = fine & (calls.marks(record.status) == calls.CLEAR)
 
     def marked() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
         alive = record.status == OK
         if plan.calls_functions:
-            known = _jit.marks(record.status)
-            now = where(known > _jit.SILENT, float(RAISED), now)  # which NaN has made singular
+            known = calls.marks(record.status)
+            now = where(known > calls.SILENT, float(RAISED), now)  # which NaN has made singular
             fails = where(
-                (now > 0.0) | (record.status > 0.0), float(_jit.SILENT), float(_jit.CLEAR)
+                (now > 0.0) | (record.status > 0.0), float(calls.SILENT), float(calls.CLEAR)
             )
-            _jit.set_marks(maximum(known, fails))
+            calls.set_marks(maximum(known, fails))
         fresh = (now > 0.0) & alive
         return (
             # NaN from the next step on, and from there into the pose.
@@ -394,7 +394,7 @@ def heard(plan: Plan, record: Record, k: Any) -> Record:
     record = Record(*record)
     if not plan.calls_functions:
         return record  # never
-    fresh = (_jit.marks(record.status) > _jit.SILENT) & (record.status == OK)
+    fresh = (calls.marks(record.status) > calls.SILENT) & (record.status == OK)
     return record._replace(
         status=where(fresh, float(RAISED), record.status),
         failed_step=where(fresh, real(k), record.failed_step),
@@ -405,7 +405,7 @@ def _raised_in_call(plan: Plan, record: Record) -> Any:
     """What functions have raised; negative where the body had failed before."""
     if not plan.calls_functions:
         return ()
-    known = _jit.marks(record.status)
+    known = calls.marks(record.status)
     counts = (record.status == OK) | (record.status == RAISED)
     return (where(counts, known, -known),)
 

@@ -20,7 +20,7 @@ import numba
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
-from lierb.kernels import _jit
+from lierb.kernels import _jit, calls
 from lierb.kernels.arithmetic import flatten, plain
 from lierb.kernels.dual import REPLACEMENTS, Condition, Dual
 from lierb.kernels.fingerprint import (
@@ -125,9 +125,9 @@ class Function:
         compiled, count = _dispatcher(self), sum(math.prod(shape) for shape in self.results)
         samples = tuple(self.samples())
         if any(isinstance(x, Lane) for x in members):
-            numbers = _jit.call_compiled(compiled, [samples], self._flat(members), count)
+            numbers = calls.call_compiled(compiled, [samples], self._flat(members), count)
         else:
-            numbers = _jit.call_in_python(compiled, tuple(self._bundled(members, np.array)), count)
+            numbers = calls.call_in_python(compiled, tuple(self._bundled(members, np.array)), count)
         parts = []
         for shape in self.results:
             size = math.prod(shape)
