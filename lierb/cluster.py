@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -34,7 +34,7 @@ LOST_SECONDS = 60  # without any worker: they do not come back
 def spread(
     client: Client,
     study: Study,
-    parts: list[Part],
+    parts: Iterable[Part],
     dataset: Dataset,
     threads: int | None,
     gather: bool,

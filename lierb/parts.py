@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 import pyarrow as pa
@@ -61,14 +62,75 @@ class Part:
         return table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
 
 
-def parts_of(study: Study) -> list[Part]:
+class Parts(Sequence[Part]):
+    """All parts of a study, setting by setting, each made when it is asked for.
+
+    Names sort as the parts do: numbers are as wide as the study's largest.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._study, self._settings = study, study.settings
+        self._bodies, self._size = len(study.design), part_size(study)
+        self._each = -(-self._bodies // self._size)  # of a setting
+        self.total = self._each * len(self._settings)  # may be more than `len` can say
+        self._widths = (
+            max(2, len(str(len(self._settings) - 1))), max(10, len(str(self._bodies - 1))),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return self.total
+
+    def __iter__(self) -> Iterator[Part]:
+        return (
+            self._part(setting, first)
+            for setting in range(len(self._settings))
+            for first in range(0, self._bodies, self._size)
+        )
+
+    @overload
+    def __getitem__(self, number: int) -> Part: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Part]: ...
+    def __getitem__(self, number: int | slice) -> Part | list[Part]:
+        if isinstance(number, slice):
+            return [self[n] for n in range(*number.indices(self.total))]
+        if not -self.total <= number < self.total:
+            raise IndexError(f"part {number} of {self.total}")
+        setting, n = divmod(number % self.total, self._each)
+        return self._part(setting, n * self._size)
+
+    def named(self, name: str) -> Part | None:
+        """The part of that name, if there is one."""
+        setting, _, first = name.partition("-")
+        if not (setting.isdecimal() and first.isdecimal()):
+            return None
+        s, b = int(setting), int(first)
+        if s >= len(self._settings) or b >= self._bodies or b % self._size:
+            return None
+        part = self._part(s, b)
+        return part if part.name == name else None
+
+    @property
+    def trajectories(self) -> int:
+        return self._bodies * len(self._settings)
+
+    def body_steps(self, names: Iterable[str] | None = None) -> int:
+        """Of the parts of these names, of all if None."""
+        if names is None:
+            counted = [Part("", setting, 0, self._bodies) for setting in self._settings]
+        else:
+            counted = [part for part in map(self.named, names) if part is not None]
+        return sum(part.body_steps(self._study) for part in counted)
+
+    def _part(self, setting: int, first: int) -> Part:
+        name = f"{setting:0{self._widths[0]}d}-{first:0{self._widths[1]}d}"
+        count = min(self._size, self._bodies - first)
+        return Part(name, self._settings[setting], first, count)
+
+
+def parts_of(study: Study) -> Parts:
     """All parts, setting by setting."""
-    bodies, size = len(study.design), part_size(study)
-    return [
-        Part(f"{s:02d}-{first:010d}", setting, first, min(size, bodies - first))
-        for s, setting in enumerate(study.settings)
-        for first in range(0, bodies, size)
-    ]
+    return Parts(study)
 
 
 def part_size(study: Study) -> int:
