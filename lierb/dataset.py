@@ -3,24 +3,35 @@
     DIR/study.toml            as it was run
     DIR/manifest.json         digest of the study, versions, every finished part with its checksums
     DIR/summary/part-*.parquet, DIR/history/part-*.parquet
+    DIR/.lock
 
 A file is written under another name, synced, renamed, and then entered; a process may die at any
-moment. What is not in the manifest does not count.
+moment. What is not in the manifest does not count, and since other readers take whatever Parquet
+is in a table's folder, no run is begun or finished beside any that is not the study's own:
+
+    manifest             Parquet that it does not enter    a run of study S
+    none                 none                              begins
+    of S                 parts of S, by their names        removes them and does them again
+    of T, no part done   none                              begins
+    of T, parts done     -                                 is refused
+    any                  any other                         is refused
+
+A study.toml that says another study, as after an edit, is refused as well; one that is missing is
+written again. Of other files in the folder none is touched.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
+import re
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -28,18 +39,39 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
-from lierb.errors import StudyError
+from lierb.errors import LierbError, StudyError, StudyFileError
 from lierb.failures import COLUMNS, Failures
+from lierb.files import (
+    KEPT,
+    RESUME,
+    TEMPORARY,
+    as_it_is,
+    folder_of,
+    naming,
+    reason,
+    rename,
+    sha256_of,
+    write_aside,
+)
+from lierb.manifest import FORMAT, PART, TABLES, file_of, read_manifest, sealed
 from lierb.provenance import machine
 from lierb.shown import FAILED, Lines, Shown
-from lierb.study import Setting, settings_told
+from lierb.study import Setting, Study, settings_told
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
-TABLES = ("summary", "history")
-FORMAT = 2
-KEYS = {"format", "digest", "study", "machine", "asked", "parts"}
-TEMPORARY = ".unfinished"
+LOCK = ".lock"
+UNFINISHED = {  # names of what a process that died may have left, by folder
+    "": re.compile(rf"\.(manifest\.json|study\.toml)\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}"),
+    **dict.fromkeys(
+        TABLES, re.compile(rf"\.part-{PART}\.parquet\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}")
+    ),
+}
+LOCKABLE = (
+    "make room, or choose a folder that you may write to, on a file system with locks, such as a "
+    "local disk"
+)
+PARQUET = b"PAR1"  # how such a file begins
 MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing a large manifest
 QUICK_SECONDS = 0.05  # to write one that is not large
 
@@ -81,17 +113,28 @@ def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> l
         pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
         failures = Failures.of(table) if "status" in table.column_names else None
         failed = failures.counts if failures else {}
-        files.append(File(f"{name}/part-{part}.parquet", table.num_rows, sink.getvalue(), failed))
+        files.append(File(file_of(name, part), table.num_rows, sink.getvalue(), failed))
     return files
 
 
-class Dataset(Shown):
-    """The folder of one study's results."""
+def part_named(file: str) -> str | None:
+    """The part whose table that file is, by its path in the folder."""
+    found = re.fullmatch(rf"(?:{'|'.join(TABLES)})/part-({PART})\.parquet", file)
+    return found[1] if found else None
 
-    def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder)
+
+class Dataset(Shown):
+    """The folder of one study's results.
+
+    Raises StudyError for a folder that is none; its methods raise it for results that are not as
+    they were entered, and StudyFileError, an OSError as well, for what cannot be read or written.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = folder_of(folder)
         self.manifest: dict[str, Any] = {}
         self._written, self._next_writing = True, 0.0
+        self._whole: dict[str, tuple[int, ...]] = {}  # files that were looked at, as they were
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -102,12 +145,18 @@ class Dataset(Shown):
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Nobody else writes to the folder meanwhile; the lock goes with its process."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(self.folder / ".lock")
+        with naming(self.folder, "made", "choose another folder"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / LOCK
+        lock = FileLock(path)
         try:
             lock.acquire(timeout=0)
         except Timeout:
-            raise StudyError(f"{self.folder} is being written by another run") from None
+            raise StudyError(
+                f"{self.folder} is being written by another run, which holds {path}"
+            ) from None
+        except (OSError, NotImplementedError) as error:  # of others, or no file system with locks
+            raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
         try:
             yield
         finally:
@@ -118,26 +167,11 @@ class Dataset(Shown):
                 lock.release()
 
     def exists(self) -> bool:
-        return (self.folder / MANIFEST).exists()
+        return os.path.lexists(self.folder / MANIFEST)
 
     def read(self) -> None:
         """Read the manifest. Raises StudyError where there is none, or no more of one."""
-        path = self.folder / MANIFEST
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise StudyError(f"{self.folder} holds no results of a study") from None
-        except ValueError as error:  # no JSON, or no text
-            raise StudyError(f"{path} is damaged ({error}); delete the folder") from None
-        if isinstance(found, dict) and found.get("format") == 1:
-            raise StudyError(
-                f"{self.folder} holds results of lierb 0.1, whose columns had other names (R, r, "
-                "body, in errors/): run its study.toml anew, into another folder, or read its "
-                "Parquet files themselves"
-            )
-        if not (isinstance(found, dict) and found.keys() >= KEYS and found["format"] == FORMAT):
-            raise StudyError(f"{path} is no manifest of this version of lierb")
-        self.manifest = found
+        self.manifest = read_manifest(self.folder / MANIFEST)
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -153,13 +187,39 @@ class Dataset(Shown):
         asked: int,
         changes: Mapping[str, Any] | None = None,
     ) -> None:
-        """Start the folder of a study of so many parts."""
-        self.write(STUDY, text.encode())
+        """Start the folder of a study of so many parts, or of another than was begun in it.
+
+        Raises StudyError for a study.toml of the user's that says another study.
+        """
+        begun = self.manifest.get("text")
+        if begun and sha256_of(self.folder / STUDY) == begun:
+            self.drop([STUDY])
+        is_there = self.study_text(digest) is not None
         self.manifest = {
-            "format": FORMAT, "digest": digest, "study": study,
-            "set": dict(changes or {}), "machine": machine(), "asked": asked, "parts": {},
+            "format": FORMAT, "digest": digest,
+            "text": None if is_there else hashlib.sha256(text.encode()).hexdigest(),
+            "study": study, "set": dict(changes or {}), "machine": machine(), "asked": asked,
+            "parts": {},
         }  # fmt: skip
-        self._write_manifest()
+        self._write_manifest()  # first: a study.toml without one is the user's
+        if not is_there:
+            self.write(STUDY, text.encode())
+
+    def study_text(self, digest: str | None = None) -> str | None:
+        """What study.toml says, the study of that digest or of the manifest; None if there is none.
+
+        Raises StudyError where it says another one: somebody has edited it, or put it there.
+        """
+        path, digest = self.folder / STUDY, digest or self.manifest["digest"]
+        if not os.path.lexists(path):
+            return None
+        entered = self.manifest.get("digest") == digest and self.manifest.get("text")
+        if sha256_of(path) != entered and not _says(path, digest):
+            raise StudyError(
+                f"{path} says another study than the one that the folder is for, and is not "
+                "written over; move it elsewhere, or choose another folder"
+            )
+        return path.read_text(encoding="utf-8")
 
     def store(self, files: list[File]) -> list[Stored]:
         """Write a part's files, each under a name of its own that `enter` replaces.
@@ -169,8 +229,9 @@ class Dataset(Shown):
         """
         return [
             Stored(
-                file.path, self._write_aside(file.path, file.content), file.rows,
-                hashlib.sha256(file.content).hexdigest(), file.failed,
+                file.path,
+                str(write_aside(self.folder / file.path, file.content).relative_to(self.folder)),
+                file.rows, hashlib.sha256(file.content).hexdigest(), file.failed,
             )
             for file in files
         ]  # fmt: skip
@@ -182,43 +243,24 @@ class Dataset(Shown):
         a share of the time; then a killed run does the last parts again.
         """
         for file in files:
-            self._rename(file.aside, file.path)
-        self.parts[part] = {file.path: _entry(file) for file in files}
+            rename(self.folder / file.aside, self.folder / file.path)
+            self._whole[file.path] = as_it_is(self.folder / file.path)
         self._written = False
+        self.parts[part] = {file.path: _entry(file) for file in files}
         if time.monotonic() >= self._next_writing:
             self._write_manifest()
 
     def _write_manifest(self) -> None:
         began = time.monotonic()
         self.manifest["parts"] = dict(sorted(self.parts.items()))
-        self.write(MANIFEST, (json.dumps(self.manifest, indent=1) + "\n").encode())
+        self.write(MANIFEST, sealed(self.manifest))
         self._written = True
         took = time.monotonic() - began
         self._next_writing = began + (took / MANIFEST_SHARE if took > QUICK_SECONDS else 0.0)
 
     def write(self, name: str, content: Any) -> None:
         """A file with that content, or none: never half of it."""
-        self._rename(self._write_aside(name, content), name)
-
-    def _write_aside(self, name: str, content: Any) -> str:
-        """Write a file beside its place; its name there, which readers of the folder skip."""
-        path = self.folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
-        try:
-            with aside.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-        except BaseException:
-            aside.unlink(missing_ok=True)
-            raise
-        return str(aside.relative_to(self.folder))
-
-    def _rename(self, aside: str, name: str) -> None:
-        path = self.folder / name
-        (self.folder / aside).replace(path)
-        _sync(path.parent)
+        rename(write_aside(self.folder / name, content), self.folder / name)
 
     def drop_damaged(self) -> list[str]:
         """Forget parts whose files are not what was entered, and what was left unfinished."""
@@ -231,27 +273,62 @@ class Dataset(Shown):
         return damaged
 
     def drop_unfinished(self) -> None:
-        """Delete what processes that died have left unfinished."""
-        for leftover in self.folder.rglob(f"*{TEMPORARY}"):
-            leftover.unlink(missing_ok=True)
+        """Delete what processes that died have left unfinished, and nothing else."""
+        for folder, names in UNFINISHED.items():
+            place = self.folder / folder
+            if not place.is_dir() or (folder and place.is_symlink()):
+                continue
+            with naming(place, "cleaned", KEPT), os.scandir(place) as entries:
+                for entry in entries:
+                    if names.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                        Path(entry.path).unlink(missing_ok=True)
+
+    def strays(self) -> list[str]:
+        """Parquet files that other readers take for parts of a table and no manifest enters."""
+        entered = {file for files in self.parts.values() for file in files}
+        found = (file for table in TABLES for file in _seen(self.folder, table))
+        return sorted(
+            file for file in found if file not in entered and _is_parquet(self.folder / file)
+        )
+
+    def drop(self, files: list[str]) -> None:
+        """Delete files of the folder."""
+        for file in files:
+            with naming(self.folder / file, "deleted", "delete it"):
+                (self.folder / file).unlink(missing_ok=True)
 
     def _is_whole(self, files: dict[str, Any]) -> bool:
         for name, entry in files.items():
-            try:
-                with (self.folder / name).open("rb") as file:
-                    if hashlib.file_digest(file, "sha256").hexdigest() != entry["sha256"]:
-                        return False
-            except FileNotFoundError:
+            before = as_it_is(self.folder / name)
+            if not before:
                 return False
+            if self._whole.get(name) != before:
+                if sha256_of(self.folder / name) != entry["sha256"]:
+                    return False
+                self._whole[name] = before
         return True
 
-    def table(self, name: str = "summary") -> ds.Dataset:
-        """The finished parts of a table, as an Arrow dataset."""
-        paths = [str(self.folder / file) for files in self.parts.values() for file in files]
-        chosen = [path for path in paths if Path(path).parent.name == name]
+    def _require_whole(self, files: Iterable[str]) -> None:
+        for name in files:
+            part = Path(name).stem.removeprefix("part-")
+            if not self._is_whole({name: self.parts[part][name]}):
+                raise StudyError(f"{self.folder / name} is damaged or missing; {RESUME} it again")
+
+    def table(self, name: str = "summary", *, check: bool = True) -> ds.Dataset:
+        """The finished parts of a table, as an Arrow dataset.
+
+        check : whether each file is compared with its checksum, once; it is read for that.
+        Raises StudyError where there is none, or one is damaged.
+        """
+        chosen = [
+            file for part, files in self.parts.items()
+            for file in files if file == file_of(name, part)
+        ]  # fmt: skip
         if not chosen:
             raise StudyError(f"{self.folder} has no finished part with {name}")
-        return ds.dataset(chosen, format="parquet")
+        if check:
+            self._require_whole(chosen)
+        return ds.dataset([str(self.folder / file) for file in chosen], format="parquet")
 
     @property
     def trajectories(self) -> int:
@@ -266,7 +343,8 @@ class Dataset(Shown):
         if not failing:
             return None
         columns = ["cspace", "method", "dt", *COLUMNS]
-        table = ds.dataset(failing[0][0], format="parquet")
+        self._require_whole([failing[0][0]])
+        table = ds.dataset(str(self.folder / failing[0][0]), format="parquet")
         (first,) = table.head(1, columns=columns, filter=pc.field("status") != "ok").to_pylist()
         setting = Setting(*(first.pop(name) for name in columns[:3]))
         counts: Counter[str] = Counter()
@@ -274,12 +352,10 @@ class Dataset(Shown):
             counts.update(failed)
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
-    def _summaries(self) -> Iterator[tuple[Path, dict[str, Any]]]:
+    def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Files of the summary, setting by setting, and their entries."""
-        for _, files in sorted(self.parts.items()):
-            for name, entry in files.items():
-                if Path(name).parent.name == "summary":
-                    yield self.folder / name, entry
+        for part, files in sorted(self.parts.items()):
+            yield (name := file_of("summary", part)), files[name]
 
     def _shown(self) -> tuple[str, Lines]:
         if not self.manifest:
@@ -304,11 +380,29 @@ def _entry(file: Stored) -> dict[str, Any]:
     return entry | {"failed": file.failed} if file.failed else entry
 
 
-def _sync(folder: Path) -> None:
-    """Make renames in a folder last, where the system lets one."""
-    if os.name == "posix":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+def _says(path: Path, digest: str) -> bool:
+    """Whether a file is the study of that digest, in whatever words."""
+    try:
+        return path.is_file() and Study.load(path).digest() == digest
+    except (LierbError, OSError, RecursionError):
+        return False
+
+
+def _seen(folder: Path, table: str) -> Iterator[str]:
+    """Files of a table's folder that its readers do not skip, by their paths in `folder`."""
+    for root, inner, files in os.walk(folder / table):
+        inner[:] = [name for name in inner if name[0] not in "._"]
+        way = Path(root).relative_to(folder).as_posix()
+        yield from (f"{way}/{name}" for name in files if name[0] not in "._")
+
+
+def _is_parquet(path: Path) -> bool:
+    if path.suffix.lower() == ".parquet":
+        return True
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(PARQUET)) == PARQUET
+    except OSError:
+        return False

@@ -38,6 +38,10 @@ class StudyError(LierbError):
     """A study that cannot be run, or results that are not its own."""
 
 
+class StudyFileError(StudyError, OSError):
+    """A file of a study's results that cannot be read or written, as on a full disk."""
+
+
 class TimeGridError(LierbError):
     """dt, t_end, save_every or measure_every that make no grid."""
 

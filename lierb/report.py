@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow.compute as pc
 
 from lierb.arrays import Array
-from lierb.dataset import STUDY, Dataset
+from lierb.dataset import Dataset
 from lierb.errors import LierbError
 from lierb.extras import require
+from lierb.files import write_whole
 from lierb.findings import (
     LABELS,
     QUANTILES,
@@ -72,13 +73,13 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
     page = environment.get_template(TEMPLATE).render(
         zip=zip,
         study=study,
-        text=(dataset.folder / STUDY).read_text(encoding="utf-8"),
+        text=dataset.study_text() or study.to_toml(),
         machine=dataset.manifest["machine"],
         digest=dataset.manifest["digest"],
         done=len(dataset.parts),
         asked=dataset.manifest["asked"],
         bodies=len(study.design),
-        body_steps=sum(p.body_steps(study) for p in parts_of(study) if p.name in dataset.parts),
+        body_steps=parts_of(study).body_steps(dataset.parts),
         failed=dataset.failures(),
         predictions=_predictions(study),
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
@@ -90,8 +91,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         failures=_failures(dataset),
     )
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page.encode())
     return path
 
 

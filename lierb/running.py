@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,12 +17,13 @@ import pyarrow as pa
 from lierb.api import integrate
 from lierb.changes import written
 from lierb.cluster import spread
-from lierb.dataset import Dataset, Stored, parquet_files
+from lierb.dataset import STUDY, Dataset, Stored, parquet_files, part_named
 from lierb.errors import ArgumentError, StudyError, StudyWarning
 from lierb.failures import Failures, told_elsewhere, warn_of
-from lierb.parts import Part, parts_of
+from lierb.parts import Part, Parts, parts_of
 from lierb.progress import Progress, check_progress, reporter
 from lierb.provenance import machine
+from lierb.sources import as_file
 from lierb.study import Setting, Study, tables_of
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def run(
 ) -> Dataset:
     """Run a study into a folder, part by part; memory does not grow with the study.
 
-    study : a Study, or the path of its TOML file.   out : a folder; made if need be.
+    study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
     changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
         folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
@@ -56,9 +57,10 @@ def run(
     gather : the workers send their parts back, and this process writes them.
 
     Raises StudyError for a study that is wrong, for a folder that has results already (without
-    `resume`), those of another study, or another run that writes to it; with `client`, for a
-    cluster without workers, one that is lost, or a part whose workers die again and again. After
-    Ctrl-C the parts under way are finished first; a second Ctrl-C loses them. One
+    `resume`), those of another study, or other Parquet in its tables' folders, for another run
+    that writes to it, and as StudyFileError, an OSError too, for what cannot be written; with
+    `client`, for a cluster without workers, one that is lost, or a part whose workers die again
+    and again. After Ctrl-C the parts under way are finished first; a second Ctrl-C loses them. One
     FailedTrajectoryWarning says how many trajectories failed, if any did.
     """
     check_progress(progress)
@@ -69,12 +71,10 @@ def run(
     given, text = _loaded(study, changes or {})
     dataset = Dataset(out)
     with dataset.locked():
-        _opened(dataset, given, text, changes or {}, resume)
-        parts = parts_of(given)
-        steps = {part.name: part.body_steps(given) for part in parts}
-        done = sum(steps[name] for name in dataset.parts)
-        left = [part for part in parts if part.name not in dataset.parts]
-        with reporter(progress, sum(steps.values())) as report, _interruptible() as stopping:
+        parts = _opened(dataset, given, text, changes or {}, resume)
+        done = parts.body_steps(dataset.parts)
+        left = (part for part in parts if part.name not in dataset.parts)
+        with reporter(progress, parts.body_steps()) as report, _interruptible() as stopping:
 
             def tell(within: int) -> None:
                 report(done + within)
@@ -86,18 +86,19 @@ def run(
             with closing(finished):
                 for name, files in finished:
                     dataset.enter(name, files)
-                    done += steps[name]
+                    done += parts.body_steps([name])
                     tell(0)
-        if len(dataset.parts) < len(parts):
+        if len(dataset.parts) < parts.total:
             raise KeyboardInterrupt
         dataset.drop_unfinished()
+        _left_by_a_kill(dataset)  # nothing is, now
     warn_of(dataset.failures(), REPLAY, stacklevel=3)
     return dataset
 
 
 def _here(
     study: Study,
-    parts: list[Part],
+    parts: Iterable[Part],
     dataset: Dataset,
     threads: int | None,
     stopping: threading.Event,
@@ -126,13 +127,15 @@ def integrate_batches(
     if table not in known:
         raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
     design, parts = given.design, parts_of(given)
-    seen: list[Failures] = []
+    seen: Failures | None = None
 
     def made() -> Iterator[pa.Table]:
+        nonlocal seen
         for part in parts:
             tables = part.tables(given, design, threads)
             if failures := Failures.of(tables["summary"]):
-                seen.append(replace(failures, setting=part.setting.label))
+                own = replace(failures, setting=part.setting.label)
+                seen = Failures.joined([seen, own] if seen else [own], parts.trajectories)
             yield tables[table]
 
     tables = made()
@@ -142,8 +145,7 @@ def integrate_batches(
         yield from first.to_batches()
         for each in tables:
             yield from each.to_batches()
-        failures = Failures.joined(seen, sum(part.count for part in parts))
-        warn_of(failures, REPLAY, stacklevel=3)
+        warn_of(seen, REPLAY, stacklevel=3)
 
     return pa.RecordBatchReader.from_batches(first.schema, batches())
 
@@ -196,45 +198,82 @@ def _loaded(study: Study | str | Path, changes: Mapping[str, Any]) -> tuple[Stud
     if isinstance(study, Study):
         given = study.changed(changes)
         return given, given.to_toml()
-    given = Study.load(study, changes)
-    if not changes:
-        return given, Path(study).read_text(encoding="utf-8")
-    return given, f"# {Path(study).name} with {', '.join(written(changes))}\n{given.to_toml()}"
+    with as_file(Path(study).expanduser()) as path:
+        given = Study.load(path, changes)
+        if not changes:
+            return given, path.read_text(encoding="utf-8")
+    return given, f"# {path.name} with {', '.join(written(changes))}\n{given.to_toml()}"
 
 
 def _opened(
     dataset: Dataset, study: Study, text: str, changes: Mapping[str, Any], resume: bool
-) -> None:
+) -> Parts:
+    """The parts of the study, those that are entered in its folder being whole.
+
+    Raises StudyError for a folder that is not the study's; see `lierb.dataset`.
+    """
+    parts = parts_of(study)
     if dataset.exists():
         dataset.read()
-    if not dataset.parts:
-        parts = len(parts_of(study))
-        dataset.begin(study.digest(), study.model_dump(), text, parts, changes)
-        return
-    if dataset.manifest["digest"] != study.digest():
+    is_same = dataset.manifest.get("digest") == study.digest()
+    if dataset.parts and not is_same:
         begun = ", ".join(written(dataset.changes))
         raise StudyError(
             f"{dataset.folder} has the results of another study: {_differences(dataset, study)}"
             + (f"; it was run with {begun}" if begun else "")
         )
-    if not resume:
+    if dataset.parts and not resume:
         raise StudyError(
             f"{dataset.folder} has results of this study already; --resume (resume=True) does what "
             "is missing, or choose another folder"
         )
+    _left_by_a_kill(dataset, parts if is_same else None)
+    if not dataset.parts:
+        dataset.begin(study.digest(), study.model_dump(), text, parts.total, changes)
+        dataset.drop_unfinished()
+    else:
+        _resumed(dataset, text)
+    dataset.drop(_left_by_a_kill(dataset, parts))
+    return parts
+
+
+def _resumed(dataset: Dataset, text: str) -> None:
+    """Look at what is there; write what is missing of it but for parts."""
     if dataset.manifest["machine"] != machine():
         warnings.warn(
             f"{dataset.folder} was begun with other versions or on another machine; what is done "
             "now may differ from its parts in the last bits",
             StudyWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
+    if dataset.study_text() is None:
+        warnings.warn(
+            f"{dataset.folder / STUDY} was missing; it is written again", StudyWarning, stacklevel=4
+        )
+        dataset.write(STUDY, text.encode())
     dataset.drop_damaged()
+
+
+def _left_by_a_kill(dataset: Dataset, own: Parts | None = None) -> list[str]:
+    """Files of parts that a run was about to enter; whoever reads the folder sees their rows.
+
+    own : the parts of the study that was run there; none if another one was.
+    Raises StudyError where such a reader would see rows that are not the study's.
+    """
+    files = dataset.strays()
+    for file in files:
+        name = part_named(file)
+        if own is None or name is None or own.named(name) is None:
+            raise StudyError(
+                f"{dataset.folder / file} would be read with this study's parts, but no manifest "
+                "enters it among them; move it elsewhere, or choose another folder"
+            )
+    return files
 
 
 def _differences(dataset: Dataset, study: Study) -> str:
     there, here = dict(tables_of(dataset.manifest["study"])), dict(tables_of(study.model_dump()))
-    keys = [key for key in there | here if there.get(key) != here.get(key)]
+    keys = [k for k in there | here if there.get(k) != here.get(k) and k != "name"]
     return ", ".join(f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:5])
 
 

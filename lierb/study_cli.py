@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +15,10 @@ from lierb.changes import parsed, written
 from lierb.errors import StudyError
 from lierb.extras import require
 from lierb.failures import told_elsewhere
+from lierb.files import folder_of, naming, write_whole
 from lierb.shipped import example as text_of
 from lierb.shipped import examples
+from lierb.sources import as_file
 from lierb.terminal import INTERRUPTED, print_whole, wrapped
 
 if TYPE_CHECKING:
@@ -25,7 +28,32 @@ if TYPE_CHECKING:
     from lierb.study import Study
 
 Changes = dict[str, Any]
-STUDY = click.argument("study", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+FILE = "study.toml"  # lierb.dataset.STUDY, without what that imports
+COPIED = "lierb.copied"  # in a context: the study is from a pipe
+
+
+class _Path(click.Path):
+    """A path whose `~` is expanded, as in `--out=~/top`, which a shell leaves alone."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        # as text: a Path makes `s3:/x` of a URL, and the folder here of nothing
+        return super().convert(os.path.expanduser(value), param, ctx)  # noqa: PTH111
+
+
+FOLDER = click.argument("folder", type=_Path(exists=True, file_okay=False, path_type=Path))
+
+
+def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
+    """Callback of STUDY: a file that may be read again, until the command ends."""
+    path = ctx.with_resource(as_file(given))
+    ctx.meta[COPIED] = path != given
+    return path
+
+
+STUDY = click.argument(
+    "study", callback=_readable,
+    type=_Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path),
+)  # fmt: skip
 
 
 def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
@@ -58,7 +86,7 @@ SET = click.option(
 @click.option("--n", type=int, help="Bodies: as --set sample.n=N.")
 @click.option("--seed", type=int, help="Of the sampling: as --set sample.seed=SEED.")
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path),
+    "--out", type=_Path(file_okay=False),
     help="Folder for the results.  [default: results/NAME]",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
@@ -87,7 +115,7 @@ def run(
     changes: Changes,
     n: int | None,
     seed: int | None,
-    out: Path | None,
+    out: str | None,
     resume: bool,
     threads: int | None,
     workers: int | None,
@@ -96,7 +124,7 @@ def run(
     report: bool,
     only: int | None,
 ) -> None:
-    """Run a Monte Carlo STUDY, a TOML file, into a folder of Parquet parts.
+    """Run a Monte Carlo STUDY, a TOML file (- for standard input), into a folder of Parquet parts.
 
     A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
     """
@@ -106,7 +134,7 @@ def run(
     from lierb.running import run as run_study
     from lierb.study import Study
 
-    folder = out or Path("results") / study.stem
+    folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
     own = {"sample.n": n, "sample.seed": seed}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
@@ -121,15 +149,22 @@ def run(
                 client=client, gather=gather,
             )  # fmt: skip
     except KeyboardInterrupt:
-        options = [word for each in written(changes) for word in ("--set", each)]
-        options += ["--out", str(out)] if out else []
-        again = shlex.join(["lierb", "run", str(study), *options, "--resume"])
+        again = _to_go_on(study, changes, out, folder)
         click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
         raise click.exceptions.Exit(INTERRUPTED) from None
     _show(dataset)
     if report:
         _report(dataset, folder / "report.html")
     _end_with_failures(dataset)
+
+
+def _to_go_on(study: Path, changes: Changes, out: str | None, folder: Path) -> str:
+    """The command that does the rest of a run, of the folder's own study if it was from a pipe."""
+    if click.get_current_context().meta[COPIED]:
+        return shlex.join(["lierb", "run", str(folder / FILE), "--out", str(folder), "--resume"])
+    options = [word for each in written(changes) for word in ("--set", each)]
+    options += ["--out", str(folder)] if out is not None else []
+    return shlex.join(["lierb", "run", str(study), *options, "--resume"])
 
 
 def _require_one_way(
@@ -161,7 +196,7 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | Non
 
 
 @click.command()
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@FOLDER
 def show(folder: Path) -> None:
     """The summary of a study's results in FOLDER, finished or not."""
     require("study")
@@ -174,7 +209,7 @@ def show(folder: Path) -> None:
 
 
 @click.command()
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@FOLDER
 def plot(folder: Path) -> None:
     """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
     require("study")
@@ -182,16 +217,18 @@ def plot(folder: Path) -> None:
     from lierb.dataset import Dataset
     from lierb.study_plots import draw_all
 
-    dataset = Dataset(folder)
+    dataset, figures = Dataset(folder), folder / "figures"
     dataset.read()
-    for path in draw_all(dataset, folder / "figures"):
+    with naming(figures, "written", "make room there, and draw them again"):
+        drawn = draw_all(dataset, figures)
+    for path in drawn:
         click.echo(str(path))
 
 
 @click.command("report")
-@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@FOLDER
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path),
+    "--out", type=_Path(dir_okay=False, path_type=Path),
     help="The file to write.  [default: FOLDER/report.html]",
 )  # fmt: skip
 def report_page(folder: Path, out: Path | None) -> None:
@@ -225,14 +262,16 @@ def predict(study: Path, changes: Changes) -> None:
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
     """A trajectory's history in files of its own, and its row of the summary."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     from lierb.running import replay
 
-    folder.mkdir(parents=True, exist_ok=True)
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
         path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
-        pq.write_table(tables["history"], path)
+        content = pa.BufferOutputStream()
+        pq.write_table(tables["history"], content)
+        write_whole(path, content.getvalue())
         (row,) = tables["summary"].to_pylist()
         click.echo(f"{setting.label}: {row['status']}, history in {path}")
         for name, value in row.items():
@@ -271,9 +310,7 @@ def _end_with_failures(dataset: Dataset) -> None:
 
 def _again(dataset: Dataset, *options: str) -> str:
     """The command that runs the study of a folder into it."""
-    from lierb.dataset import STUDY as STUDY_FILE
-
-    study, folder = str(dataset.folder / STUDY_FILE), str(dataset.folder)
+    study, folder = str(dataset.folder / FILE), str(dataset.folder)
     return shlex.join(["lierb", "run", study, "--out", folder, *options])
 
 

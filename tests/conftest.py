@@ -22,6 +22,7 @@ TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
     "results": ("result", "progress", "shown"),
+    "studies": ("study", "dataset"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")

@@ -46,6 +46,7 @@ from lierb import running
 from lierb.cli import cli
 from lierb.dataset import Dataset
 from lierb.errors import StudyError, StudyWarning
+from lierb.manifest import sealed
 from lierb.parts import _with_draws
 from lierb.running import parts_of, replay
 from lierb.study import KEYS, Study, line_of
@@ -629,7 +630,7 @@ def test_commands_to_go_on_are_whole(run_changed, tmp_path, monkeypatch):
     assert bits(out) == bits(whole_out)
     manifest = json.loads((out / "manifest.json").read_text())
     lost = manifest["parts"].popitem()[0]
-    (out / "manifest.json").write_text(json.dumps(manifest))
+    (out / "manifest.json").write_bytes(sealed(manifest))
     shown = succeed("show", out)
     assert "2 of 3 parts; the rest with: lierb run" in shown
     succeed(*shlex.split(shown.partition("the rest with: lierb ")[2]))
@@ -687,7 +688,8 @@ def test_damaged_and_lost_parts_are_done_again(whole, tmp_path):
     content[100] ^= 1
     parts[3].write_bytes(content)
     parts[5].unlink()
-    (tmp_path / "summary" / "part-x.parquet.unfinished").write_text("left by a crash")
+    left = f".{parts[3].name}.0123abcd.unfinished"
+    (tmp_path / "summary" / left).write_text("left by a crash")
     lierb.run(study(), tmp_path, resume=True)
     assert hashes(tmp_path) == hashes(whole)
 
@@ -723,8 +725,9 @@ def test_full_disk_leaves_what_is_there(whole, tmp_path, monkeypatch):
         sync(handle)
 
     monkeypatch.setattr(dataset_module.os, "fsync", fills_up)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match=r"/part-.* written: No space left.*--resume") as caught:
         lierb.run(study(), tmp_path)
+    assert isinstance(caught.value, StudyError)
     monkeypatch.undo()
     assert not list(tmp_path.rglob("*.unfinished"))
     lierb.run(study(), tmp_path, resume=True)

@@ -1,0 +1,41 @@
+"""Where a study's file comes from: standard input and pipes are read once, and have no name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+STDIN = "-"
+NAMELESS = ("/dev/", "/proc/")
+COPY = "study.toml"
+
+
+@contextmanager
+def as_file(path: Path) -> Iterator[Path]:
+    """A study's file that may be read again and whose name may be the study's.
+
+    That is `path` itself, or a copy `study.toml` that lasts as long as the block: of standard input
+    (`-`), of a pipe, and of a file whose name is no text. Raises OSError where nothing can be read.
+    """
+    if _is_plain(path):
+        yield path
+        return
+    content = sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
+    with TemporaryDirectory(prefix="lierb-") as folder:
+        copy = Path(folder) / COPY
+        copy.write_bytes(content)
+        yield copy
+
+
+def _is_plain(path: Path) -> bool:
+    """Also of what does not exist: whoever reads it says so."""
+    if str(path) == STDIN or str(path).startswith(NAMELESS):
+        return False
+    try:
+        path.name.encode()
+    except UnicodeEncodeError:
+        return False
+    return path.is_file() or not path.exists()
