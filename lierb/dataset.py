@@ -53,7 +53,15 @@ from lierb.files import (
     sha256_of,
     write_aside,
 )
-from lierb.manifest import FORMAT, PART, TABLES, file_of, read_manifest, sealed
+from lierb.manifest import (
+    FORMAT,
+    PART,
+    TABLES,
+    claimed_parts,
+    file_of,
+    read_manifest,
+    sealed,
+)
 from lierb.provenance import machine
 from lierb.shown import FAILED, Lines, Shown
 from lierb.study import Setting, Study, settings_told
@@ -195,12 +203,9 @@ class Dataset(Shown):
         if begun and sha256_of(self.folder / STUDY) == begun:
             self.drop([STUDY])
         is_there = self.study_text(digest) is not None
-        self.manifest = {
-            "format": FORMAT, "digest": digest,
-            "text": None if is_there else hashlib.sha256(text.encode()).hexdigest(),
-            "study": study, "set": dict(changes or {}), "machine": machine(), "asked": asked,
-            "parts": {},
-        }  # fmt: skip
+        self.manifest = _fresh(digest, study, asked) | {"set": dict(changes or {})}
+        if not is_there:
+            self.manifest["text"] = hashlib.sha256(text.encode()).hexdigest()
         self._write_manifest()  # first: a study.toml without one is the user's
         if not is_there:
             self.write(STUDY, text.encode())
@@ -246,7 +251,7 @@ class Dataset(Shown):
             rename(self.folder / file.aside, self.folder / file.path)
             self._whole[file.path] = as_it_is(self.folder / file.path)
         self._written = False
-        self.parts[part] = {file.path: _entry(file) for file in files}
+        self.parts[part] = {f.path: _entry(f.rows, f.sha256, f.failed) for f in files}
         if time.monotonic() >= self._next_writing:
             self._write_manifest()
 
@@ -271,6 +276,29 @@ class Dataset(Shown):
         if damaged:
             self._write_manifest()
         return damaged
+
+    def mend(self, study: Study, asked: int) -> bool:
+        """Enter anew, of a damaged manifest, the parts whose files are as it says.
+
+        Returns whether it is one of that study; else nothing is changed.
+        """
+        tables = TABLES if study.integrate.save_every else TABLES[:1]
+        claimed = claimed_parts(self.folder / MANIFEST, study.digest(), tables)
+        if claimed is None:
+            return False
+        self.manifest = _fresh(study.digest(), study.model_dump(), asked)
+        self.manifest["parts"] = {
+            part: {name: self._recounted(name, entry["sha256"]) for name, entry in files.items()}
+            for part, files in claimed.items() if self._is_whole(files)
+        }  # fmt: skip
+        return True
+
+    def _recounted(self, name: str, sha256: str) -> dict[str, Any]:
+        """The entry of a file that is whole."""
+        file = pq.ParquetFile(self.folder / name)
+        has_status = "status" in file.schema_arrow.names
+        failures = Failures.of(file.read(columns=list(COLUMNS))) if has_status else None
+        return _entry(file.metadata.num_rows, sha256, failures.counts if failures else {})
 
     def drop_unfinished(self) -> None:
         """Delete what processes that died have left unfinished, and nothing else."""
@@ -374,10 +402,18 @@ class Dataset(Shown):
         return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines
 
 
-def _entry(file: Stored) -> dict[str, Any]:
+def _fresh(digest: str, study: dict[str, Any], asked: int) -> dict[str, Any]:
+    """The manifest of a study of which no part is done."""
+    return {
+        "format": FORMAT, "digest": digest, "text": None, "study": study, "set": {},
+        "machine": machine(), "asked": asked, "parts": {},
+    }  # fmt: skip
+
+
+def _entry(rows: int, sha256: str, failed: dict[str, int]) -> dict[str, Any]:
     """Of the manifest."""
-    entry: dict[str, Any] = {"rows": file.rows, "sha256": file.sha256}
-    return entry | {"failed": file.failed} if file.failed else entry
+    entry: dict[str, Any] = {"rows": rows, "sha256": sha256}
+    return entry | {"failed": failed} if failed else entry
 
 
 def _says(path: Path, digest: str) -> bool:

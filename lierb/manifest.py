@@ -1,13 +1,14 @@
 """The manifest of a study's results: what a folder holds, and nothing that is not checked.
 
-A manifest bears a checksum of itself. One that was edited, cut off or mixed up is refused: what it
-says of the parts could not be told from the parts alone.
+A manifest bears a checksum of itself. One that was edited, cut off or mixed up is refused by those
+who read it; who resumes its study keeps the parts whose files bear it out.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,6 +18,7 @@ from pydantic import (
     Field,
     NonNegativeInt,
     PositiveInt,
+    TypeAdapter,
     ValidationError,
     model_validator,
 )
@@ -27,7 +29,10 @@ FORMAT = 3
 TABLES = ("summary", "history")
 PART = "[0-9]{2,}-[0-9]{10,}"  # setting and first body, as `lierb.parts` names them
 CHECKSUM = "checksum"
-ANEW = "restore it, or run the study anew into another folder"
+MENDED = (
+    "--resume (resume=True) of its study keeps the parts that are whole; or restore it, or run the "
+    "study anew into another folder"
+)
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 PartName = Annotated[str, Field(pattern=f"^{PART}$")]
@@ -116,7 +121,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise StudyFileError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # no JSON, or no text
-        raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
+        raise StudyError(f"{path} is damaged ({error}); {MENDED}") from None
     if not isinstance(found, dict) or "format" not in found:
         raise StudyError(f"{path} is no manifest of lierb; choose another folder for the results")
     if found["format"] == 1:
@@ -133,12 +138,44 @@ def read_manifest(path: Path) -> dict[str, Any]:
         )
     try:
         if found.pop(CHECKSUM, None) != _checksum(found):
-            raise StudyError(f"{path} was edited or damaged: its checksum is another; {ANEW}")
+            raise StudyError(f"{path} was edited or damaged: its checksum is another; {MENDED}")
         _Manifest.model_validate(found)
     except RecursionError as error:
-        raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
+        raise StudyError(f"{path} is damaged ({error}); {MENDED}") from None
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"])) or "parts"
-        raise StudyError(f"{path} is damaged ({where}: {first['msg']}); {ANEW}") from None
+        raise StudyError(f"{path} is damaged ({where}: {first['msg']}); {MENDED}") from None
     return found
+
+
+def claimed_parts(path: Path, digest: str, tables: Collection[str]) -> dict[str, Any] | None:
+    """Entries of a manifest that was edited or damaged; None if it is not of the study of `digest`.
+
+    They claim that a part has files with these checksums; no more is known of them.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict) or (found.get("format"), found.get("digest")) != (
+        FORMAT,
+        digest,
+    ):
+        return None
+    parts = found.get("parts")
+    return {
+        part: files for part, files in (parts.items() if isinstance(parts, dict) else ())
+        if _is_entered(part, files) and files.keys() == {file_of(table, part) for table in tables}
+    }  # fmt: skip
+
+
+_ENTERED = TypeAdapter(dict[PartName, dict[str, _Entry]])
+
+
+def _is_entered(part: str, files: Any) -> bool:
+    try:
+        _ENTERED.validate_python({part: files})
+    except (ValidationError, RecursionError):
+        return False
+    return True

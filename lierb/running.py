@@ -214,7 +214,7 @@ def _opened(
     """
     parts = parts_of(study)
     if dataset.exists():
-        dataset.read()
+        _read(dataset, study, parts.total, resume)
     is_same = dataset.manifest.get("digest") == study.digest()
     if dataset.parts and not is_same:
         begun = ", ".join(written(dataset.changes))
@@ -235,6 +235,21 @@ def _opened(
         _resumed(dataset, text)
     dataset.drop(_left_by_a_kill(dataset, parts))
     return parts
+
+
+def _read(dataset: Dataset, study: Study, asked: int, resume: bool) -> None:
+    """Read the manifest, or mend it where the study that it is of goes on."""
+    try:
+        dataset.read()
+    except StudyError:
+        if not (resume and dataset.mend(study, asked)):
+            raise
+        warnings.warn(
+            f"the manifest of {dataset.folder} was edited or damaged; {len(dataset.parts)} of "
+            f"{asked} parts are as they were entered, the others are done again",
+            StudyWarning,
+            stacklevel=5,
+        )
 
 
 def _resumed(dataset: Dataset, text: str) -> None:

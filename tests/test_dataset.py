@@ -285,6 +285,41 @@ def test_every_value_of_a_manifest_is_checked(name, tmp_path):
         Dataset(tmp_path).read()
 
 
+def unsealed(folder, edit):
+    """Edit a manifest as a user may, who knows of no seal."""
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    edit(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+def test_an_edited_manifest_keeps_the_parts_whose_files_are_as_it_says(tmp_path):
+    whole = begun(tmp_path, parts=4).parts
+    first, second, third = whole
+
+    def edit(manifest):
+        manifest["parts"][first][f"summary/part-{first}.parquet"]["rows"] = 99
+        manifest["parts"][second] = {}
+        manifest["parts"][third][f"summary/part-{third}.parquet"]["sha256"] = "0" * 64
+        manifest["asked"] = 77
+
+    unsealed(tmp_path, edit)
+    dataset = Dataset(tmp_path)
+    with pytest.raises(StudyError, match=r"checksum is another; --resume .* keeps the parts"):
+        dataset.read()
+    assert dataset.mend(small(), 4)
+    assert dataset.parts == {first: whole[first]}  # counted again
+    assert dataset.manifest["asked"] == 4
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": 3, "digest": "0", "parts": 1}'])
+def test_what_is_left_of_no_manifest_of_the_study_is_not_mended(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text)
+    dataset = Dataset(tmp_path)
+    assert not dataset.mend(small(), 4)
+    assert dataset.manifest == {}
+
+
 def test_a_manifest_of_another_format_is_named(tmp_path):
     (tmp_path / "manifest.json").write_text('{"format": 2, "parts": {}}')
     with pytest.raises(StudyError, match=r"of this version .* its format is 2, expected 3"):
