@@ -359,6 +359,18 @@ def _solve(a: Any, b: Any) -> Any:
     return _inv(a) @ np.asarray(_objects(b))
 
 
+def _cross(
+    a: Any, b: Any, axisa: int = -1, axisb: int = -1, axisc: int = -1, axis: int | None = None
+) -> Any:
+    # NumPy's own, of rows: before 2.3 it makes a buffer of a single product, a float if it is of
+    # constants, and then writes numbers into it.
+    if axis is not None:
+        axisa = axisb = axisc = axis
+    a, b = (np.moveaxis(np.asarray(_objects(x)), i, -1)[None] for x, i in ((a, axisa), (b, axisb)))
+    found = np.cross(a, b)[0]
+    return found if a.shape[-1] == b.shape[-1] == 2 else np.moveaxis(found, -1, axisc)
+
+
 def _all(x: Any, axis: Any = None, **options: Any) -> Any:
     return np.logical_and.reduce(numbers(x), axis=axis, **options)
 
@@ -427,7 +439,7 @@ def _filled(shape: Any, value: Any) -> Any:
 SPELLED_OUT: dict[Any, Callable[..., Any]] = {
     np.where: _where, np.clip: _clip, np.interp: _interp, np.select: _select,
     np.piecewise: _piecewise, np.einsum: _einsum, np.linalg.norm: _norm, np.linalg.inv: _inv,
-    np.linalg.det: _det, np.linalg.solve: _solve, np.all: _all, np.any: _any,
+    np.linalg.det: _det, np.linalg.solve: _solve, np.cross: _cross, np.all: _all, np.any: _any,
     np.max: _largest(np.maximum), np.min: _largest(np.minimum), np.amax: _largest(np.maximum),
     np.amin: _largest(np.minimum), np.sinc: _sinc, np.round: _round, np.around: _round,
     np.fix: _fix, np.isclose: _isclose, np.allclose: _allclose, np.linspace: _linspace,
