@@ -3,17 +3,18 @@
 #   make test ARGS="-k paper -x"    arguments for pytest (ARGS works for demo and bench too)
 #   make test ARGS="-n 0 --pdb"     in one process
 #   make install PYTHON=python3.13  the interpreter for the environment
-#   make test VENV=../lierb-venv    where the environment is
+#   make test VENV=../lierb-venv    where the environment is; test-oldest's is VENV-oldest
 
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))
 CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python
 PYTHON ?= $(shell for python in $(CANDIDATES); do \
 	"$$python" -c '$(SUPPORTED)' >/dev/null 2>&1 && { echo "$$python"; break; }; done)
 VENV ?= .venv
+OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help install demo test lint bench bench-peers clean
+.PHONY: help install demo test test-oldest lint bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -27,6 +28,10 @@ demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in 
 test: $(VENV)/.dev  ## run the tests, on up to four cores
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
 
+test-oldest: $(OLDEST)/.test  ## run the tests with every dependency at its lower bound
+	NUMBA_CACHE_DIR=$(abspath $(OLDEST))/cache \
+		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 $(ARGS)
+
 lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -39,7 +44,7 @@ bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the 
 	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
 
 clean:  ## remove what make made: the environment, results, caches, builds
-	rm -rf $(VENV) results build dist .benchmarks .coverage htmlcov
+	rm -rf $(VENV) $(OLDEST) results build dist .benchmarks .coverage htmlcov
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find lierb tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -47,11 +52,18 @@ clean:  ## remove what make made: the environment, results, caches, builds
 $(VENV)/.demo: EXTRAS := cli,plot
 $(VENV)/.dev: EXTRAS := dev
 $(VENV)/.peers: EXTRAS := dev,peers
-$(VENV)/.demo $(VENV)/.dev $(VENV)/.peers: pyproject.toml
+$(OLDEST)/.test: EXTRAS := test
+$(VENV)/.demo $(VENV)/.dev $(VENV)/.peers $(OLDEST)/.test: pyproject.toml
 	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
 		echo "lierb needs Python 3.11 to 3.14, and '$(or $(PYTHON),python3)' is not one." >&2; \
 		echo "Name one that is:  make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }
-	test -x $(BIN)/pip || "$(PYTHON)" -m venv $(VENV)
-	@echo "Installing lierb [$(EXTRAS)] into $(VENV), about a minute ..."
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[$(EXTRAS)]'
+	test -x $(@D)/bin/pip || "$(PYTHON)" -m venv $(@D)
+	@echo "Installing lierb [$(EXTRAS)] into $(@D), about a minute ..."
+	$(INSTALL) --editable '.[$(EXTRAS)]'
 	@touch $@
+
+PIP = $(@D)/bin/python -m pip install --quiet --disable-pip-version-check
+INSTALL = $(PIP)
+# uv can take the oldest releases, of those that have a wheel for this Python; pip cannot.
+$(OLDEST)/.test: INSTALL = $(PIP) uv && $(@D)/bin/python -m uv pip install --quiet --python $(@D) \
+	--upgrade --resolution lowest-direct --only-binary :all:
