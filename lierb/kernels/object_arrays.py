@@ -138,6 +138,10 @@ ELEMENTWISE: dict[Any, Callable[..., Any]] = {
     np.less: operator.lt, np.less_equal: operator.le, np.greater: operator.gt,
     np.greater_equal: operator.ge, np.equal: operator.eq, np.not_equal: operator.ne,
 }  # fmt: skip
+# Those without a public name: np.clip's and, from NumPy 2.5 on, those of x.real and x.imag.
+UNNAMED: dict[str, Callable[..., Any]] = {
+    "clip": dual.clipped, "real": lambda x: x, "imag": lambda x: 0.0 * x,
+}  # fmt: skip
 # The operators, which objects bear themselves.
 OPERATORS = (
     np.add, np.subtract, np.multiply, np.true_divide, np.negative, np.matmul, np.bitwise_and,
@@ -150,8 +154,8 @@ def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any
     """A universal function of NumPy's, or one of its methods such as `reduce`."""
     options = {k: v for k, v in options.items() if not _is_default(k, v)}
     out = options.pop("out", (None,))
-    if ufunc.__name__ == "clip":
-        of: Any = np.frompyfunc(dual.clipped, 3, 1)
+    if ufunc.__name__ in UNNAMED:
+        of: Any = np.frompyfunc(UNNAMED[ufunc.__name__], ufunc.nin, ufunc.nout)
     elif ufunc in ELEMENTWISE:
         of = np.frompyfunc(ELEMENTWISE[ufunc], ufunc.nin, ufunc.nout)
     elif ufunc in OPERATORS:

@@ -18,7 +18,7 @@ GIVEN = {"t": 0.7, "R": RNG.normal(size=(3, 3)), "r": RNG.normal(size=3), "v": R
 FIVE = np.diag(np.arange(1.0, 6.0))
 
 LIKE_NUMPY = """
-r.sum() ; R.sum() ; R.sum(axis=0) ; r.mean() ; R.mean() ; r.std() ; np.var(r) ; np.prod(R) ; R.max() ; r.min()
+r.sum() ; R.sum() ; R.sum(axis=0) ; r.mean() ; R.mean() ; r.std() ; np.var(r) ; R.real @ r + r.imag ; np.prod(R) ; R.max() ; r.min()
 np.max(R, axis=1) ; np.min(r) ; np.ptp(r) ; np.average(r, weights=[1.0, 2.0, 3.0]) ; np.cumsum(r) ; np.diff(r)
 r.dot(v) ; np.dot(R, r) ; np.inner(r, v) ; np.vdot(r, v) ; np.outer(r, v) ; np.tensordot(R, r, 1) ; np.kron(r, v)
 np.cross(r, v) ; np.cross([t, 1.0, 2.0], [1.0, 2.0, 3.0]) ; np.cross(R, r, axisc=0) ; np.cross(R, R @ R, axis=0)
@@ -66,6 +66,7 @@ def as_traced(values):
 MEMBERS = [float(x) for given in GIVEN.values() for x in np.ravel(given)]
 
 
+@pytest.mark.filterwarnings("ignore:numpy.fix is deprecated")  # from NumPy 2.5 on
 @pytest.mark.parametrize("expression", EXPRESSIONS)
 def test_result_is_numpys(expression):
     wanted = of_expression(expression)(**GIVEN)
