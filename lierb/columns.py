@@ -77,9 +77,13 @@ def _whole(column: pa.ChunkedArray) -> pa.Array:
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
+# By hand, since a type's `to_pandas_dtype()` imports pandas up to Arrow 18.
+DTYPES = {pa.from_numpy_dtype(code): np.dtype(code) for code in "bhilBHILefd"}
+
+
 def numbers_of(array: pa.Array) -> NDArray:
     """As `array.to_numpy()`, which looks for pandas first, too."""
-    dtype, buffer = np.dtype(array.type.to_pandas_dtype()), array.buffers()[1]
+    dtype, buffer = DTYPES[array.type], array.buffers()[1]
     found: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)
     found.setflags(write=False)
     return found

@@ -176,10 +176,15 @@ def test_tables_survive_parquet(top, tmp_path):
         again = parquet.read_table(tmp_path / "table.parquet")
         assert again.schema.metadata[b"lierb"] == table.schema.metadata[b"lierb"]
         for field in table.schema:
-            assert again.schema.field(field.name).type == field.type
+            assert _less_indices(again.schema.field(field.name).type) == _less_indices(field.type)
             unit = (field.metadata or {}).get(b"unit")
             assert (again.schema.field(field.name).metadata or {}).get(b"unit") == unit
-        assert again.equals(table)
+        assert again.cast(table.schema).equals(table)
+
+
+def _less_indices(kind):
+    """Arrow up to 19 reads int32 as the indices of every dictionary."""
+    return kind.value_type if pa.types.is_dictionary(kind) else kind
 
 
 # ---------------------------------------------------------------- rows
