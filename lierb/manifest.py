@@ -155,6 +155,8 @@ def claimed_parts(path: Path, digest: str, tables: Collection[str]) -> dict[str,
     They claim that a part has files with these checksums; no more is known of them.
     """
     try:
+        if not path.is_file():  # a pipe would be waited for
+            return None
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return None
