@@ -13,25 +13,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb import checks, engine
-from lierb.arrays import Array, as_numbers, as_poses
+from lierb.arrays import Array, as_numbers, as_poses, is_whole
 from lierb.continuation import End, EndPose, counted
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
+    MemoryLimitError,
     TimeGridError,
-    unknown_name,
+    items_of,
+    require_name,
+    told,
 )
 from lierb.failures import STATUS_NAMES, Failures, warn_of
 from lierb.joints import JOINTS
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import block_lanes, plan_of
+from lierb.kernels.plan import Plan, block_lanes, plan_of
+from lierb.memory import available, is_free, too_large
 from lierb.model import Problem
 from lierb.progress import Progress, check_progress
 from lierb.provenance import provenance
 from lierb.result import Result
 from lierb.tableaus import ButcherTableau, tableau_of
-from lierb.tables import covers_of, history_table, summary_table
+from lierb.tables import covers_of, history_table, size_of_tables, summary_table
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
@@ -101,7 +105,7 @@ def integrate(
     ['ok']
     """
     if not isinstance(problem, Problem):
-        raise ArgumentError(f"problem must be a lierb.Problem, got {type(problem).__name__}")
+        raise ArgumentError(f"problem must be a lierb.Problem, got {told(problem)}")
     problem.require_unchanged()
     recorded, tableau, steps, found_by = check_options(
         problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=cspace, update=update,
@@ -147,6 +151,7 @@ def integrate(
         _report(error, on_violation)
         return error is None
 
+    _require_memory(plan, grid, count, recorded)
     checked = on_violation != "off" and bool(rows) and known is None
     metadata = provenance(
         problem,
@@ -161,15 +166,19 @@ def integrate(
             "record": recorded, "check": check, "solver": found_by,
         },
     )  # fmt: skip
-    output = engine.integrate(
-        plan, inputs, grid, "state" in recorded, threads, progress, check_start if checked else None
-    )
-    covers = covers_of(problem)
-    result = Result(
-        summary_table(output, metadata, covers),
-        history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
-        End(problem, plan, grid, output, STATUS_NAMES),
-    )
+    try:
+        output = engine.integrate(
+            plan, inputs, grid, "state" in recorded, threads, progress,
+            check_start if checked else None,
+        )  # fmt: skip
+        covers = covers_of(problem)
+        result = Result(
+            summary_table(output, metadata, covers),
+            history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
+            End(problem, plan, grid, output, STATUS_NAMES),
+        )
+    except MemoryError as error:
+        raise _no_room(plan, grid, count, recorded) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
     return result
@@ -209,8 +218,7 @@ CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver":
 def check_names(**given: str) -> None:
     """Raise UnknownNameError for a value that its argument does not have."""
     for argument, got in given.items():
-        if not isinstance(got, str) or got not in CHOICES[argument]:
-            raise unknown_name(argument, got, CHOICES[argument])
+        require_name(argument, got, CHOICES[argument])
 
 
 def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
@@ -236,14 +244,14 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
 
 
 def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:
-    if not isinstance(record, Iterable):
-        raise ArgumentError(f"record={record!r}; expected names out of {', '.join(RECORDS)}")
-    names = (record,) if isinstance(record, str) else tuple(record)
+    expected = f"names out of {', '.join(RECORDS)}"
+    names = (record,) if isinstance(record, str) else items_of("record", record, expected)
     for name in names:
-        if not isinstance(name, str) or name not in RECORDS:
-            raise unknown_name("record", name, RECORDS)
+        require_name("record", name, RECORDS)
     if names and save_every is None:
-        raise ArgumentError(f"record={names} adds columns to the history; give save_every= as well")
+        raise ArgumentError(
+            f"record={told(names)} adds columns to the history; give save_every= as well"
+        )
     return tuple(name for name in RECORDS if name in names)
 
 
@@ -253,14 +261,18 @@ def _checked_grid(
     dt, t0 = _checked_time("dt", dt), _checked_time("t0", t0, after=-math.inf)
     t_end = _checked_time("t_end", t_end, after=t0)
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
-        whole = isinstance(every, (int, np.integer)) and not isinstance(every, bool)
-        if not (every is None and name == "save_every") and not (whole and int(every or 0) >= 1):
-            raise TimeGridError(f"{name}={every!r}; expected a whole number of steps, at least 1")
+        is_left_out = every is None and name == "save_every"
+        if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
+            raise TimeGridError(
+                f"{name}={told(every)}; expected a whole number of steps, at least 1"
+            )
     largest = max(abs(t0), abs(t_end))
     if largest / dt > MOST_STEPS:
         name = "t_end" if largest == abs(t_end) else "t0"
         raise TimeGridError(f"{name} is more than {MOST_STEPS:g} steps of dt={dt!r} s from 0 s")
     length = t_end - t0
+    if length == math.inf:
+        raise TimeGridError(f"from t0={t0!r} s to t_end={t_end!r} s is beyond all numbers")
     steps = round(length / dt)
     rounding = 4 * sys.float_info.epsilon * largest  # of the times and of N·dt themselves
     if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
@@ -275,16 +287,41 @@ def _checked_grid(
 
 def _checked_time(name: str, given: float, after: float = 0.0) -> float:
     """A time in s, later than `after`."""
-    is_real = isinstance(given, (int, float, np.integer, np.floating))
+    is_real = is_whole(given) or isinstance(given, (float, np.floating))
     try:
-        seconds = float(given) if is_real and not isinstance(given, bool) else math.nan
+        seconds = float(given) if is_real else math.nan
     except OverflowError:
         seconds = math.inf
     if not after < seconds < math.inf:
         late = "positive time in s" if after == 0.0 else f"time in s later than t0={after!r}"
         expected = "finite time in s" if after == -math.inf else late
-        raise TimeGridError(f"{name}={given!r}; expected a {expected}")
+        raise TimeGridError(f"{name}={told(given)}; expected a {expected}")
     return seconds
+
+
+def _require_memory(plan: Plan, grid: engine.Grid, count: int, recorded: tuple[str, ...]) -> None:
+    """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
+    if not is_free(size_of_tables(plan, count, grid.saved_rows, recorded)):
+        raise _no_room(plan, grid, count, recorded)
+
+
+def _no_room(
+    plan: Plan, grid: engine.Grid, count: int, recorded: tuple[str, ...]
+) -> MemoryLimitError:
+    free = available()
+    whole = size_of_tables(plan, count, grid.saved_rows, recorded)
+    summary = size_of_tables(plan, count, 0, ())
+    apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"
+    if summary >= free or not grid.save_every:
+        what, remedy = f"the summary of {count} bodies", f"take fewer at a time, or {apart}"
+    else:
+        rows = grid.saved_rows
+        fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
+        every = -(-grid.steps // (fitting - 1))
+        what = f"the history of {rows} times × {count} bodies"
+        more = ", record less" if recorded else ""
+        remedy = f"save less often (save_every={every} fits){more}, take fewer bodies, or {apart}"
+    return too_large(what, whole, free, remedy)
 
 
 def _report(error: ValueError | None, check: str) -> None:

@@ -5,34 +5,124 @@ Componentwise arithmetic gives a body the same bits alone and in any batch; `mat
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set, Sized, ValuesView
+from decimal import Decimal
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.errors import ArgumentError, PoseError, body_label
+from lierb.errors import ArgumentError, LierbError, MemoryLimitError, PoseError, body_label, told
 from lierb.kernels.vec import Mat, Vec, dot, mat_t_mat
+from lierb.memory import require_memory
 
 Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
 SLICE = 16384  # bodies looked at together: bounds the memory of checks
+MOST_AXES = 16  # of an argument: NumPy ends at 64, and nobody's batch has so many
+PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers that need no second look
+NO_NUMBERS = (bool, str, bytes, bytearray)
+FEWER = "give fewer bodies at a time"
 ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoever made R
 
 
-def as_floats(argument: str, value: ArrayLike, copy: bool | None = None) -> Array:
+def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
     """`value` as float64, in its own shape; with copy=None the caller's own array where it is that.
 
-    Raises ArgumentError for complex numbers, text and whatever else is no real number.
+    The one door for the user's numbers. Raises ArgumentError for what is no real number (text,
+    bytes, dates, flags, complex numbers, masked entries), what has units or no order, and what
+    float64 does not hold; MemoryLimitError for a copy that the memory does not hold.
     """
     try:
-        given = np.asarray(value)
-        if given.dtype.kind not in "biufO":
-            raise TypeError(given.dtype.name)
-        return np.array(given, dtype=np.float64, copy=copy)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{argument} must be numbers, got {value!r}") from error
+        is_plain = type(value) is np.ndarray and value.dtype == np.float64
+        given = value if is_plain else _read(argument, value)
+        if given.ndim > MOST_AXES:
+            raise ArgumentError(f"{argument} has {given.ndim} axes; expected {MOST_AXES} at most")
+        if copy or given.dtype != np.float64:
+            _require_room(argument, given.shape)
+        with np.errstate(over="raise"):
+            return np.array(given, dtype=np.float64, copy=copy)
+    except (OverflowError, FloatingPointError) as error:
+        raise ArgumentError(
+            f"{argument} is {told(value)}, beyond the largest float64; choose larger units"
+        ) from error
+    except LierbError:
+        raise
+    except MemoryError as error:
+        raise MemoryLimitError(f"{argument}: {told(str(error))}; {FEWER}") from error
+    except Exception as error:  # a class of the user's may raise anything in __array__
+        raise _no_numbers(argument, value) from error
+
+
+def _require_room(argument: str, shape: tuple[int, ...]) -> None:
+    require_memory(8 * math.prod(shape), f"{argument} of shape {shape}", FEWER)
+
+
+def _read(argument: str, value: Any) -> NDArray:
+    """`value` as an array of real numbers of any type."""
+    _refuse(argument, value)
+    given = np.asanyarray(value)
+    if isinstance(given, np.ma.MaskedArray):
+        _refuse(argument, given)
+    if given.dtype.kind == "O":
+        is_real = all(map(_is_real, set(map(type, given.ravel()))))
+    else:
+        is_real = given.dtype.kind in "iuf"
+    if not is_real:
+        raise _no_numbers(argument, value)
+    return np.asarray(given)
+
+
+def _is_real(kind: type) -> bool:
+    return issubclass(kind, (Real, Decimal)) and not issubclass(kind, (bool, np.timedelta64))
+
+
+def is_whole(given: object) -> bool:
+    """Whether it is an integer; neither a flag is one, nor a time, which NumPy takes for one."""
+    return isinstance(given, (int, np.integer)) and not isinstance(given, (bool, np.timedelta64))
+
+
+def _refuse(argument: str, value: Any, depth: int = 0) -> None:
+    """Raise for what NumPy would take all the same: flags, what is masked, what has units.
+
+    In sequences as well: of their items NumPy sees the numbers alone.
+    """
+    if type(value) in PLAIN:
+        return
+    if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
+        raise ArgumentError(f"{argument} has masked entries; fill them, or leave those bodies out")
+    is_array = isinstance(value, (np.ndarray, np.generic))
+    is_bytes = isinstance(value, memoryview) and value.itemsize == 1
+    is_other = is_array and value.dtype.kind not in "iufO"
+    if is_other or is_bytes or isinstance(value, NO_NUMBERS):
+        raise _no_numbers(argument, value)
+    if type(value) is not np.ndarray and _has_units(value):
+        raise ArgumentError(
+            f"{argument} has units: {told(value)}; give its plain numbers in SI units, such as "
+            '`.to("m").magnitude` or `.to_value("m")`'
+        )
+    if isinstance(value, Sequence) and not isinstance(value, memoryview):
+        if depth == MOST_AXES:
+            raise ArgumentError(f"{argument} has lists more than {MOST_AXES} deep")
+        _require_room(argument, (len(value),))
+        if not isinstance(value, range) and not set(map(type, value)) <= PLAIN:
+            for item in value:
+                _refuse(argument, item, depth + 1)
+
+
+def _has_units(value: Any) -> bool:
+    """As the quantities of pint, unyt, Astropy and others have them."""
+    return any(getattr(value, name, None) is not None for name in ("units", "unit"))
+
+
+def _no_numbers(argument: str, value: Any) -> ArgumentError:
+    hint = "; give a list" if isinstance(value, Iterable) and not isinstance(value, Sized) else ""
+    if isinstance(value, (Set, Mapping, ValuesView)):
+        hint = ", which has no order; give a list"
+    return ArgumentError(f"{argument} must be numbers, got {told(value)}{hint}")
 
 
 def as_numbers(
@@ -54,12 +144,20 @@ def as_numbers(
         raise ArgumentError(f"{argument} has shape {array.shape}; expected {expected}")
     if array.size == 0:
         raise ArgumentError(f"{argument} has shape {array.shape}: a batch of no bodies")
-    if not all(np.isfinite(part).all() for part in _slices(array)):
+    if not are_finite(array):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ArgumentError(
             f"{argument}{list(where) if where else ''} is {array[where]}; expected finite numbers"
         )
     return array
+
+
+def as_number(argument: str, value: Any) -> np.float64:
+    """One finite number, which divides by zero as arrays do."""
+    array = as_floats(argument, value)
+    if array.shape or not np.isfinite(array):
+        raise ArgumentError(f"{argument} is {told(value)}; expected one finite number")
+    return np.float64(array)
 
 
 def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
@@ -73,7 +171,26 @@ def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Arra
     return array
 
 
-def _slices(array: Array) -> Iterator[Array]:
+def finite(what: str, found: Array) -> Array:
+    """`found`, computed from finite numbers. Raises ArgumentError where that overflows."""
+    if not are_finite(found):
+        raise ArgumentError(
+            f"{what} is beyond all numbers: what it is made of overflows; give smaller numbers, or "
+            "choose larger units"
+        )
+    return found
+
+
+def are_finite(array: Array) -> bool:
+    return all(np.isfinite(part).all() for part in slices(_unequal(array)))
+
+
+def _unequal(array: Array) -> Array:
+    """The array, or of one that is broadcast along its first axis the one item."""
+    return array[:1] if array.ndim and array.strides[0] == 0 else array
+
+
+def slices(array: Array) -> Iterator[Array]:
     """The array along its first axis, in parts whose temporaries are small."""
     if array.ndim == 0:
         yield array
@@ -133,39 +250,49 @@ def pose_matrix(pose: Pose) -> Array:
 
 def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     """4×4 rigid motions from arrays or from SciPy's `RigidTransform` or `Rotation`."""
-    if hasattr(value, "as_matrix"):
-        given = value.as_matrix()
-        if given.shape[-2:] == (3, 3):  # a Rotation: about the origin
-            given = pose_matrix((components(given, 2), (0.0, 0.0, 0.0)))
-    else:
-        given = as_floats(argument, value)
-        if given.shape[-2:] == (3, 3):
+    given = as_floats(argument, as_matrix(argument, value))
+    if given.shape[-2:] == (3, 3):
+        if not hasattr(value, "as_matrix"):
             raise ArgumentError(
                 f"{argument} has shape {given.shape}, rotations R without a place r: expected "
                 "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )
+        given = pose_matrix((components(given, 2), (0.0, 0.0, 0.0)))  # about the origin
     poses = as_numbers(argument, given, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
-    off = np.flatnonzero((poses[..., 3, :] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
-    if off.size:
-        label = body_label(argument, int(off[0]), poses.size // 16)
-        raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
+    first = 0
+    for part in slices(_unequal(poses.reshape(-1, 4, 4))):
+        off = np.flatnonzero((part[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
+        if off.size:
+            label = body_label(argument, first + int(off[0]), poses.size // 16)
+            raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
+        first += len(part)
     return poses
 
 
 def as_rotations(argument: str, value: Any) -> Array:
     """3×3 rotation matrices from arrays or from SciPy's `Rotation`."""
-    given = value.as_matrix() if hasattr(value, "as_matrix") else value
-    matrices = as_numbers(argument, given, (3, 3))
+    matrices = as_numbers(argument, as_matrix(argument, value), (3, 3))
     check_rotations(argument, matrices)
     return matrices
+
+
+def as_matrix(argument: str, value: Any) -> Any:
+    """What `value.as_matrix()` returns where it has such a method; numbers or not."""
+    try:
+        return value.as_matrix() if hasattr(value, "as_matrix") else value
+    except Exception as error:  # of a class of the user's, any
+        raise ArgumentError(
+            f"{argument} is {told(value)}, whose as_matrix() raised {type(error).__name__}: "
+            f"{told(str(error))}"
+        ) from error
 
 
 def check_rotations(argument: str, matrices: Array) -> None:
     """Raise unless each is orthogonal and right-handed."""
     first = 0
-    for part in _slices(matrices.reshape(-1, 3, 3)):
+    for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
         _check_rotations(argument, part, first, matrices.size // 9)
         first += len(part)
 

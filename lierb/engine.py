@@ -17,8 +17,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.arrays import Array
-from lierb.errors import ArgumentError
+from lierb.arrays import Array, is_whole
+from lierb.errors import ArgumentError, told
 from lierb.forks import check_threads
 from lierb.kernels import _jit, calls
 from lierb.kernels.driver import (
@@ -282,19 +282,17 @@ class Output:
 
     @classmethod
     def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
-        rows = grid.saved_rows
-        states = rows if with_state else 1
+        shapes = _shapes(plan, count, grid.saved_rows, with_state)
+        scalars, errors, *states, multipliers, reactions, ends = map(np.empty, shapes)
         return cls(
-            np.empty(count, dtype=np.int8),
-            np.empty(count),
-            np.empty((len(SUMMARY_SCALARS), count)),
-            np.empty((len(error_columns(plan)), rows, count)),
-            tuple(np.empty((states, count, width)) for width in STATE_WIDTHS.values()),
-            np.empty((rows * plan.multipliers, count, len(plan.rows))),
-            np.empty((rows * plan.reaction, count, 6)),
-            np.empty((len(end_columns(plan)), count)),
-            {},
-        )
+            np.empty(count, dtype=np.int8), np.empty(count), scalars, errors, tuple(states),
+            multipliers, reactions, ends, {},
+        )  # fmt: skip
+
+    @staticmethod
+    def size(plan: Plan, count: int, rows: int, with_state: bool) -> int:
+        """Bytes of one with so many saved rows, by whole numbers without an end."""
+        return 9 * count + 8 * sum(map(math.prod, _shapes(plan, count, rows, with_state)))
 
     @property
     def arrays(self) -> tuple[Array, ...]:
@@ -325,8 +323,21 @@ class Output:
         for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
             if chunk.start + body < min(self.raised, default=math.inf):
                 self.raised.clear()
-                told = exception_told(plan, errors[int(marks[body])])
-                self.raised[chunk.start + body] = told
+                error = errors[int(marks[body])]
+                self.raised[chunk.start + body] = exception_told(plan, error)
+
+
+def _shapes(plan: Plan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
+    """Of an Output's arrays of numbers, `scalars` and those after it."""
+    states = rows if with_state else 1
+    return [
+        (len(SUMMARY_SCALARS), count),
+        (len(error_columns(plan)), rows, count),
+        *((states, count, width) for width in STATE_WIDTHS.values()),
+        (rows * plan.multipliers, count, len(plan.rows)),
+        (rows * plan.reaction, count, 6),
+        (len(end_columns(plan)), count),
+    ]
 
 
 def integrate(
@@ -471,10 +482,9 @@ def _threads(count: int | None, blocks: int) -> int:
     most = numba.config.NUMBA_NUM_THREADS
     if count is None:
         count = numba.get_num_threads()
-    whole = isinstance(count, (int, np.integer)) and not isinstance(count, bool)
-    if not whole or not 1 <= count <= most:
+    if not (is_whole(count) and 1 <= count <= most):
         raise ArgumentError(
-            f"threads={count!r}; expected 1 … {most}, the threads that Numba started with"
+            f"threads={told(count)}; expected 1 … {most}, the threads that Numba started with"
         )
     return min(int(count), blocks)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from reprlib import Repr
+from typing import Any
 
 
 class LierbError(ValueError):
@@ -46,6 +48,10 @@ class TimeGridError(LierbError):
     """dt, t_end, save_every or measure_every that make no grid."""
 
 
+class MemoryLimitError(LierbError):
+    """Results that the memory does not hold."""
+
+
 class InconsistentStateWarning(UserWarning):
     """With check="warn": the pose or twist violates the joint."""
 
@@ -66,13 +72,44 @@ class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 
 
+_short = Repr()
+_short.maxstring = _short.maxother = _short.maxlong = 100
+_short.maxlevel = 3
+
+
+def told(given: object) -> str:
+    """`given` for a message: on one line, short, whatever it is."""
+    try:
+        words = " ".join(_short.repr(given).split())
+    except Exception:  # of objects of the user's, and of integers of more than 4300 digits
+        words = f"<{type(given).__name__}>"
+    return words if len(words) <= 200 else f"{words[:100]} … {words[-80:]}"
+
+
+def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
+    """What `given` runs over. Raises ArgumentError where it does not."""
+    try:
+        return tuple(given)
+    except Exception as error:  # of objects of the user's, any
+        raise ArgumentError(f"{argument}={told(given)}; expected {expected}") from error
+
+
+def require_name(argument: str, got: object, known: Iterable[str]) -> None:
+    """Raise UnknownNameError for what is none of these strings; an array is none of them."""
+    if not (isinstance(got, str) and got in known):
+        raise unknown_name(argument, got, known)
+
+
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNameError:
     """The error for a name outside `known`, with the nearest one suggested."""
     names = list(known)
     lowered = {name.lower(): name for name in names}
-    near = get_close_matches(str(got).lower(), list(lowered), n=1, cutoff=0.4)
+    asked = got[:100].lower() if isinstance(got, str) else ""
+    near = get_close_matches(asked, list(lowered), n=1, cutoff=0.4)
     hint = f" Did you mean {lowered[near[0]]!r}?" if near else ""
-    return UnknownNameError(f"{argument}={got!r} is unknown; choose from {', '.join(names)}.{hint}")
+    return UnknownNameError(
+        f"{argument}={told(got)} is unknown; choose from {', '.join(names)}.{hint}"
+    )
 
 
 def two_readings(argument: str, shape: tuple[int, ...], **ways: str) -> ArgumentError:

@@ -10,18 +10,20 @@ can be called from your own @njit code.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_floats
+from lierb.arrays import FEWER, Array, as_floats, as_matrix
 from lierb.errors import ArgumentError
 from lierb.forks import check_compiler
 from lierb.kernels import _jit
 from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
 from lierb.kernels.lanes import DEFAULT_LANES
+from lierb.memory import require_memory
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,10 @@ class Group:
             raise ArgumentError(
                 f"{self.name}.{function}: shapes {shapes} do not broadcast"
             ) from None
+        widths = [width(self.name, k) for k in (*kinds, result_kind)]
+        require_memory(
+            8 * math.prod(batch) * sum(widths), f"{self.name}.{function} of a batch {batch}", FEWER
+        )
         rows = [
             np.require(np.broadcast_to(x, batch + x.shape[x.ndim - n :]), None, ["C", "A"]).reshape(
                 -1, width(self.name, k)
@@ -121,9 +127,8 @@ class Group:
 
     def _operand(self, function: str, kind: str, given: Any) -> Array:
         shape = (self.dim,) if kind == "x" else (self.size, self.size)
-        if kind == "g" and hasattr(given, "as_matrix"):
-            given = given.as_matrix()
-        array = as_floats(f"{self.name}.{function}: an argument", given)
+        argument = f"{self.name}.{function}: an argument"
+        array = as_floats(argument, as_matrix(argument, given) if kind == "g" else given)
         if array.shape[-len(shape) :] != shape:
             expected = ", ".join(map(str, shape))
             raise ArgumentError(

@@ -14,7 +14,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 
-from lierb.arrays import Array
+from lierb.arrays import Array, slices
 from lierb.elements import Element
 from lierb.kernels.lanes import DEFAULT_LANES
 from lierb.kernels.plan import Plan
@@ -124,5 +124,7 @@ def _described_element(element: Element) -> dict[str, Any]:
 def _described(array: Array) -> Any:
     if array.size <= LISTED:
         return array.tolist()
-    digest = hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
-    return {"shape": list(array.shape), "sha256": digest}
+    digest = hashlib.sha256()
+    for part in slices(array):  # which may be one body's, broadcast
+        digest.update(np.ascontiguousarray(part).data)
+    return {"shape": list(array.shape), "sha256": digest.hexdigest()}

@@ -21,7 +21,7 @@ if WORKER:  # before Numba is imported: a cache is locked while anything is comp
 TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
-    "results": ("result", "progress", "shown"),
+    "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("study", "dataset"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }

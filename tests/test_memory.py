@@ -1,0 +1,166 @@
+"""Results that the memory does not hold are refused before anything is allocated or compiled."""
+
+import re
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from cases import RECORD, integrate, top
+
+import lierb
+from lierb import api, engine, memory
+from lierb.errors import LierbError, MemoryLimitError
+from lierb.tables import size_of_tables
+
+GB = 10**9
+
+
+@pytest.fixture
+def nothing_runs(monkeypatch):
+    def refuse(*_, **__):
+        raise AssertionError("a run was started")
+
+    monkeypatch.setattr(engine, "integrate", refuse)
+
+
+@pytest.fixture
+def four_gigabytes(monkeypatch):
+    for module in (memory, api):
+        monkeypatch.setattr(module, "available", lambda: 4 * GB)
+
+
+def batch(count):
+    """So many tops, in the memory of one."""
+    problem, twist0 = top()
+    return {"problem": problem, "twist0": np.broadcast_to(twist0, (count, 6)), "dt": 1e-3}
+
+
+@pytest.mark.usefixtures("nothing_runs", "four_gigabytes")
+def test_history_that_does_not_fit_is_refused_with_its_size_and_what_to_do():
+    run = batch(4096) | {"t_end": 10.0, "record": ("state",)}
+    with pytest.raises(MemoryLimitError) as told:
+        lierb.integrate(**run, save_every=1)
+    assert re.search(r"history of 10001 times × 4096 bodies takes 9\.\d+ GB", str(told.value))
+    assert "4 GB are free" in str(told.value)
+    assert "record less" in str(told.value)
+    assert "integrate_batches" in str(told.value)
+    every = int(re.search(r"save_every=(\d+) fits", str(told.value))[1])
+    assert 2 < every < 10
+    with pytest.raises(AssertionError, match="started"):
+        lierb.integrate(**run, save_every=every)
+    with pytest.raises(MemoryLimitError):
+        lierb.integrate(**run, save_every=2)
+
+
+@pytest.mark.usefixtures("nothing_runs", "four_gigabytes")
+@pytest.mark.parametrize("save_every", [None, 1])
+def test_summary_that_does_not_fit_is_refused(save_every):
+    with pytest.raises(MemoryLimitError, match=r"summary of 1000000000 bodies.*fewer at a time"):
+        lierb.integrate(**batch(10**9), t_end=2e-3, save_every=save_every)
+
+
+@pytest.mark.usefixtures("nothing_runs")
+def test_sizes_beyond_any_address_are_refused():
+    with pytest.raises(MemoryLimitError, match="TB"):
+        lierb.integrate(**batch(10**13), t_end=1e9, save_every=1)
+
+
+def test_memory_error_of_numpy_is_told_as_lierbs_own(monkeypatch):
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(engine.Output, "empty", fail)
+    with pytest.raises(MemoryLimitError, match="history of 3 times × 2 bodies takes"):
+        lierb.integrate(**batch(2), t_end=2e-3, save_every=1, record=RECORD)
+
+
+@pytest.mark.usefixtures("four_gigabytes")
+def test_copy_of_an_argument_that_does_not_fit_is_refused():
+    with pytest.raises(MemoryLimitError, match=r"mass of shape \(1000000000,\) takes 8 GB"):
+        lierb.Body(np.broadcast_to(1.0, (10**9,)), (1.0, 1.0, 1.0))
+    with pytest.raises(MemoryLimitError, match=r"so3\.compose of a batch \(100000, 100000\)"):
+        lierb.lie.so3.compose(np.ones((10**5, 1, 3, 3)), np.ones((10**5, 3, 3)))
+
+
+def test_sequence_without_an_end_is_refused_before_it_is_read():
+    with pytest.raises(LierbError, match=r"^mass "):
+        lierb.Body(range(10**15), (1.0, 1.0, 1.0))
+
+
+def test_estimate_is_what_the_tables_hold(monkeypatch):
+    """Not less, and hardly more: a process's growth is measured in docs/architecture.md."""
+    estimated = []
+
+    def seen(*given):
+        estimated.append(size_of_tables(*given))
+        return estimated[-1]
+
+    monkeypatch.setattr(api, "size_of_tables", seen)
+    problem, twist0 = top()
+    result = integrate(problem, twist0=np.tile(twist0, (64, 1)), dt=1e-2, t_end=0.2, save_every=1)
+    before = pa.total_allocated_bytes()
+    held = result.summary.nbytes + result.history.nbytes + result._end.output.ends.nbytes
+    assert pa.total_allocated_bytes() == before
+    assert held <= estimated[0] < 1.1 * held
+
+
+# ---------------------------------------------------------------- how much there is
+
+
+def test_small_runs_do_not_ask(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 0)
+    assert memory.is_free(memory.ALWAYS)
+    assert not memory.is_free(memory.ALWAYS + 1)
+
+
+@pytest.fixture
+def system(tmp_path, monkeypatch):
+    """Files as Linux has them: 8 GB free, in a group within one."""
+    (tmp_path / "meminfo").write_text(f"MemTotal: 9000000 kB\nMemAvailable: {8 * 10**6} kB\n")
+    (tmp_path / "cgroup").write_text("1:name=systemd:/x\n0::/outer/inner\n")
+    inner = tmp_path / "fs" / "outer" / "inner"
+    inner.mkdir(parents=True)
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+    monkeypatch.setattr(memory, "CGROUP", tmp_path / "cgroup")
+    monkeypatch.setattr(memory, "CGROUPS", tmp_path / "fs")
+    return inner
+
+
+def limited(group, limit, used, inactive):
+    (group / "memory.max").write_text(f"{limit}\n")
+    (group / "memory.current").write_text(f"{used}\n")
+    (group / "memory.stat").write_text(f"anon 5\ninactive_file {inactive}\n")
+
+
+def test_available_is_what_the_system_says(system):
+    assert memory.available() == 8 * 1024 * 10**6
+
+
+def test_available_heeds_the_limits_of_every_control_group(system):
+    limited(system, "max", 3 * GB, 0)
+    assert memory.available() == 8 * 1024 * 10**6
+    limited(system.parent, 5 * GB, 3 * GB, GB)  # what is cached is given back
+    assert memory.available() == 3 * GB
+    limited(system, 2 * GB, GB, 0)
+    assert memory.available() == GB
+    limited(system, GB, 2 * GB, 0)
+    assert memory.available() == 0
+
+
+def test_available_is_all_memory_where_nobody_tells(system, monkeypatch):
+    memory.MEMINFO.unlink()
+    memory.CGROUP.unlink()
+    values = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 4096}
+    monkeypatch.setattr(memory.os, "sysconf", values.__getitem__, raising=False)
+    assert memory.available() == 4096000
+    monkeypatch.delattr(memory.os, "sysconf")
+    assert memory.available() == sys.maxsize
+
+
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [(0, "0 bytes"), (999, "999 bytes"), (1500, "1.5 kB"), (4 * GB, "4 GB"), (10**18, "1e+06 TB")],
+)
+def test_sizes_are_told_in_units_that_are_read(size, told):
+    assert memory.in_words(size) == told
