@@ -6,19 +6,23 @@ frame. Each takes `mass` (kg) or `density` (kg/m³), and may be batched like any
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_positive, assembled, batch_size
-from lierb.errors import ArgumentError
+from lierb.arrays import Array, as_floats, as_positive, assembled, batch_size
+from lierb.errors import ArgumentError, told
 from lierb.extras import remedy
 from lierb.kernels.newton_euler import unit_inertia
 from lierb.model import Body
 
+_quiet = np.errstate(all="ignore")  # a mass or an inertia that overflows is none of a Body
 
+
+@_quiet
 def box(
     size: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
 ) -> Body:
@@ -38,6 +42,7 @@ def box(
     return Body(masses, _diagonal(*(masses / 12.0 * s for s in squares)))
 
 
+@_quiet
 def cylinder(
     radius: ArrayLike,
     length: ArrayLike,
@@ -70,6 +75,7 @@ def rod(
     return cylinder(radius, length, mass=mass, density=density)
 
 
+@_quiet
 def sphere(
     radius: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
 ) -> Body:
@@ -82,6 +88,7 @@ def sphere(
     return Body(masses, _diagonal(*(0.4 * masses * r * r,) * 3))
 
 
+@_quiet
 def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = None) -> Body:
     """The solid that a closed surface encloses, in the mesh's own frame.
 
@@ -97,22 +104,31 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
     except ImportError:
         raise ArgumentError(f"from_mesh needs trimesh: {remedy('mesh')}") from None
     if isinstance(mesh, (str, PathLike)):
-        mesh = trimesh.load_mesh(mesh)
+        mesh = _loaded(mesh, trimesh.load_mesh)
     if not isinstance(mesh, trimesh.Trimesh):
-        raise ArgumentError(f"mesh must be a trimesh.Trimesh or a path, got {type(mesh).__name__}")
+        raise ArgumentError(f"mesh must be a trimesh.Trimesh or a path, got {told(mesh)}")
     if not mesh.is_volume:
         raise ArgumentError(
             "mesh encloses no volume: it must be watertight, with faces that wind outward "
             "(mesh.fill_holes() and mesh.fix_normals() may mend it)"
         )
     found = mesh.mass_properties
-    total = _mass(mass, density, np.asarray(found.volume))
+    total = _mass(mass, density, as_floats("volume", found.volume))
     if total.ndim:
         raise ArgumentError(f"a mesh is one body; got masses of shape {total.shape}")
-    centre = np.asarray(found.center_mass, dtype=float)
-    about_com = np.asarray(found.inertia, dtype=float) * (total / float(found.mass))
-    shift = np.array(unit_inertia(tuple(centre))).reshape(3, 3)
+    centre = as_floats("center_mass", found.center_mass)
+    about_com = as_floats("inertia", found.inertia) * (total / float(found.mass))
+    shift = assembled(unit_inertia(tuple(centre)), 3, 3)
     return Body(total, about_com + total * shift, centre)
+
+
+def _loaded(path: Any, load: Callable[[Any], Any]) -> Any:
+    try:
+        return load(path)
+    except Exception as error:  # a reader of each format, and what each raises
+        raise ArgumentError(
+            f"mesh={told(path)} cannot be loaded: {type(error).__name__}: {told(str(error))}"
+        ) from error
 
 
 def _diagonal(*moments: Array) -> Array:

@@ -22,7 +22,7 @@ from lierb.kernels.newton_euler import SE3, Body, Kinematics
 from lierb.kernels.scale import Tolerances, bearings, start_tolerances
 from lierb.kernels.vec import Vec, dot
 from lierb.kernels.zero import is_zero
-from lierb.model import Problem
+from lierb.model import Problem, unfit_rate
 
 
 def require_central_com(problem: Problem) -> None:
@@ -39,10 +39,9 @@ def require_consistent(
 ) -> None:
     """Raise for the first body whose start violates the joint."""
     inputs = Inputs(problem, poses, twists, len(twists), t0)
-    for number in range(inputs.count):
-        found = _violation_of(inputs, number)
-        if found is not None:
-            raise found
+    found = violation(inputs, np.zeros(inputs.count))
+    if found is not None:
+        raise found
 
 
 def violation(inputs: Inputs, starts: Array, first: int = 0) -> LierbError | None:
@@ -65,7 +64,7 @@ def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     parameters, pose, twist = parameters_of(list(columns[:, 0]))
     body = body_of(SE3, problem.kinds, list(columns[:, 0]))
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
-    x = SE3.kinematics(body, placed, velocity)._replace(time=inputs.time)
+    x = SE3.kinematics(body, placed, velocity)._replace(time=np.float64(inputs.time))
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
     allowed = start_tolerances(problem.rows, parameters, pose, twist, x, body)
     return _pose_violation(problem, x, body, allowed, labels[0]) or _twist_violation(
@@ -113,6 +112,9 @@ def _pose_violation(
 def _twist_violation(
     problem: Problem, x: Kinematics, body: Body, velocity: Vec, allowed: Tolerances, label: str
 ) -> TwistError | None:
+    rates = [prescribed_rate(r, x, body) for r in problem.rows]
+    if unfit := unfit_rate(problem.rows, rates, x.time):
+        return unfit
     squares = rate_errors_squared(problem.rows, x, body, velocity)
     for what, unit, squared, most in zip(
         ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, allowed[2:], strict=True

@@ -13,11 +13,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property, update_wrapper
 from typing import Any, Self, overload
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_numbers, batch_size
-from lierb.errors import ArgumentError, ForceError, ScalarFunctionWarning, unknown_name
+from lierb.arrays import Array, as_floats, as_numbers, batch_size
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    ScalarFunctionWarning,
+    require_name,
+    told,
+    unknown_name,
+)
 from lierb.kernels import elements as kinds
 from lierb.kernels.fingerprint import TEXT, Reference, UnfitFunctionError, fingerprint, watched
 from lierb.kernels.functions import (
@@ -113,7 +119,7 @@ class _Decorated:
             if self.defaults and name not in self.defaults:
                 raise unknown_name("parameter", name, self.defaults)
         shapes: dict[str, Shape] = dict.fromkeys(given, ())
-        return shapes | {name: np.shape(default) for name, default in self.defaults.items()}
+        return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
 
 
 class Wrench(_Decorated):
@@ -138,7 +144,7 @@ class Wrench(_Decorated):
         differentiated, and so must run for many bodies at once, as a constraint does.
         """
         if not inspect.isfunction(function):
-            raise ForceError(f"expected a function to decorate, got {function!r}")
+            raise ForceError(f"expected a function to decorate, got {told(function)}")
         self._potential = function
         return function
 
@@ -148,8 +154,7 @@ class ConstraintFunction(_Decorated):
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         unit = defaults.pop("unit", "m")
-        if unit not in ("m", "1"):
-            raise unknown_name("unit", unit, ("m", "1"))
+        require_name("unit", unit, ("m", "1"))
         super().__init__(function, defaults)
         self.is_translational = unit == "m"
 
@@ -231,7 +236,7 @@ def _decorated(kind: type[_Decorated], function: Any, defaults: dict[str, Any]) 
     if function is None:
         return lambda given: _decorated(kind, given, defaults)
     if not inspect.isfunction(function):
-        raise ForceError(f"expected a function to decorate, got {function!r}")
+        raise ForceError(f"expected a function to decorate, got {told(function)}")
     return kind(function, defaults)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import as_numbers
 from lierb.elements import Force, user_function
-from lierb.errors import ArgumentError, ForceError, body_label, unknown_name
+from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels import elements as kinds
 from lierb.kernels.functions import Function, Shape
 
@@ -52,8 +52,7 @@ def constant_wrench(
     >>> lierb.forces.constant_wrench(force=(0.0, 0.0, 2.0), frame="body")
     <constant_wrench: torque, force, point>
     """
-    if frame not in FRAMES:
-        raise unknown_name("frame", frame, FRAMES)
+    require_name("frame", frame, FRAMES)
     kind = kinds.BodyWrench() if frame == "body" else kinds.GroundWrench()
     return Force.of("constant_wrench", kind, torque=torque, force=force, point=point)
 
@@ -153,5 +152,7 @@ def _time_function(
 ) -> Function:
     """A user's function of (t) or (t, params) that returns one number."""
     if not inspect.isfunction(function):
-        raise ForceError(f"expected a number or a function of (t) or (t, params), got {function!r}")
+        raise ForceError(
+            f"expected a number or a function of (t) or (t, params), got {told(function)}"
+        )
     return user_function(function, ("t",), shapes, ((),), differentiated)

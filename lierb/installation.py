@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from lierb.api import check_names, integrate
 from lierb.engine import threading_layer
-from lierb.errors import unknown_name
+from lierb.errors import ArgumentError, items_of, require_name, told
 from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels import _jit, disk_cache
 from lierb.kernels.batch import apply
@@ -117,9 +117,14 @@ def warmup(
     >>> [kernel.joint for kernel in lierb.warmup(["revolute"], methods=["Euler"])]
     ['revolute']
     """
+    if not (progress is None or callable(progress)):
+        raise ArgumentError(f"progress={told(progress)}; expected None or a function")
     tell = progress or (lambda done, total, what: None)
-    joints, methods = _several(joints, Joint), _several(methods, ButcherTableau)
-    cspaces, updates = _several(cspaces), _several(updates)
+    if not isinstance(multipliers, bool):
+        raise ArgumentError(f"multipliers={told(multipliers)}; expected True or False")
+    joints = _several("joints", joints, Joint)
+    methods = _several("methods", methods, ButcherTableau)
+    cspaces, updates = _several("cspaces", cspaces), _several("updates", updates)
     for cspace, update in product(cspaces, updates):
         check_names(cspace=cspace, update=update, solver=solver)
     wanted = [
@@ -148,13 +153,13 @@ def warmup(
     return ready
 
 
-def _several(given: Any, *single: type) -> tuple[Any, ...]:
+def _several(argument: str, given: Any, *single: type) -> tuple[Any, ...]:
     """One name or thing, or many of them."""
-    return (given,) if isinstance(given, (str, *single)) else tuple(given)
+    is_one = isinstance(given, (str, *single))
+    return (given,) if is_one else items_of(argument, given, "names")
 
 
 def _named(name: str) -> Joint:
-    if name not in JOINTS:
-        raise unknown_name("joint", name, JOINTS)
+    require_name("joint", name, JOINTS)
     entry = JOINTS[name]
     return entry(**{option: 1.0 for option in REQUIRED if option in entry.options})

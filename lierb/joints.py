@@ -8,7 +8,7 @@ Q turns about an axis ⊥ e₃.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -27,10 +27,18 @@ from lierb.arrays import (
     assembled,
     batch_size,
     components,
+    finite,
     pose_components,
     pose_matrix,
 )
-from lierb.errors import ArgumentError, body_label, two_readings, unknown_name
+from lierb.errors import (
+    ArgumentError,
+    body_label,
+    items_of,
+    told,
+    two_readings,
+    unknown_name,
+)
 from lierb.kernels import se3, so3
 from lierb.kernels.coefficients import atan2
 from lierb.kernels.constraints import WHOLE_ROWS, Row
@@ -54,6 +62,7 @@ from lierb.shown import Lines, Shown, quantity
 
 PERPENDICULAR_TOLERANCE = 1e-9
 TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
+_quiet = np.errstate(all="ignore")  # what overflows is found in the result
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
 
@@ -103,10 +112,12 @@ class Joint(Shown):
         A rod's ends do not: there the body's joint frame is at length·e₃ of the ground's.
         """
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        pose = pose_matrix(closed_pose(ground, body, self.length))
-        pose.setflags(write=False)  # shared by all who ask
+        with np.errstate(all="ignore"):
+            pose = pose_matrix(closed_pose(ground, body, self.length))
+        finite("the closed pose", pose).setflags(write=False)  # shared by all who ask
         return pose
 
+    @_quiet
     def twist(
         self,
         omega: ArrayLike | None = None,
@@ -154,7 +165,9 @@ class Joint(Shown):
         w, velocity = components(turning), components(moving)
         rotation, _ = pose_components(placed)
         _, point = pose_components(self.body_frame)
-        return assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
+        return finite(
+            "the twist", assembled(w + add(cross(point, w), mat_t_vec(rotation, velocity)))
+        )
 
     def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
         slots, rates = self._slots(), self._numbers("velocities", velocities)
@@ -173,8 +186,9 @@ class Joint(Shown):
         if slots[0] >= 0:
             turning = so3.dexp(neg(xi), turning)
         relative = turning + mat_t_vec(q, sliding)  # D⁻¹Ḋ of D = (exp ξ, d)
-        return assembled(se3.Ad(pose_components(self.body_frame), relative))
+        return finite("the twist", assembled(se3.Ad(pose_components(self.body_frame), relative)))
 
+    @_quiet
     def velocities(self, twist: ArrayLike, pose: Any = None) -> Array:
         """The rates of the joint's coordinates, (k,) or (n, k), in the order of `coordinate_names`.
 
@@ -202,7 +216,8 @@ class Joint(Shown):
         elif slots[2] >= 0:
             rates = (relative[2],)
         drift = mat_vec(q, relative[3:])
-        return assembled(rates + tuple(drift[i] for i in range(3) if slots[3 + i] >= 0))
+        moving_along = tuple(drift[i] for i in range(3) if slots[3 + i] >= 0)
+        return finite("the rate of a coordinate", assembled(rates + moving_along))
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
@@ -215,6 +230,7 @@ class Joint(Shown):
         turning = TURNS if slots[0] >= 0 else ("phi",) if slots[2] >= 0 else ()
         return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
 
+    @_quiet
     def coordinates(self, pose: Any) -> Array:
         """Where on the joint a pose is, (k,) or (n, k), in the order of `coordinate_names`.
 
@@ -235,8 +251,10 @@ class Joint(Shown):
             turning = so3.log(q)
         elif slots[2] >= 0:
             turning = (self._turn(atan2(q[3], q[0]), d[2], slots),)
-        return assembled(turning + tuple(d[i] for i in range(3) if slots[3 + i] >= 0))
+        places = tuple(d[i] for i in range(3) if slots[3 + i] >= 0)
+        return finite("a coordinate", assembled(turning + places))
 
+    @_quiet
     def pose(
         self, place: Any = None, /, *, coordinates: ArrayLike | None = None, rotation: Any = None
     ) -> Array:
@@ -282,7 +300,8 @@ class Joint(Shown):
             turning, places = self._lifted(numbers)
             relative = so3.exp(turning), places
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
-        return pose_matrix(se3.compose(se3.compose(ground, relative), se3.inverse(body)))
+        placed = se3.compose(se3.compose(ground, relative), se3.inverse(body))
+        return finite("the pose", pose_matrix(placed))
 
     def _either(self, place: Any) -> tuple[Any, Any]:
         """`place` as (coordinates, rotation), of which one is None."""
@@ -299,7 +318,7 @@ class Joint(Shown):
     def _numbers(self, argument: str, given: ArrayLike | None) -> Array:
         """One number for each of the joint's coordinates, or its rates."""
         names = self.coordinate_names
-        array = as_floats(argument, given)  # type: ignore[arg-type]
+        array = as_floats(argument, given)
         if array.ndim not in (1, 2) or array.shape[-1] != len(names):
             k = len(names)
             raise ArgumentError(
@@ -618,23 +637,29 @@ def from_rows(
       on the body    (0.1, 0, 0) m, e₁ (1, 0, 0), e₃ (0, 0, 1)
       on the ground  (0, 0, 0) m, e₁ (1, 0, 0), e₃ (0, 0, 1)
     """
-    if isinstance(rows, str) or not isinstance(rows, Iterable):
-        raise ArgumentError(f"rows={rows!r}; expected a list of row names")
-    rows = list(rows)
+    if isinstance(rows, str):
+        raise ArgumentError(f"rows={told(rows)}; expected a list of row names")
+    rows = items_of("rows", rows, "a list of row names")
+    if not isinstance(name, str):
+        raise ArgumentError(f"name={told(name)}; expected a text")
     parsed = tuple(dict.fromkeys(_row(row) for row in rows))
     if Row("screw", 2) in parsed and not {Row("Omega", 0), Row("Omega", 1)} <= set(parsed):
         raise ArgumentError(
-            f"rows={rows} has a screw row whose axis may tilt; add Omega1 and Omega2"
+            f"rows={told(rows)} has a screw row whose axis may tilt; add Omega1 and Omega2"
         )
     if len(parsed) > MOST_ROWS:
-        raise ArgumentError(f"rows={rows} are {len(parsed)} rows; expected {MOST_ROWS} at most")
+        raise ArgumentError(
+            f"rows={told(rows)} are {len(parsed)} rows; expected {MOST_ROWS} at most"
+        )
     if sum(row.kind == "Omega" for row in parsed) == 1:
         raise ArgumentError(
-            f"rows={list(rows)} has one Omega row alone; expected two, three or none"
+            f"rows={told(rows)} has one Omega row alone; expected two, three or none"
         )
     kinds = {row.kind for row in parsed}
     if "rod" in kinds and kinds & {"d", "Qtd", "screw"}:
-        raise ArgumentError(f"rows={rows} has a rod beside rows that hold its end in another way")
+        raise ArgumentError(
+            f"rows={told(rows)} has a rod beside rows that hold its end in another way"
+        )
     needed = {"screw": "pitch", "rod": "length"}
     options = {"slot", "second_axis"} | {needed[r.kind] for r in parsed if r.kind in needed}
     made = JointType(name, parsed, "built from rows", None, frozenset(options))
@@ -658,7 +683,7 @@ _ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + [*WHOLE_ROWS]
 def _row(name: str | Row) -> Row:
     try:
         return Row.parse(str(name) if isinstance(name, Row) else name.replace("Ω", "Omega"))
-    except (ValueError, AttributeError, TypeError):
+    except Exception:  # of what is neither a name nor a row, any
         raise unknown_name("row", name, _ROW_NAMES) from None
 
 

@@ -12,11 +12,15 @@ from numpy.typing import ArrayLike
 
 from lierb.arrays import (
     Array,
+    Pose,
+    as_number,
     as_numbers,
     as_poses,
     assembled,
     batch_size,
     components,
+    finite,
+    is_whole,
     pose_components,
     pose_matrix,
 )
@@ -26,13 +30,16 @@ from lierb.errors import (
     ForceError,
     InertiaError,
     PoseError,
+    TwistError,
     body_label,
+    items_of,
+    told,
     two_readings,
 )
 from lierb.joints import MOST_ROWS, Joint
 from lierb.kernels import elements as kinds
 from lierb.kernels import se3, so3
-from lierb.kernels.arithmetic import absolute, where
+from lierb.kernels.arithmetic import absolute, plain, where
 from lierb.kernels.constraints import (
     AddedRow,
     Row,
@@ -45,7 +52,7 @@ from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
 from lierb.kernels.newton_euler import Body as KernelBody
 from lierb.kernels.saddle import Load, solve
 from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.vec import ZERO3, add, diagonal, dot, norm
+from lierb.kernels.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.shown import Lines, Shown, counted, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
@@ -92,11 +99,7 @@ class Body(Shown):
         batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
         _check_mass(masses)
         moments = _checked_symmetric(moments)
-        about_com = components(moments, 2)
-        shift = unit_inertia(components(centre))
-        _check_physical(
-            assembled(tuple(i - masses * s for i, s in zip(about_com, shift, strict=True)), 3, 3)
-        )
+        _check_physical(_about_com(masses, moments, centre))
         moments.setflags(write=False)
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
@@ -136,7 +139,24 @@ def _checked_symmetric(moments: Array) -> Array:
             "give (I + I.T) / 2. A shape (3, 3) is read as one matrix, not as three bodies: "
             f"give {MOMENTS_OF_EACH} for the principal moments of three"
         )
-    return (0.5 * (flat + flat.transpose(0, 2, 1))).reshape(moments.shape)
+    half = 0.5 * flat  # first: the sum of two of the largest numbers overflows
+    return (half + half.transpose(0, 2, 1)).reshape(moments.shape)
+
+
+@np.errstate(all="ignore")
+def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
+    """The inertia about the centre of mass. Raises InertiaError where it overflows."""
+    shift = unit_inertia(components(centre))
+    parts = zip(components(moments, 2), shift, strict=True)
+    found = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
+    flat = found.reshape(-1, 9)
+    for body in np.flatnonzero(~np.isfinite(flat).all(axis=1))[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} has no inertia about the centre of "
+            "mass: mass times the square of com is beyond all numbers; give smaller numbers, or "
+            "choose larger units"
+        )
+    return found
 
 
 def _check_physical(about_com: Array) -> None:
@@ -169,12 +189,12 @@ def _shown_element(element: Element) -> str:
 
 def _require(argument: str, value: object, kind: type, expected: str) -> None:
     if not isinstance(value, kind):
-        got = repr(value).splitlines()[0]
-        raise ArgumentError(f"{argument} must be {expected}, got {got}")
+        raise ArgumentError(f"{argument} must be {expected}, got {told(value)}")
 
 
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
-    elements = tuple(given) if isinstance(given, Iterable) else (given,)
+    expected = f"{kind.__name__.lower()}s made by lierb"
+    elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
         reject_functions(label, element)
@@ -187,6 +207,19 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
                 "constant_wrench or lierb.wrench"
             )
     return elements
+
+
+def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
+    """The error for rows whose prescribed rates, such as a motor's speed, are no numbers at t0."""
+    for row, rate in zip(rows, rates, strict=True):
+        each = np.atleast_1d(plain(rate))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return TwistError(
+                f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} rad/s at t0={t0:g} s, and no twist has it; give a function that has "
+                "a value there, or another t0"
+            )
+    return None
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -243,7 +276,10 @@ class Problem(Shown):
         return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
 
     def of_body(self, body: int) -> Problem:
-        """The problem of one body of the batch."""
+        """The problem of one body of the batch. Raises ArgumentError for a number of none."""
+        count = self.batch_size() or 1
+        if not (is_whole(body) and 0 <= body < count):
+            raise ArgumentError(f"body={told(body)}; expected a whole number, 0 … {count - 1}")
 
         def own(array: Array, item_axes: int = 0) -> Array:
             if array.ndim == item_axes:
@@ -357,6 +393,10 @@ class Problem(Shown):
         """
         poses = as_poses("pose", pose)
         self.batch_size(pose=(poses, 2))
+        with np.errstate(all="ignore"):  # what overflows does not come to close
+            return self._closed(poses)
+
+    def _closed(self, poses: Array) -> Array:
         rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
         placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
@@ -367,27 +407,26 @@ class Problem(Shown):
         body = body._replace(inertia=add(body.inertia, diagonal((added, added, added))))
         # Functions of the user's see the place from the origins of the user's frames.
         rounding = rounding_of(parameters, pose_components(poses))
-        with np.errstate(all="ignore"):
-            for _ in range(NEWTON_STEPS):
-                x = SE3.kinematics(body, placed, still)
-                off = residuals(rows, x, body)
-                here = ROUNDING * norm((0.0, *placed[1]))
-                closed = np.bool_(True)
-                for r, h in zip(rows, off, strict=True):
-                    near = small + (rounding if isinstance(r, AddedRow) else here)
-                    closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
-                if np.all(closed):
-                    break
-                found = solve(
-                    body,
-                    x.q,
-                    rows,
-                    partial(jacobian, x=x, body=body),
-                    tuple(-h for h in off),
-                    AT_REST,
-                )
-                moved = se3.compose(placed, se3.exp(found.turning + found.moving))
-                placed = where(closed, placed, moved)  # no body waits, or moves on, for another
+        for _ in range(NEWTON_STEPS):
+            x = SE3.kinematics(body, placed, still)
+            off = residuals(rows, x, body)
+            here = ROUNDING * norm((0.0, *placed[1]))
+            closed = np.isfinite(small)  # or any distance passes for rounding
+            for r, h in zip(rows, off, strict=True):
+                near = small + (rounding if isinstance(r, AddedRow) else here)
+                closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
+            if np.all(closed):
+                break
+            found = solve(
+                body,
+                x.q,
+                rows,
+                partial(jacobian, x=x, body=body),
+                tuple(-h for h in off),
+                AT_REST,
+            )
+            moved = se3.compose(placed, se3.exp(found.turning + found.moving))
+            placed = where(closed, placed, moved)  # no body waits, or moves on, for another
         open_ones = np.flatnonzero(~np.atleast_1d(closed))
         if open_ones.size:
             raise PoseError(
@@ -404,7 +443,8 @@ class Problem(Shown):
                 f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
                 "back is the shortest; turn it by less, or one of the joint's frames by 180°"
             )
-        return pose_matrix(SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0])
+        turned_back = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0]
+        return finite("the closed pose", pose_matrix(turned_back))
 
     def project(self, twist: ArrayLike, pose: Any = None, *, t0: float = 0.0) -> Array:
         """The nearest twist that satisfies the joint, in the kinetic-energy metric.
@@ -413,20 +453,25 @@ class Problem(Shown):
         t0 : s, at which a motor is to have its speed.
         Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
         """
-        twists = as_numbers("twist", twist, (6,))
+        twists, start = as_numbers("twist", twist, (6,)), as_number("t0", t0)
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
         self.batch_size(twist=(twists, 1), pose=(pose, 2))
-        given = components(twists)
+        with np.errstate(all="ignore"):
+            found = self._projected(components(twists), pose_components(pose), start)
+        return finite("the projected twist", found)
+
+    def _projected(self, given: Vec, pose: Pose, t0: Any) -> Array:
         parameters, body = self.parameters(), self.in_joint_axes(SE3)
-        placed, velocity = SE3.to_joint_axes(parameters, pose_components(pose), given)
+        placed, velocity = SE3.to_joint_axes(parameters, pose, given)
         x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
         wanted = [prescribed_rate(r, x, body) for r in self.rows]
+        if error := unfit_rate(self.rows, wanted, t0):
+            raise error
         along = partial(jacobian, x=x, body=body)
-        with np.errstate(all="ignore"):
-            for _ in range(2):  # the second time, for what rounding has left of a large part
-                rates = [dot(along(r), velocity) for r in self.rows]
-                lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))
-                change = solve(body, x.q, self.rows, along, lacking, AT_REST)
-                velocity = add(velocity, change.turning + change.moving)
+        for _ in range(2):  # the second time, for what rounding has left of a large part
+            rates = [dot(along(r), velocity) for r in self.rows]
+            lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))
+            change = solve(body, x.q, self.rows, along, lacking, AT_REST)
+            velocity = add(velocity, change.turning + change.moving)
         _, projected = SE3.to_user_axes(parameters, placed, velocity)
         return assembled(projected)

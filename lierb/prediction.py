@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lierb.arrays import Array, as_poses, pose_components
-from lierb.errors import ArgumentError, PoseError
+from lierb.errors import ArgumentError, PoseError, told
 from lierb.kernels.constraints import AddedRow, jacobian, residuals
 from lierb.kernels.newton_euler import CSPACES, SE3, Body, Pose, SO3xR3
 from lierb.kernels.scale import ROUNDING, START_TOLERANCE, bearings, length_of, rounding_of
@@ -104,6 +104,8 @@ def predict(problem: Problem, pose0: Any = None) -> Predictions:
     SE3      SO(3)             3    exact     exact     d1 d2 d3 / –
     SO3xR3   SO(3)×R³          6    drifts    exact     – / d1 d2 d3
     """
+    if not isinstance(problem, Problem):
+        raise ArgumentError(f"problem must be a lierb.Problem, got {told(problem)}")
     if problem.batch_size() is not None:
         raise ArgumentError(
             f"predict takes one body at a time; this problem is a batch of {problem.batch_size()}"

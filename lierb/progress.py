@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from lierb.errors import ArgumentError
+from lierb.errors import ArgumentError, told
 from lierb.extras import remedy
 
 Progress = bool | Callable[[int, int], None] | None
@@ -27,7 +27,7 @@ class Bar(Protocol):
 def check_progress(progress: Any) -> None:
     """Raise ArgumentError for what `reporter` does not take."""
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
-        raise ArgumentError(f"progress={progress!r}; expected True, False, None or a function")
+        raise ArgumentError(f"progress={told(progress)}; expected True, False, None or a function")
 
 
 @contextmanager

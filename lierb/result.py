@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lierb.arrays import Array, assembled, components
 from lierb.columns import as_array, numbers
 from lierb.continuation import End
-from lierb.errors import ArgumentError, unknown_name
+from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
 from lierb.failures import Failures, has_failed
 from lierb.kernels import so3
@@ -190,8 +190,7 @@ class Result(Shown):
         return frame
 
     def _expanded(self, name: str) -> pa.Table:
-        if not isinstance(name, str) or name not in TABLES:
-            raise unknown_name("table", name, TABLES)
+        require_name("table", name, TABLES)
         table = getattr(self, name)
         if table is None:
             raise ArgumentError("there is no history; integrate with save_every= for one")

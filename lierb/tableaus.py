@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import isfinite
+from typing import Any
 
-from lierb.errors import ArgumentError, unknown_name
+from lierb.arrays import are_finite, as_floats
+from lierb.errors import ArgumentError, items_of, require_name, told
 
 # Coefficients are printed with 15 to 20 digits; their sums are that good.
 _TOLERANCE = 1e-13
+MOST_STAGES = 64  # a step is compiled stage by stage; methods of order 14 have 35
 
 
-def _numbers(argument: str, given: Sequence[float]) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(x) for x in given)
-    except (TypeError, ValueError):
-        raise ArgumentError(f"{argument} is {given!r}; expected numbers") from None
-    if not all(map(isfinite, numbers)):
-        raise ArgumentError(f"{argument} is {numbers}; expected finite numbers")
-    return numbers
+def _numbers(argument: str, given: Any) -> tuple[float, ...]:
+    numbers = as_floats(argument, given)
+    if numbers.ndim != 1:
+        raise ArgumentError(f"{argument} is {told(given)}; expected a row of numbers")
+    if numbers.size > MOST_STAGES:
+        raise ArgumentError(
+            f"{argument} has {numbers.size} numbers; expected {MOST_STAGES} at most"
+        )
+    if not are_finite(numbers):
+        raise ArgumentError(f"{argument} is {told(given)}; expected finite numbers")
+    return tuple(numbers.tolist())
 
 
 @dataclass(frozen=True)
@@ -41,16 +46,16 @@ class ButcherTableau:
 
     def __post_init__(self) -> None:
         b = _numbers("b", self.b)
-        try:
-            rows = [_numbers(f"row {i} of A", row) for i, row in enumerate(self.A)]
-        except TypeError:
-            raise ArgumentError(f"A={self.A!r}; expected rows of numbers") from None
+        if not isinstance(self.name, str):
+            raise ArgumentError(f"name={told(self.name)}; expected a text")
+        given = items_of("A", self.A, "rows of numbers")
+        rows = [_numbers(f"row {i} of A", row) for i, row in enumerate(given)]
         if len(rows) != len(b):
             raise ArgumentError(f"the tableau has {len(rows)} rows of A for {len(b)} weights b")
         for i, row in enumerate(rows):
             if len(row) < i or any(x != 0.0 for x in row[i:]):
                 raise ArgumentError(
-                    f"row {i} of A is {row}; an explicit method has {i} numbers there, "
+                    f"row {i} of A is {told(row)}; an explicit method has {i} numbers there, "
                     "and zeros after them"
                 )
         lower = tuple(row[:i] for i, row in enumerate(rows))
@@ -185,6 +190,5 @@ def tableau_of(method: str | ButcherTableau) -> ButcherTableau:
     """The tableau of a method's name, or the given one."""
     if isinstance(method, ButcherTableau):
         return method
-    if not isinstance(method, str) or method not in TABLEAUS:
-        raise unknown_name("method", method, TABLEAUS)
+    require_name("method", method, TABLEAUS)
     return TABLEAUS[method]

@@ -1,9 +1,14 @@
 """Bad input: a ValueError of lierb's that names the argument and the body, before anything runs."""
 
+import datetime
+import decimal
+import fractions
 import math
 import warnings
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 
 import lierb
@@ -23,6 +28,7 @@ from lierb.kernels.driver import UNSEEN, store_start
 POINT = (-0.15, 0.0375, 0.0)
 BOX = (0.0126563, 0.0468281, 0.0569531)
 COUNT = 20  # bodies in a batch
+SECOND = np.timedelta64(1, "s")  # an integer to NumPy
 
 
 class DriverReached(Exception):
@@ -394,6 +400,133 @@ def test_complex_numbers_are_rejected(value):
             lierb.Body(value, BOX)
 
 
+class Quantity:
+    """As pint, unyt and others have it."""
+
+    units = "mm"
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(1.0)
+
+
+def no_array(self, *_, **__):
+    raise RuntimeError("on another device")
+
+
+Unreadable = type("Unreadable", (), {"__array__": no_array})
+
+NO_NUMBERS = {
+    "text": "1.0", "texts": ["1.0", "2.0"], "text as object": np.array(["1.0"], object),
+    "bytes": b"1.0", "byte array": bytearray(b"12"), "bytes seen": memoryview(b"12"),
+    "flag": True, "flags": np.ones(2, bool), "flag among numbers": [1.0, np.True_],
+    "nothing": None, "nothing among numbers": [1.0, None],
+    "date": datetime.date(2024, 1, 1), "dates": np.array(["2024-01-01"], "M8[D]"),
+    "time span": datetime.timedelta(1), "time spans": np.ones(2, "m8[s]"),
+    "set": {1.0, 2.0}, "keys": {1.0: 0, 2.0: 0}.keys(), "values": {"a": 1.0}.values(),
+    "generator": (x for x in (1.0, 2.0)), "ragged": [[1.0], [1.0, 2.0]],
+    "fields": np.zeros(2, [("x", "f8")]), "beyond float64": 10**400,
+    "beyond float64, of NumPy": np.array(["1e400"]).astype(np.longdouble),
+    "not to be printed": 10**5000, "masked": np.ma.masked, "masked entry": [1.0, np.ma.masked],
+    "masked array": np.ma.masked_equal([1.0, 2.0], 2.0),
+    "masked arrays": [np.ma.masked_equal([1.0, 2.0], 2.0)],
+    "quantity": Quantity(), "quantities": [Quantity(), Quantity()], "unreadable": Unreadable(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS.values(), ids=NO_NUMBERS)
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(LierbError, match=r"^mass ") as told:
+        lierb.Body(value, BOX)
+    assert len(str(told.value)) < 400
+
+
+NUMBERS = {
+    "integers": [1, 2], "of another width": np.ones(2, "f2"), "of another order": np.ones(2, ">f8"),
+    "read only": np.broadcast_to(1.0, (2,)), "strided": np.ones(4)[::2],
+    "nothing masked": np.ma.ones(2),
+    "fractions": [fractions.Fraction(1, 3), decimal.Decimal("0.5")],
+    "buffer": memoryview(np.ones(2)), "range": range(1, 3),
+    "Arrow's": pa.array([1.0, 2.0]), "labelled": pd.Series([1.0, 2.0], index=[7, 8]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("value", NUMBERS.values(), ids=NUMBERS)
+def test_numbers_of_any_make_are_taken(value):
+    np.testing.assert_array_equal(lierb.Body(value, BOX).mass, np.asarray(value, dtype=float))
+
+
+def test_matrices_of_numpy_are_taken_as_arrays():
+    matrix = np.diag(BOX).view(np.matrix)
+    np.testing.assert_array_equal(lierb.Body(1.0, matrix).inertia, np.diag(BOX))
+
+
+def test_body_whose_steiner_term_overflows_is_none():
+    with pytest.raises(InertiaError, match=r"^inertia .*beyond all numbers"):
+        lierb.Body(1e300, BOX, com=(1e10, 0.0, 0.0))
+    with pytest.raises(InertiaError, match=r"^inertia\[1\] "):
+        lierb.Body((1.0, 1e300), BOX, com=((0.0, 0.0, 0.0), (1e10, 0.0, 0.0)))
+    lierb.Body(1e300, (1.7e308, 1.7e308, 1.7e308))  # the sum of two overflows, the body is one
+
+
+class Posed:
+    def __init__(self, found):
+        self.found = found
+
+    def as_matrix(self):
+        if isinstance(self.found, Exception):
+            raise self.found
+        return self.found
+
+
+def test_as_matrix_may_return_what_it_likes():
+    joint = joints.spherical()
+    for good in (np.eye(4), np.eye(4).tolist(), np.eye(3).tolist()):
+        np.testing.assert_array_equal(joint.coordinates(Posed(good)), 0.0)
+    for bad in ("pose", None, [[1.0, 2.0]], RuntimeError("gone")):
+        with pytest.raises(ArgumentError, match=r"^pose "):
+            joint.coordinates(Posed(bad))
+        with pytest.raises(ArgumentError, match=r"so3\.log"):
+            lierb.lie.so3.log(Posed(bad))
+
+
+@pytest.mark.parametrize("place", [(1e308, 1e308, 0.0), (1e300, 0.0, 0.0)])
+def test_poses_and_twists_that_overflow_are_told_as_such(place):
+    far = joints.spherical(place, ground_point=np.negative(place) * 1.5)
+    with pytest.raises(ArgumentError, match=r"^the .*beyond all numbers"):
+        far.twist((0.0, 1e100, 1e100))
+    if place[1]:
+        with pytest.raises(ArgumentError, match=r"^the closed pose is beyond all numbers"):
+            _ = far.closed_pose
+
+
+def test_names_given_as_arrays_are_refused():
+    for given in (np.array(["body", "ground"]), ["body"], None, 5):
+        with pytest.raises(UnknownNameError, match="frame="):
+            lierb.forces.constant_wrench(frame=given)
+        with pytest.raises(UnknownNameError, match="unit="):
+            lierb.constraint(unit=given)(lambda R, r, params: r[0])
+
+
+def test_predict_rejects_what_is_no_problem():
+    with pytest.raises(ArgumentError, match="problem must be"):
+        lierb.predict(5)
+
+
+@pytest.mark.parametrize("name", [None, 5, np.array("mine")], ids=str)
+def test_names_of_the_users_own_are_texts(name):
+    """They go into the metadata of every table."""
+    with pytest.raises(ArgumentError, match="name="):
+        joints.from_rows(["d1"], name=name)
+    with pytest.raises(ArgumentError, match="name="):
+        lierb.ButcherTableau([[]], [1], name=name)
+
+
+@pytest.mark.parametrize("body", [-1, 2, True, 0.0, "0", None, SECOND, 10**30])
+def test_of_body_rejects_what_is_no_number_of_a_body(body):
+    with pytest.raises(ArgumentError, match="body="):
+        spherical_top(lierb.Body(np.ones(2), BOX)).of_body(body)
+
+
 def test_huge_direction_is_normalised():
     # |axis|² overflows, the direction is plain
     frame = joints.revolute(axis=(0.0, 3e200, 4e200)).body_frame
@@ -715,7 +848,14 @@ def test_free_body_takes_any_state():
 
 
 @pytest.mark.parametrize("argument", ["dt", "t_end"])
-@pytest.mark.parametrize("bad", [0, 0.0, -0.1, math.nan, math.inf, "0.1", None, 1j, (0.1,), [1, 2]])
+@pytest.mark.parametrize(
+    "bad",
+    [
+        0, 0.0, -0.1, math.nan, math.inf, 10**400, 10**5000, "0.1", None, True, 1j, (0.1,), [1, 2],
+        SECOND, np.ma.masked,
+    ],
+    ids=lambda bad: type(bad).__name__,
+)  # fmt: skip
 def test_time_that_is_not_positive_names_the_argument(argument, bad):
     with pytest.raises(TimeGridError, match=rf"\b{argument}="):
         integrate(**{argument: bad})
@@ -771,10 +911,14 @@ def test_t_end_may_err_by_a_billionth_of_a_step(off):
 def test_steps_beyond_number_are_rejected():
     with pytest.raises(TimeGridError):
         integrate(dt=1e-300, t_end=1e300)
+    with pytest.raises(TimeGridError, match="beyond all numbers"):
+        integrate(dt=1e300, t0=-1e308, t_end=1e308)
 
 
 @pytest.mark.parametrize("argument", ["save_every", "measure_every"])
-@pytest.mark.parametrize("bad", [0, -1, 1.0, 2.5, math.nan, True, "1", (1,), np.float64(2.0)])
+@pytest.mark.parametrize(
+    "bad", [0, -1, 1.0, 2.5, math.nan, True, "1", (1,), np.float64(2.0), np.timedelta64(1, "s")]
+)
 def test_stride_that_is_no_whole_number_names_the_argument(argument, bad):
     with pytest.raises(TimeGridError, match=rf"\b{argument}="):
         integrate(**{argument: bad})

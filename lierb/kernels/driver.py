@@ -260,7 +260,7 @@ def initial_record(plan: Plan, body: Body, state: State) -> Record:
     """Maxima so far: nothing, as numbers of the state's own type."""
     body, state = Body(*body), State(*state)
     nothing = 0.0 * body.mass
-    start = _measured(plan, body, state, ZERO)
+    start = _measured(plan, body, state, nothing)  # no constant: 1 / t of a motor is inf, no error
     dropped: Any = nothing
     if plan.slots is None and has_others(plan.rows):
         # No force makes rows depend on others.
