@@ -92,7 +92,8 @@ def integrate(
         two seconds, on a terminal or in a notebook.
 
     Raises subclasses of `lierb.errors.LierbError` (a ValueError), before anything runs or, where a
-    start of up to 4096 bodies is off its joint, within the first fraction of a second. A body that
+    start of up to 4096 bodies is off its joint, within the first fraction of a second; of them
+    MemoryLimitError for results that are larger than what memory is free. A body that
     fails on the way gets a status in `summary` and leaves the others untouched; one
     FailedTrajectoryWarning says how many do.
 

@@ -90,13 +90,27 @@ def _refuse(argument: str, value: Any, depth: int = 0) -> None:
 
     In sequences as well: of their items NumPy sees the numbers alone.
     """
-    if type(value) in PLAIN:
+    kind = type(value)
+    if kind in PLAIN:
         return
+    is_list = kind is list or kind is tuple  # by far the most, and in long lists of them
+    if not is_list:
+        _refuse_one(argument, value)
+    if is_list or (isinstance(value, Sequence) and not isinstance(value, memoryview)):
+        if depth == MOST_AXES:
+            raise ArgumentError(f"{argument} has lists more than {MOST_AXES} deep")
+        if depth == 0:
+            _require_room(argument, (len(value),))
+        if kind is not range and not set(map(type, value)) <= PLAIN:
+            for item in value:
+                _refuse(argument, item, depth + 1)
+
+
+def _refuse_one(argument: str, value: Any) -> None:
     if isinstance(value, np.ma.MaskedArray) and np.ma.getmaskarray(value).any():
         raise ArgumentError(f"{argument} has masked entries; fill them, or leave those bodies out")
-    is_array = isinstance(value, (np.ndarray, np.generic))
+    is_other = isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind not in "iufO"
     is_bytes = isinstance(value, memoryview) and value.itemsize == 1
-    is_other = is_array and value.dtype.kind not in "iufO"
     if is_other or is_bytes or isinstance(value, NO_NUMBERS):
         raise _no_numbers(argument, value)
     if type(value) is not np.ndarray and _has_units(value):
@@ -104,13 +118,6 @@ def _refuse(argument: str, value: Any, depth: int = 0) -> None:
             f"{argument} has units: {told(value)}; give its plain numbers in SI units, such as "
             '`.to("m").magnitude` or `.to_value("m")`'
         )
-    if isinstance(value, Sequence) and not isinstance(value, memoryview):
-        if depth == MOST_AXES:
-            raise ArgumentError(f"{argument} has lists more than {MOST_AXES} deep")
-        _require_room(argument, (len(value),))
-        if not isinstance(value, range) and not set(map(type, value)) <= PLAIN:
-            for item in value:
-                _refuse(argument, item, depth + 1)
 
 
 def _has_units(value: Any) -> bool:
