@@ -40,7 +40,7 @@ def parsed(text: str) -> tuple[str, Any]:
 def _value(key: str, text: str) -> Any:
     try:
         tables = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         if WORD.fullmatch(text):
             return text
         if re.fullmatch(r"\[[^\[\]\"'{}]*\]", text):  # words perhaps: [SE3, reduced]
@@ -55,7 +55,7 @@ def _value(key: str, text: str) -> Any:
 def path_of(key: str) -> tuple[str, ...]:
     """The parts of a dotted key; one that has dots of its own is in quotes."""
     found: Any = {}
-    with suppress(tomllib.TOMLDecodeError):
+    with suppress(ValueError, RecursionError):
         found = tomllib.loads(f"{key} = 0")
     path = []
     while isinstance(found, dict) and len(found) == 1:

@@ -16,11 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.arrays import Array
+from lierb.arrays import Array, as_floats
 from lierb.errors import ArgumentError
 from lierb.extras import require
 from lierb.kernels import so3
 
+LARGEST = 1e300  # of a parameter: sums of a few, and 39 of a normal's std, are numbers still
+FARTHEST_Z = 8.3  # of the uniforms next to 1, in std
 FARTHEST = 1e6  # std, of a truncated normal from its mean: farther out, doubles get too coarse
 SERIES_BEYOND = 50.0  # std: SciPy's ndtri_exp takes a series that is off by up to 6e-13 beyond 64
 SEMIDEFINITE = 1e-14  # relative to a variance: what is left of it below this counts as nothing
@@ -53,7 +55,7 @@ class Distribution:
         u : (n, dimension), in (0, 1).   Returns (n, *shape); row i depends on u[i] alone.
         Raises ArgumentError for another shape, or for numbers outside (0, 1).
         """
-        points = np.asarray(u, dtype=np.float64)
+        points = as_floats("u", u)
         if points.ndim != 2 or points.shape[1] != self.dimension:
             raise ArgumentError(
                 f"u has shape {points.shape}; {type(self).__name__} takes (n, {self.dimension})"
@@ -206,11 +208,12 @@ def _covariance(value: ArrayLike) -> Array:
     skew = np.abs(matrix - matrix.T).max()
     if skew > SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ArgumentError(f"covariance is not symmetric: entries differ by {skew:.3g}")
-    lower = _cholesky(matrix)
-    size = np.sqrt(np.abs(np.diag(matrix)))
-    left = np.abs(lower @ lower.T - matrix)
+    with np.errstate(all="ignore"):  # where it is none, numbers overflow
+        lower = _cholesky(matrix)
+        size = np.sqrt(np.abs(np.diag(matrix)))
+        left = np.abs(lower @ lower.T - matrix)
     # Of two variances of which nothing is left, the root bounds the covariance that is.
-    if (left > 2.0 * np.sqrt(SEMIDEFINITE) * np.outer(size, size)).any():
+    if not (left <= 2.0 * np.sqrt(SEMIDEFINITE) * np.outer(size, size)).all():
         raise ArgumentError(
             "covariance is not positive semi-definite: its smallest eigenvalue is "
             f"{np.linalg.eigvalsh(matrix)[0]:.6g}"
@@ -308,6 +311,9 @@ class LogNormal(Distribution):
         _refuse("median", middle, middle <= 0.0, "a positive number")
         _refuse("sigma", spread, spread < 0.0, "zero or a positive number")
         _common_shape(median=middle, sigma=spread)
+        reach = np.log(middle) + FARTHEST_Z * spread
+        most = "less: its draws overflow, or a smaller median"
+        _refuse("sigma", np.broadcast_to(spread, reach.shape), reach > np.log(LARGEST), most)
         self._set(median=middle, sigma=spread)
 
     @property
@@ -432,6 +438,17 @@ class Values(Distribution):
         return self.values[levels]
 
 
+DISTRIBUTIONS = {  # by the names that studies give them
+    "normal": Normal,
+    "uniform": Uniform,
+    "truncated_normal": TruncatedNormal,
+    "log_normal": LogNormal,
+    "direction": Direction,
+    "rotation": Rotation,
+    "values": Values,
+}
+
+
 def as_distribution(label: str, value: Distribution | ArrayLike) -> Distribution:
     """`value` itself, or the constant that it is."""
     if isinstance(value, Distribution):
@@ -450,16 +467,14 @@ def _numbers(field: str, value: Any, axes: int = 1, infinite: bool = False) -> A
     """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
     if hasattr(value, "as_matrix"):
         value = value.as_matrix()
-    try:
-        if np.iscomplexobj(np.asarray(value)):
-            raise TypeError("complex")
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{field} must be numbers, got {value!r}") from error
+    array = as_floats(field, value, copy=True)
     if array.ndim > axes or array.size == 0:
         raise ArgumentError(f"{field} has shape {array.shape}; expected {SHAPES[axes]}")
-    bad = np.isnan(array) if infinite else ~np.isfinite(array)
-    _refuse(field, array, bad, "a number or ±inf" if infinite else "finite numbers")
+    if infinite:
+        _refuse(field, array, np.isnan(array), "a number or ±inf")
+    else:
+        _refuse(field, array, ~np.isfinite(array), "finite numbers")
+        _refuse(field, array, np.abs(array) > LARGEST, f"numbers up to {LARGEST:g}")
     array.setflags(write=False)
     return array
 

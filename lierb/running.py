@@ -25,6 +25,7 @@ from lierb.progress import Progress, check_progress, reporter
 from lierb.provenance import machine
 from lierb.sources import as_file
 from lierb.study import Setting, Study, tables_of
+from lierb.study_file import plain_changes
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -64,6 +65,7 @@ def run(
     FailedTrajectoryWarning says how many trajectories failed, if any did.
     """
     check_progress(progress)
+    changes = plain_changes(changes or {})
     if gather and client is None:
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     if client is not None and client.asynchronous:

@@ -16,11 +16,12 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import tomllib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import product
+from itertools import islice, product
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -35,21 +36,22 @@ from pydantic import (
     PositiveInt,
     ValidationError,
     WithJsonSchema,
+    model_validator,
 )
 
-from lierb import api, bodies, checks, forces, joints, sampling
+from lierb import api, bodies, checks, forces, joints
 from lierb.arrays import (
     Array,
     Pose,
     as_floats,
     as_numbers,
-    as_poses,
     as_rotations,
     components,
     pose_components,
     pose_matrix,
 )
 from lierb.changes import applied, index_of, path_of, written
+from lierb.distributions import DISTRIBUTIONS, as_distribution
 from lierb.elements import Force
 from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
 from lierb.joints import Joint
@@ -57,32 +59,46 @@ from lierb.kernels import se3
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 from lierb.shown import FAILED, Lines, Shown, counted
+from lierb.study_file import (
+    MOST_BYTES,
+    TOO_LARGE,
+    line_of,
+    plain,
+    plain_changes,
+    read,
+    shortened,
+    tables_in,
+)
 
 NOTHING = "nothing"  # a design draws something
 PREVIEW = 8  # bodies that are made when a study is checked
+MOST_SETTINGS = 1000  # each is looked at when a study is checked
+MOST_FORCES = 100  # all are in one kernel
+MOST_TOLD = 10  # of the things that are wrong
 Numbers = float | list[float] | list[list[float]]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-
-
-def _as_matrix(value: Any) -> Any:
-    return value.as_matrix().tolist() if hasattr(value, "as_matrix") else value
-
-
-def _as_frame(value: Any) -> Any:
-    return as_poses("a frame", value).tolist() if hasattr(value, "as_matrix") else value
-
-
-Frame = Annotated[list[list[float]], BeforeValidator(_as_frame)]
 
 
 def _as_list(value: Any) -> Any:
     return value if isinstance(value, list) else [value]
 
 
+def _as_whole(value: Any) -> Any:
+    """1e6 is a whole number."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+Whole = BeforeValidator(_as_whole)
+Count = Annotated[PositiveInt, Whole]
+Frame = list[list[float]]
+# text is no number, and neither is inf or NaN
+SECTION = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
 class Section(BaseModel):
     """A table of the file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = SECTION
 
     def given(self) -> dict[str, Any]:
         """What is set in it."""
@@ -147,7 +163,7 @@ class JointSection(Section):
 class ForceSection(BaseModel):
     """A force of `lierb.forces`, with its parameters; `name` if there are several of a type."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = SECTION | ConfigDict(extra="allow")
 
     type: Literal["constant_wrench", "spring_damper", "torsional_spring", "drag", "motor"]
     name: str | None = None
@@ -164,14 +180,14 @@ class ForceSection(BaseModel):
 
 class ProblemSection(Section):
     gravity: Vector = [0.0, 0.0, 0.0]
-    forces: list[ForceSection] = []
+    forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
 
 
 class InitialSection(Section):
     """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
 
     coordinates : of the joint, in the order of `Joint.coordinate_names`; velocities : their rates.
-    rotation, place : the body's joint frame seen from the ground's, 3×3 or SciPy's, and m.
+    rotation, place : the body's joint frame seen from the ground's, 3×3, and m.
     """
 
     omega: Vector | None = None
@@ -179,17 +195,17 @@ class InitialSection(Section):
     twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
     velocities: list[float] | None = None
     coordinates: list[float] | None = None
-    rotation: Annotated[list[Vector] | None, BeforeValidator(_as_matrix)] = None
+    rotation: list[Vector] | None = None
     place: Vector | None = None
 
 
 class SampleSection(BaseModel):
     """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = SECTION
 
-    n: PositiveInt | None = None
-    seed: NonNegativeInt = 0
+    n: Count | None = None
+    seed: Annotated[NonNegativeInt, Whole] = 0
     method: Literal["random", "sobol", "grid"] = "random"
     body: dict[str, Any] = {}
     joint: dict[str, Any] = {}
@@ -201,11 +217,14 @@ class SampleSection(BaseModel):
         """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
         tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
         tables |= {f"forces.{name}": table for name, table in self.forces.items()}
-        found = {
-            f"{section}.{key}": _distribution(f"sample.{section}.{key}", value)
-            for section, table in tables.items()
-            for key, value in table.items()
-        }
+        found = {}
+        for section, table in tables.items():
+            known = KEYS.get(section)
+            for key, value in table.items():
+                path = f"sample.{section}.{key}"
+                if path in found or (known is not None and key not in known):
+                    raise StudyError(f"{path}: unknown key{_suggestion(key, list(known or ()))}")
+                found[f"{section}.{key}"] = _distribution(path, value)
         return dict(sorted(found.items()))  # tables have no order, points of a sequence do
 
 
@@ -231,13 +250,13 @@ class IntegrateSection(Section):
     method: Names = Field(default=["RK4"], min_length=1)
     update: str = "local"
     solver: str = "auto"
-    save_every: PositiveInt | None = None
-    measure_every: PositiveInt = 1
+    save_every: Count | None = None
+    measure_every: Count = 1
     record: list[str] = []
 
 
 class OutputSection(Section):
-    part: PositiveInt = 16384  # bodies
+    part: Count = 16384  # bodies
     compression: Literal["none", "snappy", "zstd"] = "snappy"
 
 
@@ -291,18 +310,24 @@ class Study(Shown, Section):
 
         changes : of the tables, by dotted keys (see `lierb.changes`): {"sample.n": 1000}.
         """
-        given = Given(source, text, changes or {})
-        tables = applied(tables, given.changes)
+        given = Given(source, text, {})
         try:
+            given = Given(source, text, plain_changes(changes or {}))
+            tables = applied(plain(tables), given.changes)
             study = cls.model_validate(tables)
             study.check()
             study.require_effect(given.changes)
         except ValidationError as error:
-            lines = [_message(e, tables, given) for e in error.errors()]
-            raise StudyError("\n".join(dict.fromkeys(lines))) from None
+            raise StudyError(_messages(error, tables, given)) from None
         except StudyError as error:
             raise StudyError(_located(str(error), given)) from None
         return study
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_in_a_file(cls, given: Any) -> Any:
+        """What a study is made of can be written, however it was made."""
+        return given if isinstance(given, Study) else plain(given)
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
@@ -311,18 +336,17 @@ class Study(Shown, Section):
         Raises StudyError, or OSError where there is no file.
         """
         path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-            tables = tomllib.loads(text)
-        except ValueError as error:  # no TOML, or no text
-            raise StudyError(f"{path.name}: {error}") from None
-        return cls.of({"name": path.stem} | tables, path.name, text, changes)
+        text = read(path)
+        return cls.of({"name": path.stem} | tables_in(text, path.name), path.name, text, changes)
 
     def check(self) -> None:
         """Make the first bodies, and look at every setting, as a run will."""
+        if len(self.to_toml().encode()) > MOST_BYTES:
+            raise StudyError(f"study: is {TOO_LARGE}")
+        self._check_settings()
         with _at("sample"):
             design = self.design
-        batch = self.batch(0, min(PREVIEW, len(design)))
+            batch = self.batch(0, min(PREVIEW, len(design)), design)
         labels = [force.label.lower() for force in self.problem.forces]  # SQL ignores case, too
         if len(set(labels)) < len(labels):
             raise StudyError("problem.forces: two have the same name; give each a name of its own")
@@ -331,6 +355,20 @@ class Study(Shown, Section):
         for setting in self.settings:
             with _at("integrate"):
                 api.check_options(batch.problem, **self.options(setting))
+
+    def _check_settings(self) -> None:
+        run = self.integrate
+        for key in ("cspace", "method", "dt"):
+            listed = getattr(run, key)
+            if len(set(listed)) < len(listed):
+                twice = next(each for n, each in enumerate(listed) if each in listed[:n])
+                raise StudyError(f"integrate.{key}: {twice!r} is given twice; once will do")
+        count = prod(len(each) for each in (run.cspace, run.method, run.dt))
+        if count > MOST_SETTINGS:
+            raise StudyError(
+                f"integrate: cspace, method and dt make {count} settings; expected at most "
+                f"{MOST_SETTINGS}: several studies, each in a folder of its own"
+            )
 
     def require_effect(self, changes: Mapping[str, Any]) -> None:
         """Raises StudyError for a change of what every body draws for itself."""
@@ -433,9 +471,6 @@ class Study(Shown, Section):
 
     def _check_shape(self, path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
         """Whether a draw is what its key takes: else bodies might be taken for components."""
-        known = KEYS.get(section)
-        if known is not None and key not in known:
-            raise StudyError(f"sample.{path}: unknown key{_suggestion(key, list(known))}")
         if section == "body" and key == "inertia" and shape == (3, 3):
             return
         if not section.startswith("forces."):
@@ -522,20 +557,12 @@ def _placed(joint: Joint, initial: dict[str, Any]) -> Array | None:
 
 # ---- distributions -----------------------------------------------------------------------------
 
-DISTRIBUTIONS = {
-    "normal": sampling.Normal,
-    "uniform": sampling.Uniform,
-    "truncated_normal": sampling.TruncatedNormal,
-    "log_normal": sampling.LogNormal,
-    "direction": sampling.Direction,
-    "rotation": sampling.Rotation,
-    "values": sampling.Values,
-}
-
 
 def _distribution(key: str, value: Any) -> Any:
     """A distribution from its table; numbers and lists are constants."""
     if not isinstance(value, dict):
+        with _at(key):
+            as_distribution("it", value)
         return value
     options = dict(value)
     name = options.pop("distribution", None)
@@ -545,7 +572,8 @@ def _distribution(key: str, value: Any) -> Any:
         raise StudyError(f"{key}.distribution: {unknown_name('it', name, DISTRIBUTIONS)}")
     if isinstance(options.get("length"), dict):
         options["length"] = _distribution(f"{key}.length", options["length"])
-    return _called(key, DISTRIBUTIONS[name], options)
+    with _at(key):
+        return _called(key, DISTRIBUTIONS[name], options)
 
 
 # ---- messages ----------------------------------------------------------------------------------
@@ -595,12 +623,29 @@ class Given:
     def place(self, path: tuple[Any, ...]) -> str:
         """Where a key was given: the file's line, and what of its table was changed."""
         keys = [path_of(key) for key in self.changes]
+        if path[:1] == ("forces",):  # its parameters are in a table of [[problem.forces]]
+            path = ("problem", "forces", *path[2:])
         names = tuple(map(str, path))
         line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
         place = f"{self.source}:{line}" if line else self.source
-        table = ("problem",) if names[:1] == ("forces",) else names[:1]
-        near = [each for key, each in zip(keys, written(self.changes)) if key[:1] == table]
+        near = [each for key, each in zip(keys, written(self.changes)) if key[:1] == names[:1]]
         return f"{place} with {', '.join(near)}" if near else place
+
+
+WORDS = {  # Python's in pydantic's messages, and those of a file
+    r"a valid dictionary( or instance of \w+)?": "a table",
+    r"a valid string": "text",
+    r"a valid list": "a list",
+}
+
+
+def _messages(errors: ValidationError, tables: dict[str, Any], given: Given) -> str:
+    """The first of pydantic's errors, each in a line."""
+    found = iter(errors.errors(include_url=False, include_context=False))
+    lines = dict.fromkeys(_message(e, tables, given) for e in islice(found, MOST_TOLD))
+    if rest := sum(1 for _ in found):
+        return "\n".join((*lines, f"{given.source}: and {rest} more"))
+    return "\n".join(lines)
 
 
 def _message(error: Any, tables: dict[str, Any], given: Given) -> str:
@@ -610,12 +655,14 @@ def _message(error: Any, tables: dict[str, Any], given: Given) -> str:
         path = path[:-1]  # pydantic adds the names of the alternatives that it tried
     key = ".".join(map(str, path))
     what = error["msg"][0].lower() + error["msg"][1:]
+    for python, toml in WORDS.items():
+        what = re.sub(python, toml, what)
     if error["type"] == "extra_forbidden":
         what = "unknown key" + _suggestion(str(path[-1]), _fields_at(path[:-1]))
     elif error["type"] == "missing":
         what = "is missing"
     elif not isinstance(error["input"], dict):
-        what += f", got {error['input']!r}"
+        what += f", got {shortened(repr(error['input']))}"
     return f"{given.place(path)}: {key}: {what}"
 
 
@@ -641,35 +688,7 @@ def _fields_at(path: tuple[Any, ...]) -> list[str]:
 def _located(message: str, given: Given) -> str:
     """`table.key: what` with the line before it."""
     key = message.partition(":")[0]
-    return f"{given.place(tuple(key.split('.')))}: {message}"
-
-
-def line_of(text: str, path: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text where a key, or the nearest table around it, is."""
-    names = [part for part in path if isinstance(part, str)]
-    best: tuple[int, int] | None = None  # parts that agree, line
-    table: list[str] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        found = _parts_of(line, table)
-        if found is None:
-            continue
-        if line.lstrip().startswith("["):
-            table = found
-        agree = len(found) if found == names[: len(found)] else 0
-        if agree and (best is None or agree > best[0]):
-            best = agree, number
-    return best[1] if best else None
-
-
-def _parts_of(line: str, table: list[str]) -> list[str] | None:
-    """The path that a line of TOML sets: a table's, or a key's in the table."""
-    stripped = line.strip()
-    if stripped.startswith("["):
-        return [part.strip(" \"'") for part in stripped.strip("[]").split("]")[0].split(".")]
-    key, equals, _ = stripped.partition("=")
-    if not equals or stripped.startswith("#"):
-        return None
-    return table + [part.strip(" \"'") for part in key.split(".")]
+    return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"
 
 
 def tables_of(study: dict[str, Any]) -> Iterator[tuple[str, Any]]:
