@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from typing import IO, Any
 
@@ -60,7 +61,7 @@ def error_figure(
     quantity : "position" or "rotation".
     size : what the errors are relative to, m or 1, to a power of ten: see LEAST.
     """
-    least = LEAST * 10.0 ** round(math.log10(size))
+    least = LEAST * 10.0 ** round(math.log10(size or 1.0))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.6), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
@@ -80,7 +81,9 @@ def error_figure(
 def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) -> None:
     """Write `figure` to `path`, a file's name or an open one, as "png" or "svg"."""
     metadata = {"Date": None} if kind == "svg" else {}
-    with matplotlib.rc_context(STYLE):
+    with matplotlib.rc_context(STYLE), warnings.catch_warnings():
+        # of a name in a script that no installed font has: boxes are drawn
+        warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)
 
 
@@ -110,7 +113,7 @@ def _draw_panel(
         lowest = min(lowest, finite.min(initial=math.inf))
         highest = max(highest, finite.max(initial=0.0))
     panel.set_xlabel("time [s]")
-    panel.set_xlim(0.0, max(errors["t"].to_pylist()))
+    panel.set_xlim(0.0, max(errors["t"].to_pylist(), default=0.0) or None)
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16))
     return lowest, highest
 

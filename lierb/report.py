@@ -40,7 +40,7 @@ import plotly.graph_objects as go  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.plots import save  # noqa: E402
-from lierb.study_plots import AXES, figures, styles  # noqa: E402
+from lierb.study_plots import AXES, figures, omitted, styles  # noqa: E402
 
 TEMPLATE = "report.html"
 SYMBOLS = ("circle", "diamond", "square", "x")  # from the largest dt to the smallest
@@ -86,6 +86,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],
         figures=[(name, CAPTIONS[name], _data_url(figure)) for name, figure in figures(dataset)],
+        omitted=omitted(dataset),
         explorer=_explorer(dataset, study, seen),
         worst=_worst(dataset, study, seen),
         failures=_failures(dataset),
@@ -166,7 +167,7 @@ def _failures(dataset: Dataset) -> list[dict[str, Any]]:
 
 
 def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
-    """Any error against any sampled number, body by body; "" where nothing was sampled."""
+    """Any error against any sampled number, body by body; "" where nothing was sampled, or no body is ok."""
     drawn, least = drawn_columns(dataset), least_drawn(dataset, study)
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
@@ -183,7 +184,7 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
                     "symbol": SYMBOLS[dts.index(setting.dt) % len(SYMBOLS)]},
             hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
         )  # fmt: skip
-    if not across[0]:
+    if not any(numbers.size for x in across for numbers in x.values()):
         return ""
     titles, errors = list(across[0]), list(up[0])
     for trace, x, y in zip(figure.data, across, up, strict=True):

@@ -66,6 +66,7 @@ METHODS = ("random", "sobol", "grid")
 SEED_BITS = 64
 UNIFORM_BITS = 52  # with the half that is added, the 53 of a double
 SOBOL_BITS = 32  # SciPy's Sobol.fast_forward takes no more; the other digits are random
+WALKED_BITS = 12  # of a Sobol point's number, up to which SciPy's own points are looked at
 MOST_BODIES = 2**62  # body numbers are int64
 
 
@@ -82,8 +83,7 @@ class Design:
         "sobol" : the points of one scrambled Sobol sequence, a coordinate for each uniform of each
             quantity, in their order: they fill the cube more evenly, and means of smooth functions
             converge almost like 1/n, not like 1/√n. Best with n a power of two; another n does no
-            harm. Draws depend on seed and on all quantities, not on n ≤ 2³². Once in the life of
-            the design, drawing first takes some nanoseconds for each of the n bodies.
+            harm. Draws depend on seed and on all quantities, not on n ≤ 2³².
         "grid" : every combination of the levels of `Values`, the last quantity's changing fastest;
             other quantities must be constants.
 
@@ -121,9 +121,13 @@ class Design:
             n = _size_of_grid(taken, n)
         elif n is None:
             raise ArgumentError(f"method={method!r} needs n, the number of bodies")
-        most = 2**SOBOL_BITS if method == "sobol" else MOST_BODIES
         object.__setattr__(self, "quantities", taken)
-        object.__setattr__(self, "n", _whole("n", n, 1, most))
+        object.__setattr__(self, "n", _whole("n", n, 1, MOST_BODIES))
+        if method == "sobol" and self.n > 2**SOBOL_BITS:
+            raise ArgumentError(
+                f"n={n}: a Sobol sequence has 2³² = {2**SOBOL_BITS} points; take as many, or "
+                'method="random"'
+            )
         object.__setattr__(self, "seed", _whole("seed", seed, 0, 2**SEED_BITS - 1))
         object.__setattr__(self, "method", method)
 
@@ -139,12 +143,19 @@ class Design:
         """The values of bodies first, first + 1, …, first + count − 1.
 
         count : all from `first` on if not given.   Returns arrays (count, *shape) by name.
-        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first.
+        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first, and for more than the
+        memory holds.
         """
         start = _whole("first", first, 0, self.n - 1)
         left = self.n - start
         many = left if count is None else _whole("count", count, 1, left)
-        drawn = {name: np.empty((many, *q.shape)) for name, q in self.quantities.items()}
+        try:
+            drawn = {name: np.empty((many, *q.shape)) for name, q in self.quantities.items()}
+        except (MemoryError, ValueError):  # NumPy's for sizes beyond its own numbers
+            raise ArgumentError(
+                f"the draws of {many} bodies do not fit the memory; draw fewer at a time: first, "
+                "count"
+            ) from None
         for done in range(0, many, SLICE):
             size = min(SLICE, many - done)
             for name, values in self._part(start + done, size).items():
@@ -199,7 +210,8 @@ class Design:
         """The first point, (d,), and the directions, (bits of n − 1, d).
 
         In the Gray code of 2ᵏ bits k and k − 1 are set, so point 2ᵏ is point 0 with directions k
-        and k − 1 added. `fast_forward` alone would walk there from point 0 for every chunk.
+        and k − 1 added. To get there SciPy walks from point to point, 2 to 7 ns each: half a minute
+        to the last one. Its own table is taken where it is as its points say.
         """
         require("scipy")
         from scipy.stats.qmc import Sobol
@@ -209,11 +221,22 @@ class Design:
             raise ArgumentError(f"the draws take {self.dimension} uniforms; Sobol has {most}")
         engine = Sobol(self.dimension, bits=SOBOL_BITS, rng=np.random.default_rng(self.seed))
         points = [engine.random(1)]
-        for bit in range((self.n - 1).bit_length()):
+        bits = (self.n - 1).bit_length()
+        for bit in range(bits):
+            if bit == WALKED_BITS:
+                first, walked = _directions(points)
+                table = np.asarray(getattr(engine, "_sv", np.empty((0, 0)))).T.astype(np.uint64)
+                if len(table) >= bits and np.array_equal(table[:bit], walked):
+                    return first, table[:bits]
             engine.fast_forward(2**bit - engine.num_generated)
             points.append(engine.random(1))
-        numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
-        return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)
+        return _directions(points)
+
+
+def _directions(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Point 0, and the directions that lead to points 1, 2, 4, 8, …"""
+    numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
+    return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)
 
 
 def _whole(argument: str, value: Any, low: int, high: int) -> int:

@@ -215,7 +215,7 @@ def plot(folder: Path) -> None:
     require("study")
     require("plot")
     from lierb.dataset import Dataset
-    from lierb.study_plots import draw_all
+    from lierb.study_plots import draw_all, omitted
 
     dataset, figures = Dataset(folder), folder / "figures"
     dataset.read()
@@ -223,6 +223,8 @@ def plot(folder: Path) -> None:
         drawn = draw_all(dataset, figures)
     for path in drawn:
         click.echo(str(path))
+    for name, why in omitted(dataset).items():
+        click.echo(f"{name}: left out, since {why}", err=True)
 
 
 @click.command("report")

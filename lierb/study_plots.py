@@ -44,26 +44,41 @@ HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy":
 DASHES = ("-", "--", ":", "-.")
 POINTS = 4000  # of a scatter plot, at most
 RANKS = 2000  # points of a distribution function, at most
+MOST_TITLE = 60  # characters of a study's name in a title
+NO_BODY = "nothing to draw: no body got to its end"
+
+
+def omitted(dataset: Dataset) -> dict[str, str]:
+    """The figures that `figures` leaves out, by name, and why."""
+    study = study_of(dataset)
+    drawn = drawn_columns(dataset)
+    rows = ok_columns(dataset, study.settings[0], list(drawn))
+    reasons = {
+        "time": (study.integrate.save_every is None, "save_every is not set"),
+        "order": (len(set(study.integrate.dt)) < 2, "there is one dt"),
+        "parameters": (not list(components(drawn, rows)), "no numbers are sampled"),
+    }
+    return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
 
 
 def figures(dataset: Dataset) -> Iterator[tuple[str, Figure]]:
-    """Every figure that the results have the data for, by name."""
-    study = study_of(dataset)
-    kinds: dict[str, Callable[[Dataset, Study], Figure | None]] = {
+    """Every figure that the study has settings for, by name; what has no data says so."""
+    study, left_out = study_of(dataset), omitted(dataset)
+    kinds: dict[str, Callable[[Dataset, Study], Figure]] = {
         "distribution": distribution_figure,
         "time": time_figure,
         "order": order_figure,
         "parameters": parameter_figure,
     }
     for name, draw in kinds.items():
-        with matplotlib.rc_context(STYLE):
-            figure = draw(dataset, study)
-        if figure is not None:
+        if name not in left_out:
+            with matplotlib.rc_context(STYLE):
+                figure = draw(dataset, study)
             yield name, figure
 
 
 def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
-    """Every figure that the results have the data for, as PNG and SVG in `folder`."""
+    """The figures, as PNG and SVG in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, figure in figures(dataset):
@@ -91,7 +106,8 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
             for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
                 if name is None:
                     continue
-                values = np.sort(drawable(ok_columns(dataset, setting, [name])[name], least[kind]))
+                found = ok_columns(dataset, setting, [name])[name]
+                values = np.sort(drawable(found[np.isfinite(found)], least[kind]))
                 if not values.size:
                     continue
                 ranks = np.unique(np.linspace(0, values.size - 1, RANKS).astype(int))
@@ -104,8 +120,8 @@ def distribution_figure(dataset: Dataset, study: Study) -> Figure:
                 )  # fmt: skip
         histogram.sharex(below)
         for panel in (below, histogram):
-            panel.set_xscale("log")
             panel.set_xlabel(AXES[kind])
+            _log_axes(panel, "x")
     panels[0].set_ylabel("share of the bodies at or below")
     panels[across].set_ylabel("share of the bodies in a bin")
     _legend(figure, panels)
@@ -119,10 +135,8 @@ def _decades(values: Array) -> Array:
     return np.linspace(low - 0.01, high + 0.01, bins + 1)
 
 
-def time_figure(dataset: Dataset, study: Study) -> Figure | None:
-    """Errors over time: median, 5 to 95 %, and extremes over the bodies; None without a history."""
-    if study.integrate.save_every is None:
-        return None
+def time_figure(dataset: Dataset, study: Study) -> Figure:
+    """Errors over time: median, 5 to 95 %, and extremes over the bodies."""
     shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
     figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
     for panel, kind in zip(panels, shown):
@@ -135,17 +149,15 @@ def time_figure(dataset: Dataset, study: Study) -> Figure | None:
             panel.plot(times, median, **style)
             panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
             panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
-        panel.set_yscale("log")
         panel.set_ylabel(AXES[kind])
         panel.set_xlabel("time [s]")
+        _log_axes(panel, "y", "nothing to draw: no body got as far as the first rows")
     _legend(figure, panels)
     return figure
 
 
-def order_figure(dataset: Dataset, study: Study) -> Figure | None:
-    """Quantiles of the errors over dt, with a line of order 4; None for a single dt."""
-    if len(set(study.integrate.dt)) < 2:
-        return None
+def order_figure(dataset: Dataset, study: Study) -> Figure:
+    """Quantiles of the errors over dt, with a line of order 4."""
     shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
     figure, panels = _panels(study, "Errors over the step: median, 95 % and largest", len(shown))
     found = findings(dataset)
@@ -163,23 +175,18 @@ def order_figure(dataset: Dataset, study: Study) -> Figure | None:
                 )  # fmt: skip
                 if n == 0 and errors[-1] > ROUNDING_FLOOR * of[-1].sizes[kind]:
                     panel.plot(dts, errors[-1] * (dts / dts[-1]) ** 4, color="#999999", zorder=0)
-        panel.set_xscale("log")
-        panel.set_yscale("log")
         panel.set_xlabel("Δt [s]; grey: order 4")
         panel.set_ylabel(AXES[kind])
+        _log_axes(panel, "xy")
     _legend(figure, panels)
     return figure
 
 
-def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
+def parameter_figure(dataset: Dataset, study: Study) -> Figure:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
     drawn = drawn_columns(dataset)
-    if not drawn:
-        return None
     rows = ok_columns(dataset, study.settings[0], [*ERRORS.values(), *drawn])
     columns = list(components(drawn, rows))
-    if not columns:
-        return None
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
     across = min(len(columns), 4)
     figure, panels = _panels(
@@ -196,8 +203,9 @@ def parameter_figure(dataset: Dataset, study: Study) -> Figure | None:
                 values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
                 label=style["label"], rasterized=True,
             )  # fmt: skip
-            panel.set_yscale("log")
             panel.set_xlabel(name, parse_math=False)
+    for panel in panels[: len(columns)]:
+        _log_axes(panel, "y")
     panels[0].set_ylabel(f"largest {AXES[kind]}")
     for panel in panels[len(columns) :]:
         panel.set_visible(False)
@@ -248,11 +256,24 @@ def styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
         yield setting, {"color": colour, "linestyle": dash, "label": label}
 
 
+def _log_axes(panel: Axes, axes: str, why: str = NO_BODY) -> None:
+    """Logarithmic axes; where nothing is drawn, which has none, the reason instead."""
+    is_drawn = bool(panel.patches) or any(
+        np.isfinite(np.asarray(line.get_ydata(), dtype=float)).any() for line in panel.lines
+    )
+    if is_drawn:
+        panel.set(**{f"{axis}scale": "log" for axis in axes})  # type: ignore[arg-type]
+        return
+    panel.set(xticks=[], yticks=[])
+    panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center", va="center", wrap=True)
+
+
 def _panels(study: Study, title: str, across: int, down: int = 1) -> tuple[Figure, list[Axes]]:
     width = max(7.5, 3.6 * across + 0.8)  # room for the title
     figure = Figure(figsize=(width, 3.4 * down + 1.0), layout="constrained")
+    name = study.name if len(study.name) <= MOST_TITLE else f"{study.name[:MOST_TITLE]}…"
     figure.suptitle(
-        f"{study.name}: {title}",
+        f"{name}: {title}",
         x=0.01,
         ha="left",
         fontsize=12,

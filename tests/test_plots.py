@@ -85,6 +85,14 @@ def test_error_figure_survives_a_run_that_broke_down():
     assert left.get_legend().get_texts()[0].get_text().endswith("not finite")
 
 
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_error_figure_of_few_rows_is_drawn(rows, tmp_path):
+    errors, summary = tables(lambda cspace, dt: np.full(T.size, np.nan))
+    few = errors.filter(pa.array(np.tile(np.arange(T.size) < rows, 2 * len(DTS))))
+    figure = plots.error_figure(few, summary, quantity="position", title="A joint", size=0.0)
+    plots.save(figure, tmp_path / "few", "png")
+
+
 @pytest.mark.parametrize("kind", ["png", "svg"])
 def test_save_writes_the_same_bytes_each_time(tmp_path, kind):
     for name in ("one", "two"):

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import warnings
 from html.parser import HTMLParser
 
 import pytest
@@ -20,6 +21,7 @@ from lierb.errors import FailedTrajectoryWarning
 
 pytest.importorskip("plotly")
 from lierb.report import POINTS, write_report
+from lierb.study_plots import figures, omitted
 
 BODIES = 50
 
@@ -174,6 +176,64 @@ def test_unfinished_and_failed_bodies_are_told(tmp_path):
     assert "No run failed" not in text
     assert f"Unfinished: {PARTS - len(last)} of {PARTS} parts." in " ".join(page.texts["p"])
     assert "Bodies that failed" in page.texts["h2"]
+
+
+OMEGA = {"distribution": "uniform", "low": [-1e140] * 3, "high": [1e140] * 3}
+HARD = {  # what a study may find, and its figures
+    "all failed": {"sample": {"n": 3, "initial": {"omega": OMEGA}}, "integrate": {"save_every": 10}},
+    "all failed, one dt": {
+        "sample": {"n": 1, "initial": {"omega": OMEGA}}, "integrate": {"dt": 1e-3, "cspace": "SE3"},
+    },
+    "one body, one step": {"sample": {"n": 1}, "integrate": {"dt": 0.05, "save_every": 1}},
+    "no error at all": {
+        "sample": {"n": 3, "initial": {"omega": [0.0, 0.0, 0.0]}}, "problem": {"gravity": [0.0] * 3},
+        "integrate": {"save_every": 10},
+    },
+    "names that no font has": {"sample": {"n": 3}, "integrate": {"dt": 1e-3}},
+}  # fmt: skip
+APPLICABLE = {"all failed": 4, "one body, one step": 3, "no error at all": 4}
+
+
+@pytest.fixture(scope="module", params=HARD)
+def hard(request, tmp_path_factory):
+    given = study(**HARD[request.param])
+    if request.param.startswith("names"):
+        given = given.changed({"name": "中😀$x^{ $\\frac " + "w" * 900})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FailedTrajectoryWarning)
+        return request.param, lierb.run(given, tmp_path_factory.mktemp("hard") / "out")
+
+
+def test_figures_of_hard_cases_are_drawn_or_say_why(hard):
+    name, dataset = hard
+    drawn = dict(figures(dataset))
+    assert drawn.keys() | omitted(dataset).keys() == {"distribution", "time", "order", "parameters"}
+    assert not drawn.keys() & omitted(dataset).keys()
+    assert len(drawn) == APPLICABLE.get(name, 2)
+    for figure in drawn.values():
+        for panel in figure.axes:
+            if not panel.get_visible():
+                continue
+            told = [text.get_text() for text in panel.texts]
+            assert told or panel.lines or panel.patches
+            assert all(text.startswith("nothing to draw: no body got") for text in told)
+            assert bool(told) == name.startswith("all failed")
+
+
+@pytest.mark.slow
+def test_pages_of_hard_cases_are_whole(hard, tmp_path):
+    name, dataset = hard
+    result = CliRunner().invoke(cli, ["plot", str(dataset.folder)])
+    assert result.exit_code == 0, result.output
+    for figure, why in omitted(dataset).items():
+        assert f"{figure}: left out, since {why}" in result.output
+    text = write_report(dataset, tmp_path / "page.html").read_text(encoding="utf-8")
+    page, failed = Page(text), name.startswith("all failed")
+    assert ("No body got to its end: there are no errors to show." in text) == failed
+    assert ("Body by body" in page.texts["h2"]) == (not failed)
+    assert ("The worst bodies" in page.texts["h2"]) == (not failed)
+    assert len(page.pictures) == APPLICABLE.get(name, 2)
+    assert ("Left out: " in text) == bool(omitted(dataset))
 
 
 def test_texts_are_escaped(tmp_path):

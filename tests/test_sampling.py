@@ -417,6 +417,38 @@ def cube(n: int, seed: int, method: str):
     return np.column_stack(list(Design(CUBE, n, seed, method).draw().values()))
 
 
+def test_the_last_sobol_point_takes_no_walk():
+    """SciPy would be half a minute on its way; its table is that of its points."""
+    design = Design(CUBE, 2**32, 7, "sobol")
+    directions = design._sobol[1]
+    assert directions.shape == (32, design.dimension)
+    last = design.draw(2**32 - 2)
+    part = design.draw(2**32 - 3, 3)
+    for name, values in last.items():
+        np.testing.assert_array_equal(values, part[name][1:])
+    assert Design(CUBE, 10**9, 7, "sobol").draw(10**9 - 1)
+
+
+def test_sobol_points_are_walked_to_where_scipy_has_no_such_table(monkeypatch):
+    n = 2 ** (sampling.WALKED_BITS + 3)
+    own = Design(CUBE, n, 7, "sobol").draw(n - 5)
+    monkeypatch.setattr(sampling, "WALKED_BITS", 64)
+    walked = Design(CUBE, n, 7, "sobol").draw(n - 5)
+    for name, values in own.items():
+        np.testing.assert_array_equal(walked[name], values)
+
+
+@pytest.mark.parametrize("method", ["random", "grid"])
+def test_bodies_far_out_are_drawn_alone(method):
+    levels = {str(k): Values(range(1000)) for k in range(6)}
+    quantities = levels if method == "grid" else {"m": Uniform(0.0, 1.0)}
+    design = Design(quantities, None if method == "grid" else 10**18, method=method)
+    assert len(design) == 10**18
+    far = design.draw(10**18 - 2, 2)
+    for name, values in far.items():
+        np.testing.assert_array_equal(values[1:], design.draw(10**18 - 1)[name])
+
+
 @pytest.mark.parametrize("n", [64, 1000, 1023, 1500])
 def test_sobol_points_have_less_discrepancy_than_random_ones(n):
     for seed in range(3):
@@ -656,7 +688,31 @@ BAD = {
     "n of 0": (lambda: Design({"m": U}, 0), "n=0; expected a whole number from 1"),
     "n of a half": (lambda: Design({"m": U}, 2.5), "n=2.5; expected a whole number"),
     "n that is true": (lambda: Design({"m": U}, True), "n=True; expected a whole number"),
-    "n too large": (lambda: Design({"m": U}, 2**32 + 1, 0, "sobol"), "from 1 to 4294967296"),
+    "n too large": (
+        lambda: Design({"m": U}, 2**32 + 1, 0, "sobol"),
+        r'n=4294967297: a Sobol sequence has 2³² = 4294967296 points; .*method="random"',
+    ),
+    "grid too large": (
+        lambda: Design({str(n): Values(range(1000)) for n in range(7)}, method="grid"),
+        "n=1000000000000000000000; expected a whole number",
+    ),
+    "more than fits": (lambda: Design({"m": U}, 10**15).draw(), "do not fit the memory; draw fewer"),
+    "more than counts": (lambda: Design({"m": Rotation()}, 2**62).draw(), "do not fit the memory"),
+    "too large": (lambda: Uniform(-1e308, 1e308), "low is -1e\\+308; expected numbers up to 1e\\+300"),
+    "overflow": (lambda: LogNormal((1.0, 2.0), (0.1, 1e3)), r"sigma\[1\] is 1000.0; expected less"),
+    "wide covariance": (
+        lambda: Normal(0.0, covariance=[[1e-320, 1e300], [1e300, 1e300]]), "semi-definite",
+    ),
+    "long date": (lambda: Uniform(np.datetime64("2020"), 1.0), "low must be numbers"),
+    "text of a number": (lambda: Values(["1.5"]), "values must be numbers"),
+    "bytes": (lambda: LogNormal(b"1.5", 0.1), "median must be numbers"),
+    "complex u": (lambda: U.draw([[0.5j]]), "u must be numbers"),
+    "text for u": (lambda: U.draw("x"), "u must be numbers, got 'x'"),
+    "bytes for u": (lambda: U.draw(b"0.5"), "u must be numbers"),
+    "date for u": (lambda: U.draw(np.datetime64("2020")), "u must be numbers"),
+    "ragged u": (lambda: U.draw([[0.5], [0.5, 0.5]]), "u must be numbers"),
+    "objects for u": (lambda: U.draw(np.array([[len]])), "u must be numbers"),
+    "nothing for u": (lambda: U.draw(None), r"u (must be numbers|has shape \(\))"),
     "negative seed": (lambda: Design({"m": U}, 5, -1), "seed=-1; expected .* from 0 to 184467"),
     "long seed": (lambda: Design({"m": U}, 5, 2**64), "seed=18446744073709551616; expected"),
     "chance in a grid": (

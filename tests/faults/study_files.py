@@ -286,7 +286,7 @@ def _check_message(error: StudyError, file: str) -> None:
     assert type(error) is StudyError
     assert message.startswith(file), message
     assert len(file) + 10 < len(message) < MOST_TOLD, message
-    assert error.__suppress_context__, message
+    assert error.__context__ is None or error.__suppress_context__, message
 
 
 def assert_survives(study: Study) -> None:
