@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 import time
@@ -28,7 +29,9 @@ AHEAD = 2  # parts given to each worker: they take turns in the kernel, with all
 CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 GONE = f"all workers of the cluster are gone; {KEPT}"
+LOST = f"the connection to the cluster was lost ({{}}); {KEPT}"
 LOST_SECONDS = 60  # without any worker: they do not come back
+TALKING = ("client", "core", "comm", "comm.core", "comm.tcp", "batched", "utils", "utils_comm")
 
 
 def spread(
@@ -45,6 +48,7 @@ def spread(
     A part whose worker dies is given to another one. Only so many parts are given out at a time
     that neither they nor, with `gather`, their files fill anybody's memory.
     """
+    _be_quiet()
     _require_workers(client)
     place = None if gather else (dataset.folder.resolve(), (dataset.folder / STUDY).read_bytes())
     waiting = iter(parts)
@@ -52,7 +56,7 @@ def spread(
     elsewhere: set[str] = set()
 
     def give() -> None:
-        most = max(1, AHEAD * len(client.nthreads()))
+        most = max(1, AHEAD * len(_workers(client)))
         while len(under_way) < most and not stopping.is_set():
             part = next(waiting, None)
             if part is None:
@@ -72,12 +76,14 @@ def spread(
                 yield part.name, dataset.store(made) if gather else made
             give()
     except Exception as error:
-        if client.status == "running" and not isinstance(error, CancelledError):
+        if not _is_lost(client, error):
             raise
-        raise StudyError(f"the connection to the cluster was lost; {KEPT}") from error
+        under_way.clear()  # nobody is there to be told
+        raise StudyError(LOST.format(type(error).__name__)) from None
     finally:
-        if client.status == "running":
-            client.cancel(list(under_way))
+        if under_way and client.status == "running":
+            with suppress(OSError):  # it was not, as it turns out
+                client.cancel(list(under_way))
         for differences in elsewhere:
             warnings.warn(
                 f"a worker differs from this machine ({differences}); its parts may differ in the "
@@ -113,12 +119,54 @@ def client_of(scheduler: str) -> Iterator[Client]:
     require("cluster")
     from distributed import Client
 
+    _be_quiet()
     try:
         client = Client(scheduler, timeout=CONNECT_SECONDS)
-    except (OSError, ValueError) as error:
-        raise StudyError(f"no Dask scheduler answers at {scheduler}: {error}") from None
+    except Exception as error:  # each kind of address has its own
+        raise StudyError(
+            f"no Dask scheduler answers at {scheduler}: {error}; expected an address such as "
+            "tcp://10.0.0.1:8786, as the scheduler prints it when it starts"
+        ) from None
     with client:
         yield client
+
+
+def _be_quiet() -> None:
+    """What happens to a connection is said in lierb's words: distributed's logs repeat it.
+
+    For good, since a task may be heard of when the process ends.
+    """
+    for name in TALKING:
+        logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
+    logging.getLogger("asyncio").addFilter(_is_no_connection)
+
+
+def _is_no_connection(record: logging.LogRecord) -> bool:
+    kind = record.exc_info and record.exc_info[0]
+    return not (kind and kind.__module__.startswith("distributed"))
+
+
+def _is_lost(client: Client, error: Exception) -> bool:
+    """Whether the scheduler is, rather than something else the matter."""
+    from distributed.comm import CommClosedError
+
+    signs = CancelledError, CommClosedError, NoAnswer
+    return client.status != "running" or isinstance(error, signs)
+
+
+class NoAnswer(Exception):
+    """The scheduler is connected, and says nothing."""
+
+
+def _workers(client: Client) -> dict[str, int]:
+    """The threads of each worker, by its address."""
+    try:
+        found: dict[str, int] = client.sync(
+            client.scheduler.ncores, callback_timeout=CONNECT_SECONDS
+        )
+    except TimeoutError:
+        raise NoAnswer from None
+    return found
 
 
 # ---- in a worker -------------------------------------------------------------------------------
@@ -163,12 +211,18 @@ def _require_workers(client: Client) -> None:
     try:
         client.wait_for_workers(1, timeout=CONNECT_SECONDS)
     except TimeoutError:
-        address = client.scheduler_info()["address"]
+        address = client.scheduler_info().get("address", "its address")
         raise StudyError(f"the Dask scheduler at {address} has no workers; start some") from None
+    except Exception as error:
+        if not _is_lost(client, error):
+            raise
+        raise StudyError(LOST.format(type(error).__name__)) from None
     try:
         client.run_on_scheduler(machine)
         client.run(machine)
     except Exception as error:  # what cannot be imported there comes back in many guises
+        if _is_lost(client, error):
+            raise StudyError(LOST.format(type(error).__name__)) from None
         raise StudyError(
             "the scheduler or a worker cannot load lierb, which it needs as this process does "
             f"(installed here by {remedy('cluster')}): {error}"
@@ -185,7 +239,7 @@ def _finished(client: Client, futures: list[Future]) -> list[Future]:
             wait(futures, timeout=1, return_when="FIRST_COMPLETED")
         if done := [future for future in futures if future.done()]:
             return done
-        if client.nthreads():
+        if _workers(client):
             seen = time.monotonic()
         elif time.monotonic() - seen > LOST_SECONDS:
             raise StudyError(GONE)
@@ -202,7 +256,7 @@ def _result(client: Client, future: Future, part: Part) -> Any:
         except TimeoutError:
             if future.status == "error":  # the task's own
                 raise
-            if not client.nthreads():  # the last worker left with it
+            if not _workers(client):  # the last worker left with it
                 raise StudyError(GONE) from None
             patience *= 2  # another worker does it again, or it is a long way from there
         except KilledWorker as error:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -237,6 +239,67 @@ def test_a_scheduler_without_workers_is_named(tmp_path, monkeypatch):
         lierb.run(study(), tmp_path, client=client)
 
 
+STARTED = """
+import sys
+from pathlib import Path
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(
+        n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        Path(sys.argv[1]).with_suffix(".new").write_text(cluster.scheduler_address)
+        Path(sys.argv[1]).with_suffix(".new").rename(sys.argv[1])
+        sys.stdin.read()
+"""
+JOINING = """
+import os, signal, sys
+import lierb
+from lierb import cluster
+from studies import study
+
+cluster.CONNECT_SECONDS = cluster.LOST_SECONDS = 3
+with cluster.client_of(sys.argv[1]) as client:
+
+    def hit(done, total):
+        if done:
+            os.kill(int(sys.argv[3]), int(sys.argv[4]))
+
+    given = study(sample={"n": 2000}, output={"part": 500})
+    lierb.run(given, sys.argv[2], client=client, progress=hit)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_scheduler_that_dies_or_falls_silent_is_told_in_one_sentence(sign, tmp_path):
+    """And in nothing else: distributed's logs and its tasks that nobody awaits are kept quiet."""
+    (tmp_path / "started.py").write_text(STARTED)
+    scheduler = subprocess.Popen(
+        [sys.executable, str(tmp_path / "started.py"), str(tmp_path / "address")],
+        stdin=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        while not (tmp_path / "address").exists():
+            assert scheduler.poll() is None
+            time.sleep(0.1)
+        address = (tmp_path / "address").read_text()
+        arguments = [address, str(tmp_path / "out"), str(scheduler.pid), str(int(sign))]
+        run = subprocess.run(
+            [sys.executable, "-c", JOINING, *arguments], timeout=300, check=False,
+            capture_output=True, text=True, cwd=Path(__file__).parent,
+        )  # fmt: skip
+    finally:
+        scheduler.kill()
+        scheduler.communicate()
+    *_, last = run.stderr.strip().splitlines()
+    assert last.startswith("lierb.errors.StudyError: the connection to the cluster was lost (")
+    assert last.endswith("finished parts are kept, --resume (resume=True) does the rest")
+    assert "distributed" not in run.stderr
+    assert run.stderr.count("Traceback") == 1  # that of the error itself, in this script
+    lierb.run(study(sample={"n": 2000}, output={"part": 500}), tmp_path / "out", resume=True)
+
+
 def test_gather_wants_a_cluster(tmp_path):
     with pytest.raises(ArgumentError, match="client"):
         lierb.run(study(), tmp_path, gather=True)
@@ -264,6 +327,10 @@ def invoke(*arguments):
         (("--only", 3, "--report"), "choose"),
         (("--scheduler", "tcp://127.0.0.1:1"), "no Dask scheduler answers at tcp://127.0.0.1:1"),
         (("--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),
+        (("--scheduler", "tls://127.0.0.1:1"), "no Dask scheduler answers at tls://127.0.0.1:1"),
+        (("--scheduler", "ucx://127.0.0.1:1"), "no Dask scheduler answers at ucx://127.0.0.1:1"),
+        (("--scheduler", "tcp://a b:70000"), "no Dask scheduler answers at tcp://a b:70000"),
+        (("--scheduler", ""), "no Dask scheduler answers at"),
     ],
 )
 def test_command_says_what_is_wrong(options, said, tmp_path, monkeypatch):
