@@ -262,7 +262,7 @@ def _log_axes(panel: Axes, axes: str, why: str = NO_BODY) -> None:
         np.isfinite(np.asarray(line.get_ydata(), dtype=float)).any() for line in panel.lines
     )
     if is_drawn:
-        panel.set(**{f"{axis}scale": "log" for axis in axes})  # type: ignore[arg-type]
+        panel.set(**{f"{axis}scale": "log" for axis in axes})
         return
     panel.set(xticks=[], yticks=[])
     panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center", va="center", wrap=True)

@@ -180,14 +180,16 @@ def test_unfinished_and_failed_bodies_are_told(tmp_path):
 
 OMEGA = {"distribution": "uniform", "low": [-1e140] * 3, "high": [1e140] * 3}
 HARD = {  # what a study may find, and its figures
-    "all failed": {"sample": {"n": 3, "initial": {"omega": OMEGA}}, "integrate": {"save_every": 10}},
+    "all failed": {
+        "sample": {"n": 3, "initial": {"omega": OMEGA}}, "integrate": {"save_every": 10},
+    },
     "all failed, one dt": {
         "sample": {"n": 1, "initial": {"omega": OMEGA}}, "integrate": {"dt": 1e-3, "cspace": "SE3"},
     },
     "one body, one step": {"sample": {"n": 1}, "integrate": {"dt": 0.05, "save_every": 1}},
     "no error at all": {
-        "sample": {"n": 3, "initial": {"omega": [0.0, 0.0, 0.0]}}, "problem": {"gravity": [0.0] * 3},
-        "integrate": {"save_every": 10},
+        "sample": {"n": 3, "initial": {"omega": [0.0, 0.0, 0.0]}},
+        "problem": {"gravity": [0.0] * 3}, "integrate": {"save_every": 10},
     },
     "names that no font has": {"sample": {"n": 3}, "integrate": {"dt": 1e-3}},
 }  # fmt: skip
