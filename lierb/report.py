@@ -167,7 +167,7 @@ def _failures(dataset: Dataset) -> list[dict[str, Any]]:
 
 
 def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
-    """Any error against any sampled number, body by body; "" where none was sampled, or no body is ok."""
+    """Any error against any sampled number, body by body; "" without such or a body that is ok."""
     drawn, least = drawn_columns(dataset), least_drawn(dataset, study)
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []

@@ -68,6 +68,7 @@ UNIFORM_BITS = 52  # with the half that is added, the 53 of a double
 SOBOL_BITS = 32  # SciPy's Sobol.fast_forward takes no more; the other digits are random
 WALKED_BITS = 12  # of a Sobol point's number, up to which SciPy's own points are looked at
 MOST_BODIES = 2**62  # body numbers are int64
+LONGEST = 10**40  # of a number in a message
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -106,10 +107,13 @@ class Design:
         seed: int = 0,
         method: str = "random",
     ) -> None:
-        if method not in METHODS:
+        if not isinstance(method, str) or method not in METHODS:
             raise unknown_name("method", method, METHODS)
         if not isinstance(quantities, Mapping) or not quantities:
-            raise ArgumentError(f"quantities must name what is drawn, got {quantities!r}")
+            raise ArgumentError(
+                f"quantities must name what is drawn, got a {type(quantities).__name__}; expected "
+                "a dictionary, not empty"
+            )
         for name in quantities:
             if not isinstance(name, str) or not name:
                 raise ArgumentError(f"quantities has the key {name!r}; expected names")
@@ -240,10 +244,14 @@ def _directions(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uin
 
 
 def _whole(argument: str, value: Any, low: int, high: int) -> int:
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or not low <= value <= high:
-        raise ArgumentError(f"{argument}={value!r}; expected a whole number from {low} to {high}")
-    return int(value)
+    # a duration is a whole number to NumPy
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.timedelta64))
+    if whole and low <= value <= high:
+        return int(value)
+    shown = str(value) if whole and abs(int(value)) < LONGEST else f"a {type(value).__name__}"
+    if isinstance(value, (bool, float, str)):
+        shown = repr(value)
+    raise ArgumentError(f"{argument}={shown}; expected a whole number from {low} to {high}")
 
 
 def _size_of_grid(quantities: dict[str, Distribution], n: int | None) -> int:
@@ -258,7 +266,8 @@ def _size_of_grid(quantities: dict[str, Distribution], n: int | None) -> int:
     size = prod(levels)
     if n is not None and n != size:
         made = " × ".join(map(str, levels)) or "no levels"
-        raise ArgumentError(f"n={n!r}, but {made} make a grid of {size} bodies; leave n out")
+        _whole("n", n, 1, MOST_BODIES)
+        raise ArgumentError(f"n={n}, but {made} make a grid of {size} bodies; leave n out")
     return size
 
 

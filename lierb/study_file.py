@@ -18,9 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from lierb.arrays import components, pose_matrix
-from lierb.distributions import DISTRIBUTIONS, Constant, Distribution
-from lierb.errors import StudyError
+from lierb.arrays import as_floats, components, pose_matrix
+from lierb.distributions import DISTRIBUTIONS, Constant, Distribution, unwrapped
+from lierb.errors import LierbError, StudyError
 
 MOST_BYTES = 4 * 2**20  # of a file: 200 000 numbers with all their digits
 MOST_TEXT = 1000  # characters of a name
@@ -182,6 +182,8 @@ class _Plain:
         match given:
             case bool() | np.bool_():
                 raise StudyError(f"{_key(path)}: is {given}; a study has numbers and text only")
+            case np.timedelta64():
+                pass  # a whole number to NumPy alone
             case int() | np.integer():
                 return self._whole(int(given), path)
             case float() | np.floating():
@@ -278,7 +280,10 @@ def _table_of(distribution: Distribution, path: tuple[str, ...]) -> Any:
 
 def _matrix_of(given: Any, path: tuple[str, ...]) -> Any:
     """Of SciPy's `Rotation` or `RigidTransform`; a frame's rotation is about the origin."""
-    matrix = np.asarray(given.as_matrix())
+    try:
+        matrix = as_floats("it", unwrapped("it", given))
+    except LierbError as error:
+        raise StudyError(f"{_key(path)}: {error}") from None
     if path and path[-1].endswith("_frame") and matrix.shape == (3, 3):
         return pose_matrix((components(matrix, 2), (0.0, 0.0, 0.0)))
     return matrix

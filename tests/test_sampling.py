@@ -619,6 +619,11 @@ def test_examples_run(module):
     assert result.failed == 0
 
 
+class Broken:
+    def as_matrix(self):
+        raise RuntimeError("no")
+
+
 U = Uniform(0.0, 1.0)
 BAD = {
     "words": (lambda: Uniform("low", 1.0), "low must be numbers, got 'low'"),
@@ -679,6 +684,10 @@ BAD = {
     "too many u": (lambda: Rotation().draw([[0.5] * 4]), r"Rotation takes \(n, 3\)"),
     "u of 1": (lambda: U.draw([[0.5], [1.0]]), r"u\[1, 0\] is 1.0; expected numbers in \(0, 1\)"),
     "u of nan": (lambda: U.draw([[np.nan]]), r"u\[0, 0\] is nan"),
+    "matrix that raises": (lambda: Constant(Broken()), r"whose as_matrix\(\) raised RuntimeError"),
+    "n of many digits": (lambda: Design({"m": U}, 10**5000), "n=a int; expected a whole number"),
+    "n that is a duration": (lambda: Design({"m": U}, np.timedelta64(3)), "n=a timedelta64; expec"),
+    "n of words": (lambda: Design({"m": U}, "3"), "n='3'; expected a whole number"),
     "no names": (lambda: Design([U], 5), "quantities must name what is drawn"),
     "no quantities": (lambda: Design({}, 5), "quantities must name"),
     "unnamed": (lambda: Design({3: U}, 5), "quantities has the key 3; expected names"),
@@ -741,6 +750,8 @@ def test_bad_argument_is_refused(call, told):
 
 
 def test_unknown_method_is_refused():
+    with pytest.raises(UnknownNameError, match=r"method=array\(\[0., 0.\]\) is unknown"):
+        Design({"m": U}, 5, method=np.zeros(2))
     with pytest.raises(UnknownNameError, match=r"method='sobel' is unknown.*'sobol'") as caught:
         Design({"m": U}, 5, method="sobel")
     assert isinstance(caught.value, LierbError)

@@ -238,6 +238,11 @@ class Loud:
         raise RuntimeError("no")
 
 
+class Turned:
+    def as_matrix(self):
+        raise RuntimeError("no")
+
+
 class Own(Uniform):
     """A distribution of the user's."""
 
@@ -257,6 +262,8 @@ def wide():
 
 
 REFUSED = {
+    "matrix that raises": (Turned(), "whose as_matrix\\(\\) raised RuntimeError"),
+    "duration": (np.timedelta64(1, "s"), "is a timedelta64"),
     "object": (Loud(), "is a Loud"),
     "function": (len, "is a builtin_function"),
     "path": (Path("x"), "is a PosixPath"),
