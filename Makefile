@@ -14,7 +14,7 @@ OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help install demo test test-oldest lint bench bench-peers clean
+.PHONY: help install demo test test-oldest lint faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -36,6 +36,9 @@ lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; half an hour)
+	cd tests && $(abspath $(BIN))/python -m faults $(ARGS)
 
 bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare with the last run
 	$(BIN)/python bench/track.py $(ARGS)

@@ -48,6 +48,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return ByKernels(config, log)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The whole fault campaign, half an hour, runs where it is asked for by name: -m faults."""
+    if "faults" not in config.getoption("markexpr"):
+        whole = [item for item in items if item.get_closest_marker("faults")]
+        items[:] = [item for item in items if item not in whole]
+        config.hook.pytest_deselected(items=whole)
+
+
 @pytest.fixture
 def interruptible() -> Iterator[None]:
     """SIGINT is heard, by child processes too: a shell's background jobs start ignoring it."""
