@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
+from faults.crash import Serving
 from lierb.provenance import machine
 
 
@@ -44,20 +45,20 @@ class Kind:
     each: int = 1
 
 
-class Calls:
-    """A module with `campaign(count, seed)`, which counts outcomes: `each` inputs a trial."""
+class Calls(Serving):
+    """A module's `campaign(count, seed)`, which counts outcomes, `each` inputs a trial."""
 
     def __init__(self, module: str, each: int, count: int) -> None:
-        self.campaign = import_module(module).campaign
-        self.each, self.full = each, -(-count // each)
+        super().__init__()
+        self.module, self.each, self.full = module, each, -(-count // each)
         self.counted: Counter[str] = Counter()
 
-    def trial(self, number: int, rng: random.Random) -> str:
-        self.counted += self.campaign(self.each, rng.randrange(2**31))
-        return ""
+    def answer(self, seed: int) -> Counter[str]:
+        return import_module(f"faults.{self.module}").campaign(self.each, seed)
 
-    def end(self) -> None:
-        pass
+    def trial(self, number: int, rng: random.Random) -> str:
+        self.counted += self.ask(rng.randrange(2**31))
+        return ""
 
 
 def _of(module: str, name: str) -> Callable[[Path], Trials]:
@@ -76,11 +77,9 @@ KINDS: dict[str, Kind] = {
     "manifests": Kind("a manifest is damaged", _of("damage", "DamagedManifests")),
     "parts": Kind("a part is damaged", _of("damage", "DamagedParts")),
     "cluster": Kind("a Dask worker dies, or its run", _of("clusters", "ClusterKills")),
-    "arguments": Kind(
-        "hostile arguments", lambda _: Calls("faults.arguments", 10_000, 1_000_000), 10_000
-    ),
+    "arguments": Kind("hostile arguments", lambda _: Calls("arguments", 10_000, 1_000_000), 10_000),
     "study files": Kind(
-        "hostile study files", lambda _: Calls("faults.study_files", 1_000, 100_000), 1_000
+        "hostile study files", lambda _: Calls("study_files", 1_000, 100_000), 1_000
     ),
 }
 

@@ -141,6 +141,36 @@ class Alone:
         pass
 
 
+class Serving:
+    """Trials in a child that goes on to the next one: for those that change no process."""
+
+    recycled = 200  # trials of a child
+
+    def __init__(self) -> None:
+        self.child: Child | None = None
+        self.asked = 0
+
+    def answer(self, request: Any) -> Any:
+        """In the child."""
+        raise NotImplementedError
+
+    def ask(self, request: Any) -> Any:
+        if self.child is None or self.asked >= self.recycled:
+            self.end()
+            self.child, self.asked = Child(self.answer), 0
+        self.asked += 1
+        try:
+            return self.child.ask(request)
+        except Died:
+            self.child = None
+            raise
+
+    def end(self) -> None:
+        if self.child is not None:
+            self.child.end()
+            self.child = None
+
+
 # ---- points ------------------------------------------------------------------------------------
 
 Fault = Callable[["Points", str, str], None]

@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from faults.caches import LIE, Cache, require_fall, require_lie
-from faults.crash import Alone, Child, Died, in_child, told_with
+from faults.crash import Alone, Serving, in_child, told_with
 from faults.folders import Space, command
 
-RECYCLED = 200  # trials of a child
 FIGURES = 0.015  # share of the trials that draw them: a second each
 
 # ---- what is done to a file --------------------------------------------------------------------
@@ -116,42 +115,28 @@ ODD = {
 # ---- folders of studies ------------------------------------------------------------------------
 
 
-class DamagedFolders:
+class DamagedFolders(Serving):
     """Results of a study, looked at and resumed in a child that goes on to the next trial."""
 
     full = 0
 
     def __init__(self, folder: Path) -> None:
+        super().__init__()
         self.space = Space(folder)
         self.shown = {}
         for study in ("summary", "history"):
             self.space.whole(study)
             self.space.clear(self.space.whole(study))
             self.shown[study] = in_child(partial(command, "show", self.space.out)).output
-        self.child: Child | None = None
-        self.asked = 0
 
     def damage(self, study: str, rng: random.Random) -> str:
         """Of `out`; what was done."""
         raise NotImplementedError
 
     def trial(self, number: int, rng: random.Random) -> str:
-        if self.child is None or self.asked >= RECYCLED:
-            self.end()
-            self.child, self.asked = Child(self._answer), 0
-        self.asked += 1
-        try:
-            return self.child.ask(rng)
-        except Died:
-            self.child = None
-            raise
+        return self.ask(rng)
 
-    def end(self) -> None:
-        if self.child is not None:
-            self.child.end()
-            self.child = None
-
-    def _answer(self, rng: random.Random) -> str:
+    def answer(self, rng: random.Random) -> str:
         space = self.space
         study = rng.choice([*self.shown])
         space.clear(space.whole(study))
@@ -245,7 +230,7 @@ PICKLES = tuple(map(pickle.dumps, PLAIN))
 class DamagedCaches(Alone):
     """Index, data files, stamps: whatever is there; then processes that load or compile."""
 
-    full = 1100
+    full = 1000
 
     def __init__(self, folder: Path) -> None:
         self.cache = Cache(folder)
