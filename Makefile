@@ -38,7 +38,7 @@ lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/lint-imports --no-cache
 
 faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; half an hour)
-	cd tests && $(abspath $(BIN))/python -m faults $(ARGS)
+	cd tests && $(abspath $(BIN))/python -m faults --out ../results/faults $(ARGS)
 
 bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare with the last run
 	$(BIN)/python bench/track.py $(ARGS)

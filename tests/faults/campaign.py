@@ -77,7 +77,7 @@ KINDS: dict[str, Kind] = {
     "manifests": Kind("a manifest is damaged", _of("damage", "DamagedManifests")),
     "parts": Kind("a part is damaged", _of("damage", "DamagedParts")),
     "cluster": Kind("a Dask worker dies, or its run", _of("clusters", "ClusterKills")),
-    "arguments": Kind("hostile arguments", lambda _: Calls("arguments", 10_000, 1_000_000), 10_000),
+    "arguments": Kind("hostile arguments", lambda _: Calls("arguments", 2_000, 1_000_000), 2_000),
     "study files": Kind(
         "hostile study files", lambda _: Calls("study_files", 1_000, 100_000), 1_000
     ),

@@ -168,7 +168,7 @@ class DamagedFolders(Serving):
 class DamagedManifests(DamagedFolders):
     """The manifest and study.toml."""
 
-    full = 2500
+    full = 3000
 
     def damage(self, study: str, rng: random.Random) -> str:
         file = self.space.out / choice(rng, **{"manifest.json": 9, "study.toml": 1})
@@ -230,7 +230,7 @@ PICKLES = tuple(map(pickle.dumps, PLAIN))
 class DamagedCaches(Alone):
     """Index, data files, stamps: whatever is there; then processes that load or compile."""
 
-    full = 1000
+    full = 600
 
     def __init__(self, folder: Path) -> None:
         self.cache = Cache(folder)

@@ -31,7 +31,7 @@ class StudyDisks(Alone):
             self.space.whole(study)
             self.space.clear(decoys=())
             passed = points_of(partial(self.space.run, study), self.space.out)
-            places += [(study, at, why) for at in range(len(passed)) for why in REFUSALS]
+            places += [(study, at, why) for at in range(len(passed)) for why in whys(at)]
             places += [(study, limit, LIMIT) for limit in LIMITS]
         self.places = shuffled(places)
         self.full = len(places)
@@ -69,7 +69,7 @@ class CacheDisks(Alone):
         require_lie("exp")  # what Numba imports to compile, once for all children
         self.cache.clear()
         passed = points_of(partial(require_lie, "ad", "dexp"), self.cache.folder)
-        places = [(at, why) for at in range(len(passed)) for why in REFUSALS]
+        places = [(at, why) for at in range(len(passed)) for why in whys(at)]
         self.places = shuffled(places + [(limit, LIMIT) for limit in LIMITS])
         self.full = len(self.places)
 
@@ -86,6 +86,11 @@ class CacheDisks(Alone):
             for names in (("dexp",), ("ad", "dexp", "inverse")):
                 in_child(partial(require_lie, *names))
         return "results right"
+
+
+def whys(at: int) -> list[str]:
+    """A full disk at each point, and one other reason at each."""
+    return sorted({"ENOSPC", [*REFUSALS][at % len(REFUSALS)]})
 
 
 def refuse(folder: Path, at: int, why: str) -> None:

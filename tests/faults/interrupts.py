@@ -34,7 +34,7 @@ class Alarm(Exception):
 class Interrupts(Alone):
     """Children that compile from nothing, in this process's state, with an empty cache."""
 
-    full = 520
+    full = 510
 
     def __init__(self, folder: Path) -> None:
         from lierb.kernels import _jit
