@@ -37,7 +37,7 @@ lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
-faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; half an hour)
+faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; most of an hour)
 	cd tests && $(abspath $(BIN))/python -m faults --out ../results/faults $(ARGS)
 
 bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare with the last run

@@ -49,7 +49,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The whole fault campaign, half an hour, runs where it is asked for by name: -m faults."""
+    """The whole fault campaign, most of an hour, runs where it is asked for by name: -m faults."""
     if "faults" not in config.getoption("markexpr"):
         whole = [item for item in items if item.get_closest_marker("faults")]
         items[:] = [item for item in items if item not in whole]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import warnings
 from collections.abc import Callable
@@ -36,8 +37,12 @@ LIE: dict[str, tuple[tuple[Any, ...], Any]] = {
 }
 
 
+COMPILED_IN: set[int] = set()  # processes, and not those that are forked from them
+
+
 def require_lie(*names: str, warned: int = 0) -> None:
     """These functions give what they ought to, with so many warnings at most, one after another."""
+    COMPILED_IN.add(os.getpid())
     heard: list[str] = []
     for name in names:
         operands, expected = LIE[name]
@@ -77,6 +82,7 @@ class Cache:
             shutil.copytree(self.states / state, self.folder, dirs_exist_ok=True)
 
     def keep(self, state: str) -> None:
+        shutil.rmtree(self.states / state, ignore_errors=True)
         shutil.copytree(self.folder, self.states / state)
 
     def made(self, state: str, work: Callable[[], Any]) -> None:

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 HANG_SECONDS = 120.0
-FORK = multiprocessing.get_context("fork")
 
 # ---- children ----------------------------------------------------------------------------------
 
@@ -41,8 +40,9 @@ class Child:
 
     def __init__(self, answer: Callable[[Any], Any]) -> None:
         self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # its output, closed by `end`
-        self.pipe, theirs = FORK.Pipe()
-        self.process = FORK.Process(target=self._serve, args=(answer, theirs))
+        context = multiprocessing.get_context("fork")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=self._serve, args=(answer, theirs))
         self.process.start()
         theirs.close()
 
@@ -198,7 +198,8 @@ class Points:
     def _is_ours(self, path: Any) -> bool:
         if isinstance(path, int):
             return stat.S_ISREG(os.fstat(path).st_mode)
-        return os.path.realpath(os.fsdecode(path)).startswith(self.folder)
+        real = os.path.realpath(os.fsdecode(path))
+        return real == self.folder or real.startswith(self.folder + os.sep)
 
     def _patch(self) -> None:
         for name in ("rename", "replace", "unlink", "remove", "mkdir", "rmdir", "link", "truncate"):
@@ -266,9 +267,10 @@ class Points:
             errors: str | None = None, newline: str | None = None, closefd: bool = True,
             opener: Any = None,
         ) -> Any:  # fmt: skip
-            if not set(mode) & set("wax+") or isinstance(file, int) or not self._is_ours(file):
+            if not set(mode) & set("wax+") or not self._is_ours(file):
                 return call(file, mode, buffering, encoding, errors, newline, closefd, opener)
-            self.reach("open", file)
+            if not isinstance(file, int):
+                self.reach("open", file)
             raw = Raw(file, mode.replace("b", "").replace("t", ""), closefd, opener)
             if buffering == 0:
                 return raw
@@ -343,6 +345,7 @@ def ends_at(point: bool) -> tuple[str, ...]:
 
 ENDS: dict[str, Fault] = {"killed": killed, "power lost": power_lost, "torn": torn}
 REFUSALS: dict[str, Fault] = {
-    errno.errorcode[number]: Refused(number)
-    for number in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+    name: Refused(getattr(errno, name))
+    for name in ("ENOSPC", "EDQUOT", "EIO", "EROFS")
+    if hasattr(errno, name)
 }

@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from faults.caches import LIE, Cache, require_fall, require_lie
+from faults.caches import COMPILED_IN, LIE, Cache, require_fall, require_lie
 from faults.crash import Alone, in_child, told_with
 
 # By weight: a first integration takes much longer than a first function of a group.
@@ -37,9 +37,7 @@ class Interrupts(Alone):
     full = 510
 
     def __init__(self, folder: Path) -> None:
-        from lierb.kernels import _jit
-
-        assert not _jit._ready, "this process has compiled something: interrupts come first"
+        assert os.getpid() not in COMPILED_IN, "this process has compiled: interrupts come first"
         self.cache = Cache(folder)
         self.seconds: dict[str, float] = {}
 
@@ -91,15 +89,12 @@ def _sent(work: Callable[[], Any], way: str, times: list[float]) -> str:
         raise Alarm
 
     handler = ring if way == "alarm" else signal.default_int_handler
-    bell = os.fork()
-    if bell == 0:  # it is gone before this process is, or soon
-        began = time.perf_counter()
-        for seconds in times:
-            time.sleep(max(0.0, began + seconds - time.perf_counter()))
-            os.kill(os.getppid(), number)
-        os._exit(0)
+    bell = 0
     try:
         signal.signal(number, handler)
+        bell = os.fork()
+        if bell == 0:
+            _ring(number, times)
         try:
             work()
             return "result"
@@ -110,6 +105,15 @@ def _sent(work: Callable[[], Any], way: str, times: list[float]) -> str:
         return "interrupted"
     finally:
         os.waitpid(bell, 0)
+
+
+def _ring(number: int, times: list[float]) -> None:
+    """In a child: send its parent these signals."""
+    began = time.perf_counter()
+    for seconds in times:
+        time.sleep(max(0.0, began + seconds - time.perf_counter()))
+        os.kill(os.getppid(), number)
+    os._exit(0)
 
 
 def _in_thread(work: Callable[[], Any], times: list[float]) -> str:
@@ -129,6 +133,7 @@ def _in_thread(work: Callable[[], Any], times: list[float]) -> str:
         thread.join()
 
     ended = _sent(join, "Ctrl-C", times)
-    thread.join()
+    if thread.ident is not None:  # else it was not even started
+        thread.join()
     assert not raised, repr(raised[0])
     return ended
