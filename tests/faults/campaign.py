@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from faults.crash import Serving
+from faults.crash import Child, Serving
 from lierb.provenance import machine
 
 
@@ -167,6 +167,9 @@ def main(scratch: Path) -> int:
                 print(f"\r{name}: {count.told}", file=sys.stderr)
     except KeyboardInterrupt:
         print("\nStopped; so far:", file=sys.stderr)
+    finally:
+        for child in [*Child.alive]:
+            child.end()
     violations = [each for count in counts.values() for each in count.violations]
     for each in violations[: options.show]:
         print(f"\n{shortened(each)}")

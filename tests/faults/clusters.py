@@ -19,6 +19,7 @@ from lierb.cluster import client_of, local_client
 STUDY = "history"
 WORKERS = 2
 SECONDS = 60
+OF_WORKER = 12  # points that a worker passes at least: four calls for a file, of two or more parts
 
 
 class ClusterKills:
@@ -33,7 +34,6 @@ class ClusterKills:
         self.address = self.host.ask()
         self.space.clear(decoys=())
         self.of_run = points_of(self._run, self.space.out)
-        self.of_worker = 2 * 10 * 2  # calls for a file, files of a part, parts of a worker
 
     def end(self) -> None:
         self.host.end()
@@ -46,7 +46,7 @@ class ClusterKills:
 
     def trial(self, number: int, rng: random.Random) -> str:
         who = ("worker", "run")[number % 2]
-        at = rng.randrange(self.of_worker if who == "worker" else len(self.of_run))
+        at = rng.randrange(OF_WORKER if who == "worker" else len(self.of_run))
         end = rng.choice([*ENDS])
         self.space.clear()
         with told_with(f"{who} {end} at point {at}"):
@@ -54,14 +54,14 @@ class ClusterKills:
             if who == "worker":
                 in_child(self._run)
             else:
-                killed_in_child(partial(self._dying, at, end))
+                is_dead = killed_in_child(partial(self._dying, at, end))
                 self.space.require_decoys()
                 ended = in_child(partial(self.space.run, STUDY)).required_clear()
                 assert ended.status == 0, ended.output
             self.space.require_decoys()
             # a worker that its run has left behind may write its part aside at any time
             self.space.require_whole(STUDY, passed_over=".unfinished")
-        return f"{who} died"
+        return f"{who} died" if who == "worker" or is_dead else "not reached"
 
     def _dying(self, at: int, end: str) -> None:
         Points(self.space.out, at, ENDS[end])
@@ -73,10 +73,14 @@ class ClusterKills:
             client.run(arm, self.space.out, at, end)
 
 
-def _host(_: Any, held: list[Any] = []) -> str:  # noqa: B006  # until its process ends
+_held: list[Any] = []  # what ends with its process
+
+
+def _host(_: Any) -> str:
+    """Start the cluster; its scheduler's address."""
     context = local_client(WORKERS)
     client = context.__enter__()
-    held.append(context)
+    _held.append(context)
     return str(client.scheduler.address)
 
 

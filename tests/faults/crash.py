@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 HANG_SECONDS = 120.0
 
@@ -38,12 +38,15 @@ class Died(AssertionError):
 class Child:
     """A forked process that answers requests with `answer(request)`, one at a time."""
 
+    alive: ClassVar[set[Child]] = set()
+
     def __init__(self, answer: Callable[[Any], Any]) -> None:
         self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115  # its output, closed by `end`
         context = multiprocessing.get_context("fork")
         self.pipe, theirs = context.Pipe()
         self.process = context.Process(target=self._serve, args=(answer, theirs))
         self.process.start()
+        self.alive.add(self)
         theirs.close()
 
     def _serve(self, answer: Callable[[Any], Any], pipe: Any) -> None:
@@ -92,6 +95,7 @@ class Child:
 
     def end(self) -> None:
         """End it, and whatever it has started."""
+        self.alive.discard(self)
         self.pipe.close()
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self.process.pid, signal.SIGKILL)
@@ -300,30 +304,31 @@ def killed(points: Points, call: str, path: str) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+_truncate = os.truncate  # not a point of its own
+
+
 def power_lost(points: Points, call: str, path: str) -> None:
     """Killed, and files that were written and not synced are empty, as ext4 and xfs leave them."""
-    for folder, _, names in os.walk(points.folder):
-        for name in names:
-            file = Path(folder, name)
-            status = file.lstat()
-            if (status.st_dev, status.st_ino) in points.unsynced:
-                _truncate(file, 0)
+    for file in _unsynced(points):
+        _truncate(file, 0)
     killed(points, call, path)
 
 
 def torn(points: Points, call: str, path: str) -> None:
     """Killed, and the second half of what was not synced is zeros: not all blocks were written."""
-    for folder, _, names in os.walk(points.folder):
-        for name in names:
-            file = Path(folder, name)
-            status = file.lstat()
-            if (status.st_dev, status.st_ino) in points.unsynced:
-                _truncate(file, status.st_size // 2)
-                _truncate(file, status.st_size)
+    for file in _unsynced(points):
+        size = file.stat().st_size
+        _truncate(file, size // 2)
+        _truncate(file, size)
     killed(points, call, path)
 
 
-_truncate = os.truncate  # not a point of its own
+def _unsynced(points: Points) -> Iterator[Path]:
+    """By whatever names they have now."""
+    for file in Path(points.folder).rglob("*"):
+        status = file.lstat()
+        if (status.st_dev, status.st_ino) in points.unsynced:
+            yield file
 
 
 @dataclass(frozen=True)

@@ -84,10 +84,11 @@ class StudyKills(Alone):
         study, state, at, end, then = self.points[number % self.full]
         space = self.space
         space.clear(self.states[study, state])
-        killed_in_child(lambda: self._dying(study, at, end))
+        is_dead = killed_in_child(lambda: self._dying(study, at, end))
         with told_with(f"{study}, {state}, {end} at point {at}, {then}"):
             space.require_decoys()
-            return self._afterwards(study, then)
+            # a manifest that takes long to write is not written for every part: fewer points
+            return self._afterwards(study, then) if is_dead else "not reached"
 
     def _afterwards(self, study: str, then: str) -> str:
         space = self.space
@@ -140,8 +141,8 @@ class CacheKills(Alone):
             Points(self.cache.folder, at, ENDS[end])
             require_lie("ad", "dexp")
 
-        killed_in_child(dying)
+        is_dead = killed_in_child(dying)
         with told_with(f"cache {state or 'empty'}, {end} at point {at}"):
             for names in (("dexp", "ad"), ("ad", "dexp", "inverse")):
                 in_child(partial(require_lie, *names))
-        return f"right after {end}"
+        return f"right after {end}" if is_dead else "not reached"
