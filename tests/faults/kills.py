@@ -46,6 +46,7 @@ class StudyKills(Alone):
         self.states: dict[tuple[str, str], Path | None] = {}
         points = []
         for study in STUDIES:
+            self.space.whole(study)
             for state in ("empty", "cut short", "damaged") if study != "sobol" else ("empty",):
                 kept = self.states[study, state] = self._state(study, state)
                 self.space.clear(kept, decoys=())
