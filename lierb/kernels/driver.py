@@ -100,8 +100,8 @@ OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
 STATE_COLUMNS = 25
 # As `store_summary` says; whether the start is on the joint; what functions have raised at last.
-STARTS, RAISED_AT_END = 11, 12
-SUMMARY_COLUMNS = RAISED_AT_END + 1
+RAISED_AT_END, STARTS = 11, 12
+SUMMARY_COLUMNS = STARTS + 1
 SETTLED = 16 * 2.0**-52  # of a twist: what turning it to joint axes may leave
 # In place of step 0: for a start that is to be looked at, and for one that goes on from `carried`.
 UNSEEN, RESUMED = -1, -2
