@@ -99,7 +99,7 @@ OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 
 X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
 STATE_COLUMNS = 25
-# As `store_summary` says; whether the start is on the joint; what functions have raised at last.
+# As `store_summary` says; what functions have raised at last; whether the start is on the joint.
 RAISED_AT_END, STARTS = 11, 12
 SUMMARY_COLUMNS = STARTS + 1
 SETTLED = 16 * 2.0**-52  # of a twist: what turning it to joint axes may leave
