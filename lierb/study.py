@@ -60,6 +60,7 @@ from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 from lierb.shown import FAILED, Lines, Shown, counted
 from lierb.study_file import (
+    LARGEST,
     MOST_BYTES,
     TOO_LARGE,
     line_of,
@@ -84,8 +85,10 @@ def _as_list(value: Any) -> Any:
 
 
 def _as_whole(value: Any) -> Any:
-    """1e6 is a whole number."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    """1e6 is a whole number; one that no file could hold, written out, is none."""
+    if isinstance(value, float) and value.is_integer() and abs(value) <= LARGEST:
+        return int(value)
+    return value
 
 
 Whole = BeforeValidator(_as_whole)

@@ -153,6 +153,8 @@ def test_lines_are_those_of_an_editor(tmp_path):
 
 def test_whole_numbers_may_have_exponents(tmp_path):
     assert load(tmp_path, TEXT.replace("n = 50", "n = 1e6")).sample.n == 1_000_000
+    with pytest.raises(StudyError, match=r"sample\.n: .* valid integer, got 1e\+20"):
+        load(tmp_path, TEXT.replace("n = 50", "n = 1e20"))  # written out, no file could hold it
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
