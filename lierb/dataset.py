@@ -57,7 +57,7 @@ from lierb.manifest import (
     FORMAT,
     PART,
     TABLES,
-    claimed_parts,
+    claims_of,
     file_of,
     read_manifest,
     sealed,
@@ -283,14 +283,18 @@ class Dataset(Shown):
         Returns whether it is one of that study; else nothing is changed.
         """
         tables = TABLES if study.integrate.save_every else TABLES[:1]
-        claimed = claimed_parts(self.folder / MANIFEST, study.digest(), tables)
-        if claimed is None:
+        claims = claims_of(self.folder / MANIFEST, study.digest(), tables)
+        if claims is None:
             return False
-        self.manifest = _fresh(study.digest(), study.model_dump(), asked)
-        self.manifest["parts"] = {
+        if claims.get("text") != sha256_of(self.folder / STUDY):
+            claims["text"] = None  # it is not as a run wrote it
+        parts = {
             part: {name: self._recounted(name, entry["sha256"]) for name, entry in files.items()}
-            for part, files in claimed.items() if self._is_whole(files)
+            for part, files in claims["parts"].items() if self._is_whole(files)
         }  # fmt: skip
+        fresh = _fresh(study.digest(), study.model_dump(), asked)
+        self.manifest = fresh | claims | {"parts": parts}
+        self._write_manifest()
         return True
 
     def _recounted(self, name: str, sha256: str) -> dict[str, Any]:

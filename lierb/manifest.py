@@ -149,10 +149,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
     return found
 
 
-def claimed_parts(path: Path, digest: str, tables: Collection[str]) -> dict[str, Any] | None:
-    """Entries of a manifest that was edited or damaged; None if it is not of the study of `digest`.
+def claims_of(path: Path, digest: str, tables: Collection[str]) -> dict[str, Any] | None:
+    """What a manifest that was edited or damaged claims, or None if it is not of that study.
 
-    They claim that a part has files with these checksums; no more is known of them.
+    parts : entries, in which files have checksums; no more is known of them.
+    set, machine, text : where they may be what was written.
     """
     try:
         if not path.is_file():  # a pipe would be waited for
@@ -165,19 +166,20 @@ def claimed_parts(path: Path, digest: str, tables: Collection[str]) -> dict[str,
         digest,
     ):
         return None
+    kinds = {"set": dict[str, Any], "machine": dict[str, str], "text": Sha256}
     parts = found.get("parts")
-    return {
-        part: files for part, files in (parts.items() if isinstance(parts, dict) else ())
-        if _is_entered(part, files) and files.keys() == {file_of(table, part) for table in tables}
+    return {key: found[key] for key, kind in kinds.items() if _is(kind, found.get(key))} | {
+        "parts": {
+            part: files for part, files in (parts.items() if isinstance(parts, dict) else ())
+            if _is(dict[PartName, dict[str, _Entry]], {part: files})
+            and files.keys() == {file_of(table, part) for table in tables}
+        }
     }  # fmt: skip
 
 
-_ENTERED = TypeAdapter(dict[PartName, dict[str, _Entry]])
-
-
-def _is_entered(part: str, files: Any) -> bool:
+def _is(kind: Any, value: Any) -> bool:
     try:
-        _ENTERED.validate_python({part: files})
+        TypeAdapter(kind).validate_python(value, strict=True)
     except (ValidationError, RecursionError):
         return False
     return True

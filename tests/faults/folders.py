@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from contextlib import suppress
@@ -15,6 +14,7 @@ from studies import TEXT, hashes
 
 from faults.crash import in_child
 from lierb.cli import cli
+from lierb.manifest import read_manifest
 from lierb.study import Study
 
 FEW = {
@@ -140,10 +140,9 @@ class Space:
     def _differences_of_manifests(self, study: str) -> list[str]:
         """But for what a run is free to keep: what it was begun with, and on."""
         found, expected = (
-            json.loads((folder / "manifest.json").read_text())
-            for folder in (self.out, self.whole(study))
+            read_manifest(folder / "manifest.json") for folder in (self.out, self.whole(study))
         )
-        keys = (found.keys() | expected.keys()) - {"machine", "set"}
+        keys = (found.keys() | expected.keys()) - {"machine", "set", "text", "checksum"}
         return [f"manifest.json: {k}" for k in sorted(keys) if found.get(k) != expected.get(k)]
 
     def require_readers_rows(self, study: str) -> None:
