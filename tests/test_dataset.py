@@ -312,6 +312,13 @@ def test_an_edited_manifest_keeps_the_parts_whose_files_are_as_it_says(tmp_path)
     assert dataset.manifest["asked"] == 4
 
 
+def test_a_mended_manifest_is_written_though_no_part_is_missing(copy):
+    unsealed(copy, lambda manifest: manifest.update(asked=77))
+    with pytest.warns(StudyWarning, match=f"{PARTS} of {PARTS} parts are as they were entered"):
+        lierb.run(small(), copy, resume=True)
+    assert read_manifest(copy / "manifest.json")["asked"] == PARTS
+
+
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": 3, "digest": "0", "parts": 1}'])
 def test_what_is_left_of_no_manifest_of_the_study_is_not_mended(tmp_path, text):
     (tmp_path / "manifest.json").write_text(text)
