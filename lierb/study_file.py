@@ -21,8 +21,8 @@ import numpy as np
 from lierb.arrays import as_floats, components, pose_matrix
 from lierb.distributions import DISTRIBUTIONS, Constant, Distribution, unwrapped
 from lierb.errors import LierbError, StudyError
+from lierb.sources import MOST_BYTES
 
-MOST_BYTES = 4 * 2**20  # of a file: 200 000 numbers with all their digits
 MOST_TEXT = 1000  # characters of a name
 MOST_PARTS = 32  # of a dotted key: tomllib takes time with the square of them
 DEEPEST = 16  # tables and lists in each other; a study's own go seven deep

@@ -655,6 +655,11 @@ def test_a_study_from_standard_input(whole, tmp_path, monkeypatch):
     assert hashes(tmp_path / "results" / "study") == hashes(whole)
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="nothing without an end")  # noqa: PTH110
+def test_a_study_without_an_end_is_refused(tmp_path):
+    assert "larger than 4 MiB" in refused("run", "/dev/zero", "--out", tmp_path / "out")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="no such pipes there")
 def test_a_study_from_a_pipe_is_read_once_from_python(whole, tmp_path):
     os.mkfifo(tmp_path / "pipe.toml")
