@@ -59,9 +59,9 @@ from lierb.kernels import se3
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 from lierb.shown import FAILED, Lines, Shown, counted
+from lierb.sources import MOST_BYTES
 from lierb.study_file import (
     LARGEST,
-    MOST_BYTES,
     TOO_LARGE,
     line_of,
     plain,
