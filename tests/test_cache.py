@@ -435,6 +435,15 @@ def test_folder_in_the_place_of_a_file_costs_a_warning(two_files):
         assert computed(3.0) == (6.0, False)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_pipe_in_the_place_of_a_file_is_not_waited_for(two_files):
+    for file in two_files:
+        file.unlink()
+        os.mkfifo(file)
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, False), (10.0, False)]
+    assert [computed(factor) for factor in (3.0, 5.0)] == [(6.0, True), (10.0, True)]
+
+
 def full(*_, **__):
     raise OSError(errno.ENOSPC, "No space left on device")
 

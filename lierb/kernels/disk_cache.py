@@ -89,6 +89,8 @@ class DiskCache(NullCache):
         for folder in self.folders:
             try:
                 path = folder / self._name(key)
+                if not path.is_file():  # a pipe would be waited for
+                    continue
                 content = _whole(path.read_bytes(), key)
                 if content is None:
                     continue
