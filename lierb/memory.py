@@ -51,7 +51,7 @@ def available() -> int:
 def _of_groups() -> list[int]:
     """What each control group above the process (version 2) leaves, where it has a limit.
 
-    Pages of files that were read long ago count as used there, and are given back when needed.
+    Pages of files count as used there, and are given back when needed.
     """
     left = []
     with suppress(OSError, StopIteration):
@@ -63,7 +63,9 @@ def _of_groups() -> list[int]:
             with suppress(OSError, KeyError, ValueError):  # the root has none; "max" is no number
                 limit = int((group / "memory.max").read_text())
                 used = int((group / "memory.current").read_text())
-                left.append(limit - used + int(_table(group / "memory.stat")["inactive_file"]))
+                found = _table(group / "memory.stat")
+                files = int(found["active_file"]) + int(found["inactive_file"])
+                left.append(limit - used + files)
     return left
 
 

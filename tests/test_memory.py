@@ -127,14 +127,19 @@ def system(tmp_path, monkeypatch):
     return inner
 
 
-def limited(group, limit, used, inactive):
+def limited(group, limit, used, inactive, active=0):
     (group / "memory.max").write_text(f"{limit}\n")
     (group / "memory.current").write_text(f"{used}\n")
-    (group / "memory.stat").write_text(f"anon 5\ninactive_file {inactive}\n")
+    (group / "memory.stat").write_text(f"anon 5\nactive_file {active}\ninactive_file {inactive}\n")
 
 
 def test_available_is_what_the_system_says(system):
     assert memory.available() == 8 * 1024 * 10**6
+
+
+def test_files_that_were_read_often_leave_their_memory_to_who_asks(system):
+    limited(system, 5 * GB, 5 * GB, inactive=GB, active=3 * GB)
+    assert memory.available() == 4 * GB
 
 
 def test_available_heeds_the_limits_of_every_control_group(system):
