@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set, Sized, ValuesView
-from decimal import Decimal
-from numbers import Real
+from numbers import Complex, Real
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,11 @@ def _read(argument: str, value: Any) -> NDArray:
 
 
 def _is_real(kind: type) -> bool:
-    return issubclass(kind, (Real, Decimal)) and not issubclass(kind, (bool, np.timedelta64))
+    """Of an item of an array of objects; also what others make of numbers, such as mpmath."""
+    if issubclass(kind, (np.generic, Complex)):
+        is_time_or_flag = issubclass(kind, (bool, np.timedelta64))
+        return issubclass(kind, (np.floating, np.integer, Real)) and not is_time_or_flag
+    return hasattr(kind, "__float__") and not issubclass(kind, np.ndarray)
 
 
 def is_whole(given: object) -> bool:

@@ -23,7 +23,7 @@ from lierb.failures import Failures, told_elsewhere, warn_of
 from lierb.parts import Part, Parts, parts_of
 from lierb.progress import Progress, check_progress, reporter
 from lierb.provenance import machine
-from lierb.sources import as_file
+from lierb.sources import as_file, path_given
 from lierb.study import Setting, Study, tables_of
 from lierb.study_file import plain_changes
 
@@ -200,7 +200,7 @@ def _loaded(study: Study | str | Path, changes: Mapping[str, Any]) -> tuple[Stud
     if isinstance(study, Study):
         given = study.changed(changes)
         return given, given.to_toml()
-    with as_file(Path(study).expanduser()) as path:
+    with as_file(path_given(study)) as path:
         given = Study.load(path, changes)
         if not changes:
             return given, path.read_text(encoding="utf-8")

@@ -7,11 +7,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+from lierb.errors import ArgumentError, told
 
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
 COPY = "study.toml"
 MOST_BYTES = 4 * 2**20  # of a study's file: 200 000 numbers with all their digits
+
+
+def path_given(study: Any) -> Path:
+    """The path of a study's file, `~` being home. Raises ArgumentError for what is none."""
+    try:
+        return Path(study).expanduser()
+    except (TypeError, RuntimeError):  # no path; nobody's home
+        raise ArgumentError(
+            f"study={told(study)}; expected a lierb.Study, or the path of its TOML file"
+        ) from None
 
 
 @contextmanager

@@ -59,7 +59,7 @@ from lierb.kernels import se3
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 from lierb.shown import FAILED, Lines, Shown, counted
-from lierb.sources import MOST_BYTES
+from lierb.sources import MOST_BYTES, path_given
 from lierb.study_file import (
     LARGEST,
     TOO_LARGE,
@@ -336,9 +336,9 @@ class Study(Shown, Section):
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
         """A study from its TOML file, with changes by dotted keys: {"sample.n": 1000}.
 
-        Raises StudyError, or OSError where there is no file.
+        Raises StudyError, ArgumentError for what is no path, OSError where there is no file.
         """
-        path = Path(path)
+        path = path_given(path)
         text = read(path)
         return cls.of({"name": path.stem} | tables_in(text, path.name), path.name, text, changes)
 

@@ -1090,3 +1090,44 @@ def test_random_batches_raise_nothing_but_our_errors(name):
         except Exception as error:
             shapes = {a: np.shape(v) for a, v in given.items()}
             raise AssertionError(f"{name}{shapes}: {type(error).__name__}: {error}") from error
+
+
+class Tenth:
+    """A number of some other package."""
+
+    def __float__(self):
+        return 0.1
+
+
+def test_numbers_of_other_packages_are_numbers():
+    pa = pytest.importorskip("pyarrow")
+    assert lierb.Body(pa.scalar(2.0), BOX).mass == 2.0
+    assert lierb.Body(Tenth(), BOX).mass == 0.1
+
+
+@pytest.mark.parametrize(
+    "call", [lierb.log, lierb.quaternion, lambda R: lierb.table(R, [0, 1], [0, 1])]
+)
+@pytest.mark.parametrize(
+    "R",
+    [
+        np.eye(3) * 1j,
+        np.eye(3).astype(str),
+        np.ma.array(np.eye(3), mask=np.eye(3) > 0),
+        {},
+        10**400,
+    ],
+    ids=["complex", "text", "masked", "a dictionary", "huge"],
+)
+def test_functions_for_functions_take_real_numbers(call, R):
+    with pytest.raises(ValueError, match="must be real numbers"):
+        call(R)
+
+
+@pytest.mark.parametrize("study", [5, None, object()])
+def test_study_that_is_no_path_is_told_as_such(study, tmp_path):
+    pytest.importorskip("pydantic")
+    calls = [lierb.Study.load, lierb.integrate_batches, lambda given: lierb.run(given, tmp_path)]
+    for call in calls:
+        with pytest.raises(ArgumentError, match=r"expected a lierb\.Study, or the path"):
+            call(study)

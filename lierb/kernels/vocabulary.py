@@ -51,6 +51,8 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
     >>> lierb.table([-1.0, 0.5, 9.0], (0.0, 1.0, 2.0), (0.0, 10.0, 40.0)).tolist()
     [0.0, 5.0, 40.0]
     """
+    if not any(map(has_traced, (x, xs, ys))):
+        x, xs, ys = _real("x", x), _real("xs", xs), _real("ys", ys)
     shapes = np.shape(xs), np.shape(ys)
     if len(shapes[0]) != 1 or shapes[0] != shapes[1] or shapes[0] == (0,):
         raise UnfitArgumentError(
@@ -90,13 +92,25 @@ def log(R: Any) -> Any:
 
 def _of_rotation(R: Any, formula: Any) -> Any:
     given = R.as_matrix() if hasattr(R, "as_matrix") else R
-    matrices = numbers(given) if has_traced(given) else np.asarray(given, dtype=np.float64)
+    matrices = numbers(given) if has_traced(given) else _real("R", given)
     if matrices.shape[-2:] != (3, 3):
         raise UnfitArgumentError(f"R has shape {matrices.shape}; expected (…, 3, 3)")
     if matrices.dtype == object:
         return numbers(formula(tuple(matrices.ravel())))
     flat = matrices.reshape(*matrices.shape[:-2], 9)
-    return np.stack(formula(tuple(flat[..., i] for i in range(9))), axis=-1)
+    with np.errstate(all="ignore"):  # of what is no rotation, as where the same is compiled
+        return np.stack(formula(tuple(flat[..., i] for i in range(9))), axis=-1)
+
+
+def _real(argument: str, given: Any) -> np.ndarray:
+    """Plain numbers as float64."""
+    try:
+        found = np.asanyarray(given)
+        if found.dtype.kind in "iufO" and not np.ma.is_masked(found):
+            return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UnfitArgumentError(f"{argument} must be real numbers: {error}") from None
+    raise UnfitArgumentError(f"{argument} must be real numbers, got {type(given).__name__}")
 
 
 def unit_quaternion(r: Mat) -> Vec:
