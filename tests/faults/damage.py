@@ -155,6 +155,8 @@ class DamagedFolders(Serving):
         out = self.space.out
         if rng.random() < FIGURES:
             command(rng.choice(("plot", "report")), out).required_clear()
+            shutil.rmtree(out / "figures", ignore_errors=True)  # those that whole parts gave
+            (out / "report.html").unlink(missing_ok=True)
         shown = command("show", out).required_clear()
         if shown.status:
             assert "Error: " in shown.output, shown.output
