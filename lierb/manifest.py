@@ -29,10 +29,8 @@ FORMAT = 3
 TABLES = ("summary", "history")
 PART = "[0-9]{2,}-[0-9]{10,}"  # setting and first body, as `lierb.parts` names them
 CHECKSUM = "checksum"
-MENDED = (
-    "--resume (resume=True) of its study keeps the parts that are whole; or restore it, or run the "
-    "study anew into another folder"
-)
+ANEW = "restore it, or run the study anew into another folder"
+MENDED = f"--resume (resume=True) of its study keeps the parts that are whole; or {ANEW}"
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 PartName = Annotated[str, Field(pattern=f"^{PART}$")]
@@ -121,7 +119,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise StudyFileError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # no JSON, or no text
-        raise StudyError(f"{path} is damaged ({error}); {MENDED}") from None
+        raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
     if not isinstance(found, dict) or "format" not in found:
         raise StudyError(f"{path} is no manifest of lierb; choose another folder for the results")
     if found["format"] == 1:
