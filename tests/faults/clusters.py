@@ -38,6 +38,12 @@ class ClusterKills:
     def end(self) -> None:
         self.host.end()
 
+    def _start_anew(self) -> None:
+        """Another cluster: after a few deaths no worker may come back to the old one."""
+        self.host.end()
+        self.host = Child(_host)
+        self.address = self.host.ask()
+
     def _run(self) -> None:
         """In a child."""
         with client_of(self.address) as client:
@@ -49,6 +55,8 @@ class ClusterKills:
         at = rng.randrange(OF_WORKER if who == "worker" else len(self.of_run))
         end = rng.choice([*ENDS])
         self.space.clear()
+        if number:
+            self._start_anew()
         with told_with(f"{who} {end} at point {at}"):
             in_child(partial(self._arm, at if who == "worker" else None, end))
             if who == "worker":
