@@ -307,12 +307,8 @@ def check_rotations(argument: str, matrices: Array) -> None:
         first += len(part)
 
 
+@np.errstate(all="ignore")  # of entries that are far too large
 def _check_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
-    with np.errstate(all="ignore"):  # of entries that are far too large
-        _check_few_rotations(argument, matrices, first, count)
-
-
-def _check_few_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
     r = components(matrices, 2)
     gram = mat_t_mat(r, r)
     excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(gram))

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.arrays import Array, as_floats
+from lierb.arrays import Array, as_floats, as_matrix
 from lierb.errors import ArgumentError
 from lierb.extras import require
 from lierb.kernels import so3
@@ -465,7 +465,7 @@ def _label(field: str, place: tuple[int, ...]) -> str:
 
 def _numbers(field: str, value: Any, axes: int = 1, infinite: bool = False) -> Array:
     """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
-    array = as_floats(field, unwrapped(field, value), copy=True)
+    array = as_floats(field, as_matrix(field, value), copy=True)
     if array.ndim > axes or array.size == 0:
         raise ArgumentError(f"{field} has shape {array.shape}; expected {SHAPES[axes]}")
     if infinite:
@@ -475,16 +475,6 @@ def _numbers(field: str, value: Any, axes: int = 1, infinite: bool = False) -> A
         _refuse(field, array, np.abs(array) > LARGEST, f"numbers up to {LARGEST:g}")
     array.setflags(write=False)
     return array
-
-
-def unwrapped(field: str, value: Any) -> Any:
-    """The matrix of SciPy's `Rotation` and its like, and anything else as it is."""
-    try:
-        return value.as_matrix() if hasattr(value, "as_matrix") else value
-    except Exception as error:  # a class of the user's may raise anything
-        raise ArgumentError(
-            f"{field} is a {type(value).__name__}, whose as_matrix() raised {type(error).__name__}"
-        ) from error
 
 
 def _refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> None:

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.arrays import SLICE, Array, as_positive, components
+from lierb.arrays import SLICE, Array, as_positive, components, is_whole
 from lierb.distributions import (
     Constant,
     Direction,
@@ -244,8 +244,7 @@ def _directions(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uin
 
 
 def _whole(argument: str, value: Any, low: int, high: int) -> int:
-    # a duration is a whole number to NumPy
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.timedelta64))
+    whole = is_whole(value)
     if whole and low <= value <= high:
         return int(value)
     shown = str(value) if whole and abs(int(value)) < LONGEST else f"a {type(value).__name__}"

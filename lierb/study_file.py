@@ -11,16 +11,15 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lierb.arrays import as_floats, components, pose_matrix
-from lierb.distributions import DISTRIBUTIONS, Constant, Distribution, unwrapped
-from lierb.errors import LierbError, StudyError
+from lierb.arrays import as_floats, as_matrix, components, pose_matrix
+from lierb.distributions import DISTRIBUTIONS, Constant, Distribution
+from lierb.errors import LierbError, StudyError, told
 from lierb.sources import MOST_BYTES
 
 MOST_TEXT = 1000  # characters of a name
@@ -162,7 +161,7 @@ def plain(tables: Any) -> dict[str, Any]:
 def plain_changes(changes: Any) -> dict[str, Any]:
     """Changes by dotted keys, of what a file can hold; None where something is to be left out."""
     if not isinstance(changes, Mapping):
-        raise StudyError(f"changes must be a dictionary by dotted keys, got {_told(changes)}")
+        raise StudyError(f"changes must be a dictionary by dotted keys, got {told(changes)}")
     return {
         _checked_key(key, ()): None if value is None else _Plain().value(value, (key,))
         for key, value in changes.items()
@@ -250,19 +249,12 @@ def _checked_text(given: str, path: tuple[str, ...]) -> str:
 
 def _checked_key(key: Any, path: tuple[str, ...]) -> str:
     if not isinstance(key, str):
-        raise StudyError(f"{_key(path)}: has the key {_told(key)}; expected text")
+        raise StudyError(f"{_key(path)}: has the key {told(key)}; expected text")
     return _checked_text(key, path)
 
 
 def _key(path: tuple[str, ...]) -> str:
     return shortened(".".join(path)) or "study"
-
-
-def _told(value: Any) -> str:
-    """Its repr, where it has one."""
-    with suppress(Exception):  # of a number of too many digits, of a class of the user's
-        return shortened(repr(value))
-    return f"a {type(value).__name__}"
 
 
 def _table_of(distribution: Distribution, path: tuple[str, ...]) -> Any:
@@ -281,7 +273,7 @@ def _table_of(distribution: Distribution, path: tuple[str, ...]) -> Any:
 def _matrix_of(given: Any, path: tuple[str, ...]) -> Any:
     """Of SciPy's `Rotation` or `RigidTransform`; a frame's rotation is about the origin."""
     try:
-        matrix = as_floats("it", unwrapped("it", given))
+        matrix = as_floats("it", as_matrix("it", given))
     except LierbError as error:
         raise StudyError(f"{_key(path)}: {error}") from None
     if path and path[-1].endswith("_frame") and matrix.shape == (3, 3):
