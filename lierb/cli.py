@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from lierb.paper import Finding, PaperReport
 
 
+NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of the cache's folder
+
+
 class Commands(click.Group):
     """A group whose commands end with one sentence where Python would show a traceback."""
 
@@ -126,7 +129,7 @@ def info(as_json: bool) -> None:
         "CPU": f"{found['cpu']} ({', '.join(found['vectors'])}{', fma' * found['fma']})",
         "lanes": f"{found['lanes']} bodies in a vector register",
         "threads": f"{found['threads']} ({found['threading_layer']})",
-        "cache": cache["folder"] or "none: the JIT is off, or no folder can be written",
+        "cache": cache["folder"] or NO_CACHE,
         "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB "
         f"of at most {cache['most_bytes'] / 1e6:.0f}",
     }
@@ -142,12 +145,17 @@ def cache(clear: bool) -> None:
     from lierb.installation import clear_cache
 
     if clear:
-        deleted = clear_cache()
+        try:
+            deleted = clear_cache()
+        except OSError as error:
+            raise click.ClickException(
+                f"{error.filename} cannot be deleted: {error.strerror}"
+            ) from error
         click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
         return
     found = lierb.info()["cache"]
     told = f"{found['kernels']} kernels of this version, {found['bytes'] / 1e6:.1f} MB"
-    click.echo(f"{told}, in {found['folder']}")
+    click.echo(f"{told}; folder: {found['folder'] or NO_CACHE}")
 
 
 @cli.command()
@@ -196,7 +204,8 @@ def warmup(
     for kernel in kernels:
         name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
         click.echo(f"{name:40}{kernel.seconds:6.2f} s")
-    click.echo(f"{len(kernels)} kernels are ready in {lierb.info()['cache']['folder']}")
+    folder = lierb.info()["cache"]["folder"]
+    click.echo(f"{len(kernels)} kernels are ready; folder: {folder or NO_CACHE}")
 
 
 def _findings_table(report: PaperReport) -> Table:

@@ -47,6 +47,7 @@ from lierb.distributions import (
 )
 from lierb.errors import ArgumentError, unknown_name
 from lierb.extras import require
+from lierb.memory import require_memory
 
 __all__ = [
     "Constant",
@@ -147,19 +148,16 @@ class Design:
         """The values of bodies first, first + 1, …, first + count − 1.
 
         count : all from `first` on if not given.   Returns arrays (count, *shape) by name.
-        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first, and for more than the
-        memory holds.
+        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first; MemoryLimitError for
+        more than is free.
         """
         start = _whole("first", first, 0, self.n - 1)
         left = self.n - start
         many = left if count is None else _whole("count", count, 1, left)
-        try:
-            drawn = {name: np.empty((many, *q.shape)) for name, q in self.quantities.items()}
-        except (MemoryError, ValueError):  # NumPy's for sizes beyond its own numbers
-            raise ArgumentError(
-                f"the draws of {many} bodies do not fit the memory; draw fewer at a time: first, "
-                "count"
-            ) from None
+        numbers = many * sum(prod(q.shape) for q in self.quantities.values())
+        what = f"what is drawn for {many} bodies"
+        require_memory(8 * numbers, what, "draw fewer at a time: first, count")
+        drawn = {name: np.empty((many, *q.shape)) for name, q in self.quantities.items()}
         for done in range(0, many, SLICE):
             size = min(SLICE, many - done)
             for name, values in self._part(start + done, size).items():

@@ -14,7 +14,7 @@ from lierb.errors import ArgumentError, told
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
 COPY = "study.toml"
-MOST_BYTES = 4 * 2**20  # of a study's file: 200 000 numbers with all their digits
+LONGEST_STUDY = 4 * 2**20  # of a study's file: 200 000 numbers with all their digits
 
 
 def path_given(study: Any) -> Path:
@@ -32,14 +32,14 @@ def as_file(path: Path) -> Iterator[Path]:
     """A study's file that may be read again and whose name may be the study's.
 
     That is `path` itself, or a copy `study.toml` that lasts as long as the block: of standard input
-    (`-`), of a pipe, and of a file whose name is no text. Of what is longer than MOST_BYTES, or has
-    no end, the copy has one byte more than that. Raises OSError where nothing can be read.
+    (`-`), of a pipe, and of a file whose name is no text. Of what is longer than LONGEST_STUDY, or
+    has no end, the copy has one byte more than that. Raises OSError where nothing can be read.
     """
     if _is_plain(path):
         yield path
         return
     with nullcontext(sys.stdin.buffer) if str(path) == STDIN else path.open("rb") as source:
-        content = source.read(MOST_BYTES + 1)
+        content = source.read(LONGEST_STUDY + 1)
     with TemporaryDirectory(prefix="lierb-") as folder:
         copy = Path(folder) / COPY
         copy.write_bytes(content)

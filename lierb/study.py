@@ -59,7 +59,7 @@ from lierb.kernels import se3
 from lierb.model import Body, Problem
 from lierb.sampling import Design, inertia_of
 from lierb.shown import FAILED, Lines, Shown, counted
-from lierb.sources import MOST_BYTES, path_given
+from lierb.sources import LONGEST_STUDY, path_given
 from lierb.study_file import (
     LARGEST,
     TOO_LARGE,
@@ -344,7 +344,7 @@ class Study(Shown, Section):
 
     def check(self) -> None:
         """Make the first bodies, and look at every setting, as a run will."""
-        if len(self.to_toml().encode()) > MOST_BYTES:
+        if len(self.to_toml().encode()) > LONGEST_STUDY:
             raise StudyError(f"study: is {TOO_LARGE}")
         self._check_settings()
         with _at("sample"):

@@ -20,7 +20,7 @@ import numpy as np
 from lierb.arrays import as_floats, as_matrix, components, pose_matrix
 from lierb.distributions import DISTRIBUTIONS, Constant, Distribution
 from lierb.errors import LierbError, StudyError, told
-from lierb.sources import MOST_BYTES
+from lierb.sources import LONGEST_STUDY
 
 MOST_TEXT = 1000  # characters of a name
 MOST_PARTS = 32  # of a dotted key: tomllib takes time with the square of them
@@ -43,10 +43,10 @@ def read(path: Path) -> str:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
+            content = file.read(LONGEST_STUDY + 1)
     except IsADirectoryError:
         raise StudyError(f"{path} is a folder; give the study's file, a TOML file") from None
-    if len(content) > MOST_BYTES:
+    if len(content) > LONGEST_STUDY:
         raise StudyError(f"{path.name} is {TOO_LARGE}")
     try:
         return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
@@ -59,8 +59,8 @@ def read(path: Path) -> str:
 
 
 TOO_LARGE = (
-    f"larger than {MOST_BYTES // 2**20} MiB, the most for a study; what each body has of its own "
-    "is drawn from a distribution, or given to lierb.integrate as arrays"
+    f"larger than {LONGEST_STUDY // 2**20} MiB, the most for a study; what each body has of its "
+    "own is drawn from a distribution, or given to lierb.integrate as arrays"
 )
 
 
@@ -172,7 +172,7 @@ class _Plain:
     """One walk; `left` is how many values there may be, lest a list that is in itself goes on."""
 
     def __init__(self) -> None:
-        self.left = MOST_BYTES // 4  # a value takes four characters at least, in a line of its own
+        self.left = LONGEST_STUDY // 4  # a value takes four characters, in a line of its own
 
     def value(self, given: Any, path: tuple[str, ...]) -> Any:
         self._take(1, path)

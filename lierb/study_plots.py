@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from lierb.arrays import Array
 from lierb.convergence import ROUNDING_FLOOR
 from lierb.dataset import Dataset
 from lierb.extras import require
+from lierb.files import write_whole
 from lierb.findings import (
     ERRORS,
     QUANTILES,
@@ -84,7 +86,9 @@ def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
     for name, figure in figures(dataset):
         for kind in ("png", "svg"):
             path = folder / f"{name}.{kind}"
-            save(figure, path, kind)
+            content = BytesIO()
+            save(figure, content, kind)
+            write_whole(path, content.getvalue())
             written.append(path)
     return written
 

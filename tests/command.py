@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from typing import Any
 
 from click.testing import CliRunner, Result
 
@@ -12,6 +13,6 @@ from lierb.cli import cli
 APART = {"mix_stderr": False} if "mix_stderr" in inspect.signature(CliRunner).parameters else {}
 
 
-def invoke(*arguments: object) -> Result:
-    """`lierb ARGUMENTS …`: its `exit_code`, `stdout` and `stderr`."""
-    return CliRunner(**APART).invoke(cli, [str(argument) for argument in arguments])
+def invoke(*arguments: object, **options: Any) -> Result:
+    """`lierb ARGUMENTS …`: its `exit_code`, `stdout` and `stderr`; options as click's `invoke`."""
+    return CliRunner(**APART).invoke(cli, [str(argument) for argument in arguments], **options)

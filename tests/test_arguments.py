@@ -1100,8 +1100,9 @@ class Tenth:
 
 
 def test_numbers_of_other_packages_are_numbers():
-    pa = pytest.importorskip("pyarrow")
-    assert lierb.Body(pa.scalar(2.0), BOX).mass == 2.0
+    two = pa.scalar(2.0)
+    if hasattr(two, "__float__"):  # not before pyarrow 21
+        assert lierb.Body(two, BOX).mass == 2.0
     assert lierb.Body(Tenth(), BOX).mass == 0.1
 
 

@@ -17,12 +17,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
+from command import invoke
 from studies import TEXT, hashes, study
 
 import lierb
 from lierb import dataset as dataset_module
-from lierb.cli import cli
 from lierb.dataset import Dataset, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyFileError, StudyWarning
 from lierb.files import folder_of, write_whole
@@ -52,13 +51,9 @@ def copy(whole, tmp_path):
     return Path(shutil.copytree(whole, tmp_path / "copy"))
 
 
-def command(*arguments, **options):
-    return CliRunner().invoke(cli, [str(argument) for argument in arguments], **options)
-
-
 def refused(*arguments, **options):
     """What a command says that ends with one sentence."""
-    done = command(*arguments, **options)
+    done = invoke(*arguments, **options)
     assert done.exit_code == 1, done.output
     assert isinstance(done.exception, SystemExit)
     assert done.stderr.count("Error: ") == 1
@@ -137,7 +132,7 @@ def test_a_study_of_the_users_is_not_written_over(tmp_path):
     assert "study.toml says another study than" in error
     assert file.read_text() == f"# mine\n{TEXT}"
     assert not (tmp_path / "manifest.json").exists()
-    assert command("run", file, "--out", tmp_path).exit_code == 0
+    assert invoke("run", file, "--out", tmp_path).exit_code == 0
     assert file.read_text() == f"# mine\n{TEXT}"
 
 
@@ -607,11 +602,11 @@ def test_home_is_meant(tmp_path, monkeypatch, whole):
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
     assert folder_of("~/out") == folder_of(Path("~/out")) == tmp_path / "out"
     (tmp_path / "top.toml").write_text(small().to_toml())
-    done = command("run", "~/top.toml", "--out=~/out")
+    done = invoke("run", "~/top.toml", "--out=~/out")
     assert done.exit_code == 0, done.output
     lierb.run("~/top.toml", "~/python")
     assert hashes(tmp_path / "out") == hashes(tmp_path / "python")
-    assert command("show", "~/out").exit_code == 0
+    assert invoke("show", "~/out").exit_code == 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are bytes there")
@@ -622,7 +617,7 @@ def test_names_that_are_no_text(tmp_path, monkeypatch):
     for study_file in (file, Path(file)):
         with pytest.raises(StudyError, match=r"b'out\\xff' is not UTF-8"):
             lierb.run(study_file, out)
-    done = command("run", file, "--out", "out")
+    done = invoke("run", file, "--out", "out")
     assert done.exit_code == 0, done.output
     assert json.loads(Path("out/manifest.json").read_text())["study"]["name"] == "study"
     assert "is not UTF-8" in refused("run", file, "--out", out)
@@ -650,7 +645,7 @@ def test_a_study_from_a_pipe(way, whole, tmp_path):
 
 def test_a_study_from_standard_input(whole, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = command("run", "-", input=small().to_toml())
+    done = invoke("run", "-", input=small().to_toml())
     assert done.exit_code == 0, done.output
     assert hashes(tmp_path / "results" / "study") == hashes(whole)
 
@@ -678,7 +673,7 @@ def test_a_run_from_a_pipe_goes_on_with_the_folders_study(tmp_path, monkeypatch)
         raise KeyboardInterrupt
 
     monkeypatch.setattr("lierb.running.run", stopped)
-    done = command("run", "-", "--n", 10, input=TEXT)
+    done = invoke("run", "-", "--n", 10, input=TEXT)
     assert done.exit_code == 130
     line = "go on with:  lierb run results/study/study.toml --out results/study --resume\n"
     assert done.stderr.endswith(line)

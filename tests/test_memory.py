@@ -11,6 +11,7 @@ from cases import RECORD, integrate, top
 import lierb
 from lierb import api, engine, memory
 from lierb.errors import LierbError, MemoryLimitError
+from lierb.sampling import Design, Rotation
 from lierb.tables import size_of_tables
 
 GB = 10**9
@@ -86,6 +87,13 @@ def test_copy_of_an_argument_that_does_not_fit_is_refused():
 def test_sequence_without_an_end_is_refused_before_it_is_read():
     with pytest.raises(LierbError, match=r"^mass "):
         lierb.Body(range(10**15), (1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize("bodies", [10**15, 2**62])
+def test_draws_that_do_not_fit_are_refused(bodies):
+    design = Design({"attitude": Rotation()}, bodies)
+    with pytest.raises(MemoryLimitError, match=rf"what is drawn for {bodies} bodies .* fewer at"):
+        design.draw()
 
 
 def test_estimate_is_what_the_tables_hold(monkeypatch):

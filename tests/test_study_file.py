@@ -26,7 +26,7 @@ from lierb.distributions import DISTRIBUTIONS, Distribution, Uniform
 from lierb.errors import StudyError
 from lierb.sampling import Constant, Direction, LogNormal, Normal, TruncatedNormal, Values
 from lierb.study import Study
-from lierb.study_file import DEEPEST, MOST_BYTES, plain
+from lierb.study_file import DEEPEST, LONGEST_STUDY, plain
 
 
 def load(tmp_path, text):
@@ -99,7 +99,7 @@ FILES = {
     "UTF-16": (TEXT.encode("utf-16"), r"s\.toml:1: byte 0 is no utf-8 .*save the file as UTF-8"),
     "empty": ("", r"s\.toml: body: is missing\ns\.toml: joint: is missing"),
     "no text": (b"\x00\xff" * 100, r"s\.toml:1: byte 1 is no utf-8"),
-    "large": (b"#" * (MOST_BYTES + 1), r"s\.toml is larger than 4 MiB, the most for a study"),
+    "large": (b"#" * (LONGEST_STUDY + 1), r"s\.toml is larger than 4 MiB, the most for a study"),
     "the same dt": (
         TEXT.replace("2e-3", "0.001"),
         r"s\.toml:37: integrate\.dt: 0\.001 is given tw",
@@ -327,7 +327,7 @@ def test_changes_that_are_none_are_refused(changes):
 
 
 def test_no_more_is_taken_than_can_be_read_again(monkeypatch):
-    monkeypatch.setattr("lierb.study.MOST_BYTES", 20_000)
+    monkeypatch.setattr("lierb.study.LONGEST_STUDY", 20_000)
     values = {"distribution": "values", "values": np.random.default_rng(0).uniform(size=1000)}
     with pytest.raises(StudyError, match="larger than 4 MiB, the most for a study"):
         study(sample={"body": {"mass": values}})

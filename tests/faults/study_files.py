@@ -16,7 +16,7 @@ from pathlib import Path
 from lierb.errors import StudyError
 from lierb.parts import part_size
 from lierb.study import Study
-from lierb.study_file import MOST_BYTES
+from lierb.study_file import LONGEST_STUDY
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_SECONDS = 20.0  # of a file, of this process's own time: what takes longer hangs
@@ -239,7 +239,7 @@ def hostile_file(rng: random.Random, bases: list[Lines]) -> bytes:
     if rng.random() < 0.002:
         _large(rng, content)
     if rng.random() < 0.0005:
-        content += b"#" * MOST_BYTES
+        content += b"#" * LONGEST_STUDY
     return bytes(content)
 
 
