@@ -228,7 +228,8 @@ def test_label_columns_are_dictionaries(report):
 def test_parquet_files_hold_the_tables(report, folder):
     for name, table in (("summary", report.summary), ("history", report.history)):
         stored = pq.read_table(folder / f"{name}.parquet")
-        assert stored.equals(table)
+        # Not `equals`: pyarrow 18 reads a dictionary's indices back as another type.
+        assert stored.to_pydict() == table.to_pydict()
         assert stored.schema.metadata == table.schema.metadata
         for field in table.schema:
             assert (stored.schema.field(field.name).metadata or {}).items() >= (
