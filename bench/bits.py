@@ -100,8 +100,7 @@ def settings() -> Iterator[tuple[str, lierb.Problem, np.ndarray, dict[str, Any]]
     for what, (name, make) in FORCES.items():
         plain, _ = tilted(name)
         force = make()
-        is_row = isinstance(force, lierb.elements.Constraint)
-        added = {"constraints" if is_row else "forces": [force]}
+        added = {"constraints" if what == "constraint" else "forces": [force]}
         problem = lierb.Problem(plain.body, plain.joint, plain.gravity, **added)
         twist = problem.project(tilted(name)[1])
         for way in ("auto", "saddle"):

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from lierb.kernels import _jit
-from lierb.kernels.arithmetic import fma, load, store
-from lierb.kernels.lanes import DEFAULT_LANES
+from lierb.compiler import _jit
+from lierb.kernels.numbers.arithmetic import fma, load, store
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
 
 CHAINS = 12  # enough to hide the latency of two units; with the operands, they fit 16 registers
 TURNS = 200_000

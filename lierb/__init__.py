@@ -5,21 +5,21 @@ from typing import TYPE_CHECKING, Any
 
 from lierb import bodies, errors, forces, joints, lie, sampling
 from lierb.api import integrate
-from lierb.elements import constraint, wrench
 from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
-from lierb.kernels.dual import where
-from lierb.kernels.vocabulary import clip, log, quaternion, table
+from lierb.kernels.numbers.dual import where
+from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
 from lierb.model import Body, Problem
 from lierb.prediction import predict
-from lierb.provenance import package_version
 from lierb.result import Result
+from lierb.runs.provenance import package_version
 from lierb.tableaus import ButcherTableau
+from lierb.user_elements import constraint, wrench
 
 if TYPE_CHECKING:
-    from lierb.running import integrate_batches as integrate_batches
-    from lierb.running import run as run
-    from lierb.study import Study as Study
+    from lierb.studies.running import integrate_batches as integrate_batches
+    from lierb.studies.running import run as run
+    from lierb.studies.study import Study as Study
 
 __version__ = package_version()
 __all__ = [
@@ -46,7 +46,11 @@ __all__ = [
     "wrench",
 ]
 
-_STUDIES = {"Study": "lierb.study", "integrate_batches": "lierb.running", "run": "lierb.running"}
+_STUDIES = {
+    "Study": "lierb.studies.study",
+    "integrate_batches": "lierb.studies.running",
+    "run": "lierb.studies.running",
+}
 
 
 def __dir__() -> list[str]:

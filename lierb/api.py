@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb import checks, engine
 from lierb.arrays import Array, as_numbers, as_poses, is_whole
-from lierb.continuation import End, EndPose, counted
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -24,18 +22,20 @@ from lierb.errors import (
     require_name,
     told,
 )
-from lierb.failures import STATUS_NAMES, Failures, warn_of
 from lierb.joints import JOINTS
-from lierb.kernels.lanes import DEFAULT_LANES
-from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import Plan, block_lanes, plan_of
-from lierb.memory import available, is_free, too_large
+from lierb.kernels.mechanics.newton_euler import CSPACES
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.stepping.plan import Plan, block_lanes, plan_of
 from lierb.model import Problem
-from lierb.progress import Progress, check_progress
-from lierb.provenance import provenance
 from lierb.result import Result
+from lierb.runs import checks, engine
+from lierb.runs.continuation import End, EndPose, counted
+from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
+from lierb.runs.memory import available, is_free, too_large
+from lierb.runs.progress import Progress, check_progress
+from lierb.runs.provenance import provenance
+from lierb.runs.tables import covers_of, history_table, size_of_tables, summary_table
 from lierb.tableaus import ButcherTableau, tableau_of
-from lierb.tables import covers_of, history_table, size_of_tables, summary_table
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")

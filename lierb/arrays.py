@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lierb.errors import ArgumentError, LierbError, MemoryLimitError, PoseError, body_label, told
-from lierb.kernels.vec import Mat, Vec, dot, mat_t_mat
-from lierb.memory import require_memory
+from lierb.kernels.numbers.vec import Mat, Vec, dot, mat_t_mat
+from lierb.runs.memory import require_memory
 
 Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]

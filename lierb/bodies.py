@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lierb.arrays import Array, as_floats, as_positive, assembled, batch_size
 from lierb.errors import ArgumentError, told
 from lierb.extras import remedy
-from lierb.kernels.newton_euler import unit_inertia
+from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.model import Body
 
 _quiet = np.errstate(all="ignore")  # a mass or an inertia that overflows is none of a Body

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.arrays import as_numbers
-from lierb.elements import Force, user_function
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
-from lierb.kernels import elements as kinds
-from lierb.kernels.functions import Function, Shape
+from lierb.kernels.functions.function import Function, Shape
+from lierb.kernels.mechanics import elements as kinds
+from lierb.user_elements import Force, user_function
 
 FRAMES = ("ground", "body")
 ORIGIN = (0.0, 0.0, 0.0)

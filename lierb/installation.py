@@ -14,16 +14,16 @@ import numba
 import pyarrow as pa
 
 from lierb.api import check_names, integrate
-from lierb.engine import threading_layer
+from lierb.compiler import _jit, disk_cache
+from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.errors import ArgumentError, items_of, require_name, told
 from lierb.joints import JOINTS, REQUIRED, Joint
-from lierb.kernels import _jit, disk_cache
-from lierb.kernels.batch import apply
-from lierb.kernels.disk_cache import MOST_BYTES, DiskCache, sized
-from lierb.kernels.driver import integrate_block
-from lierb.kernels.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
+from lierb.kernels.groups.lie_functions import apply
+from lierb.kernels.numbers.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
+from lierb.kernels.stepping.driver import integrate_block
 from lierb.model import Body, Problem
-from lierb.provenance import machine
+from lierb.runs.engine import threading_layer
+from lierb.runs.provenance import machine
 from lierb.tableaus import ButcherTableau, tableau_of
 
 VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")

@@ -1,6 +1,6 @@
 """The joint catalogue, as data: each joint is a list of primitive rows, acting between two frames.
 
-Rows are those of `lierb.kernels.constraints`, in the order in which λ has them, and act on
+Rows are of `lierb.kernels.mechanics.constraints`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
 Q turns about an axis ⊥ e₃.
@@ -39,12 +39,12 @@ from lierb.errors import (
     two_readings,
     unknown_name,
 )
-from lierb.kernels import se3, so3
-from lierb.kernels.coefficients import atan2
-from lierb.kernels.constraints import WHOLE_ROWS, Row
-from lierb.kernels.newton_euler import closed_pose
-from lierb.kernels.subgroup import PITCHED, Slots, slots_of
-from lierb.kernels.vec import (
+from lierb.kernels.groups import se3, so3
+from lierb.kernels.groups.coefficients import atan2
+from lierb.kernels.mechanics.constraints import WHOLE_ROWS, Row
+from lierb.kernels.mechanics.newton_euler import closed_pose
+from lierb.kernels.mechanics.subgroup import PITCHED, Slots, slots_of
+from lierb.kernels.numbers.vec import (
     ZERO3,
     Vec,
     add,
@@ -57,7 +57,7 @@ from lierb.kernels.vec import (
     scale,
     sub,
 )
-from lierb.kernels.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO
 from lierb.shown import Lines, Shown, quantity
 
 PERPENDICULAR_TOLERANCE = 1e-9

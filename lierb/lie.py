@@ -4,8 +4,8 @@
 part first (rad, then m); elements of the group are matrices, R (…, 3, 3) or C (…, 4, 4). For
 SO(3)×R³ the 4×4 matrix only holds (R, r): it composes by `so3xr3.compose`, not by matrix product.
 
-The formulas themselves, on tuples of numbers, are in `lierb.kernels.so3`, `.se3` and `.so3xr3`, and
-can be called from your own @njit code.
+The formulas themselves, on tuples of numbers, are in `lierb.kernels.groups.so3`, `.se3` and
+`.so3xr3`, and can be called from your own @njit code.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.arrays import FEWER, Array, as_floats, as_matrix
+from lierb.compiler import _jit
 from lierb.errors import ArgumentError
-from lierb.forks import check_compiler
-from lierb.kernels import _jit
-from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
-from lierb.kernels.lanes import DEFAULT_LANES
-from lierb.memory import require_memory
+from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.runs.forks import check_compiler
+from lierb.runs.memory import require_memory
 
 
 @dataclass(frozen=True)

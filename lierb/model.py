@@ -24,7 +24,6 @@ from lierb.arrays import (
     pose_components,
     pose_matrix,
 )
-from lierb.elements import Constraint, Element, Force, reject_functions
 from lierb.errors import (
     ArgumentError,
     ForceError,
@@ -37,10 +36,9 @@ from lierb.errors import (
     two_readings,
 )
 from lierb.joints import MOST_ROWS, Joint
-from lierb.kernels import elements as kinds
-from lierb.kernels import se3, so3
-from lierb.kernels.arithmetic import absolute, plain, where
-from lierb.kernels.constraints import (
+from lierb.kernels.groups import se3, so3
+from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.constraints import (
     AddedRow,
     Row,
     Rows,
@@ -48,12 +46,19 @@ from lierb.kernels.constraints import (
     prescribed_rate,
     residuals,
 )
-from lierb.kernels.newton_euler import SE3, Parameters, SO3xR3, unit_inertia
-from lierb.kernels.newton_euler import Body as KernelBody
-from lierb.kernels.saddle import Load, solve
-from lierb.kernels.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.vec import ZERO3, Vec, add, diagonal, dot, norm
+from lierb.kernels.mechanics.newton_euler import (
+    SE3,
+    BodyConstants,
+    Parameters,
+    SO3xR3,
+    unit_inertia,
+)
+from lierb.kernels.mechanics.saddle import Load, solve
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.numbers.arithmetic import absolute, plain, where
+from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.shown import Lines, Shown, counted, quantity
+from lierb.user_elements import Constraint, Element, Force, reject_functions
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -362,7 +367,7 @@ class Problem(Shown):
             length=self.joint.length,
         )
 
-    def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> KernelBody:
+    def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> BodyConstants:
         """The body, with its elements, as that c-space's formulas take it."""
         parameters = self.parameters()
         numbers = [

@@ -24,9 +24,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from lierb import Body, Problem, extras, integrate, joints
-from lierb.columns import numbers, repeated
-from lierb.convergence import Order, observed_order, verdict
-from lierb.kernels.scale import length_of
+from lierb.kernels.mechanics.scale import length_of
+from lierb.runs.columns import numbers, repeated
+from lierb.studies.convergence import Order, observed_order, verdict
 
 if TYPE_CHECKING:
     from lierb.joints import Joint

@@ -16,11 +16,17 @@ import numpy as np
 
 from lierb.arrays import Array, as_poses, pose_components
 from lierb.errors import ArgumentError, PoseError, told
-from lierb.kernels.constraints import AddedRow, jacobian, residuals
-from lierb.kernels.newton_euler import CSPACES, SE3, Body, Pose, SO3xR3
-from lierb.kernels.scale import ROUNDING, START_TOLERANCE, bearings, length_of, rounding_of
-from lierb.kernels.vec import norm
-from lierb.kernels.zero import is_zero
+from lierb.kernels.mechanics.constraints import AddedRow, jacobian, residuals
+from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, BodyConstants, Pose, SO3xR3
+from lierb.kernels.mechanics.scale import (
+    ROUNDING,
+    START_TOLERANCE,
+    bearings,
+    length_of,
+    rounding_of,
+)
+from lierb.kernels.numbers.vec import norm
+from lierb.kernels.numbers.zero import is_zero
 from lierb.model import Problem
 
 # Singular values below this part of the largest count as none. Dependent directions leave 1e-13, by
@@ -132,7 +138,7 @@ class _Explorer:
         )
         self.space: type[SE3] | type[SO3xR3] = CSPACES[cspace]
         parameters = problem.parameters()
-        self.body: Body = problem.in_joint_axes(self.space)
+        self.body: BodyConstants = problem.in_joint_axes(self.space)
         self.start, _ = self.space.to_joint_axes(parameters, pose_components(pose), (0.0,) * 6)
         self.random = np.random.default_rng(SEED)
         # All lengths are in units of the problem's own: nothing depends on the unit of length.

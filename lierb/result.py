@@ -12,14 +12,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lierb.arrays import Array, assembled, components
-from lierb.columns import as_array, numbers
-from lierb.continuation import End
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
-from lierb.failures import Failures, has_failed
-from lierb.kernels import so3
-from lierb.kernels.constraints import Row
-from lierb.kernels.vec import norm, scale
+from lierb.kernels.groups import so3
+from lierb.kernels.mechanics.constraints import Row
+from lierb.kernels.numbers.vec import norm, scale
+from lierb.runs.columns import as_array, numbers
+from lierb.runs.continuation import End
+from lierb.runs.failures import Failures, has_failed
 from lierb.shown import FAILED, Lines, Shown, counted
 
 if TYPE_CHECKING:

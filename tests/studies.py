@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from lierb.dataset import Dataset
-from lierb.study import Study
+from lierb.studies.dataset import Dataset
+from lierb.studies.study import Study
 
 TEXT = """\
 [body]

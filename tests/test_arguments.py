@@ -23,7 +23,7 @@ from lierb.errors import (
     TwistError,
     UnknownNameError,
 )
-from lierb.kernels.driver import UNSEEN, store_start
+from lierb.kernels.stepping.driver import UNSEEN, store_start
 
 POINT = (-0.15, 0.0375, 0.0)
 BOX = (0.0126563, 0.0468281, 0.0569531)
@@ -47,10 +47,10 @@ def stop_before_running(monkeypatch):
         if stop > 0 and (begin != UNSEEN or summary[-1].all()):
             raise DriverReached
 
-    monkeypatch.setattr(lierb.engine, "integrate_blocks", stub)
-    monkeypatch.setattr(lierb.engine, "_pace", lambda plan, dt: lierb.engine._Pace())
-    monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
-    monkeypatch.setattr(lierb.engine._jit, "entry_of", lambda function, plan, *args: plan)
+    monkeypatch.setattr(lierb.runs.engine, "integrate_blocks", stub)
+    monkeypatch.setattr(lierb.runs.engine, "_pace", lambda plan, dt: lierb.runs.engine._Pace())
+    monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
+    monkeypatch.setattr(lierb.runs.engine._jit, "entry_of", lambda function, plan, *args: plan)
 
 
 def spherical_top(body=None, joint=None, gravity=(0.0, 0.0, 0.0)):
@@ -749,7 +749,7 @@ def test_twist_is_checked_at_the_given_pose():
 
 
 def test_offender_beyond_the_first_chunk_keeps_its_index(monkeypatch):
-    monkeypatch.setattr(lierb.engine, "CHUNK_BODIES", 16)
+    monkeypatch.setattr(lierb.runs.engine, "CHUNK_BODIES", 16)
     count, body = 26, 23
     twists = with_body(np.zeros((count, 6)), (body, 3), 0.1)
     with pytest.raises(TwistError, match=rf"twist0\[{body}\]"):
@@ -770,7 +770,7 @@ BAD_STATES = {
 
 
 def test_check_warn_warns_once_about_a_batch_of_many_chunks(monkeypatch):
-    monkeypatch.setattr(lierb.engine, "CHUNK_BODIES", 16)
+    monkeypatch.setattr(lierb.runs.engine, "CHUNK_BODIES", 16)
     loose = np.tile((0, 0, 0, 0, 0, 1.0), (60, 1))
     with pytest.warns(InconsistentStateWarning) as told, pytest.raises(DriverReached):
         integrate(twist0=loose, check="warn")

@@ -19,7 +19,7 @@ import pytest
 from numba.core.caching import InTreeCacheLocator
 
 import lierb
-from lierb.kernels import _jit, disk_cache
+from lierb.compiler import _jit, disk_cache
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -30,7 +30,7 @@ pytestmark = pytest.mark.skipif(
 FALL = """
 import json, sys
 import lierb
-from lierb.kernels.driver import integrate_block
+from lierb.kernels.stepping.driver import integrate_block
 
 def fall(method="Euler"):
     body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
@@ -250,7 +250,7 @@ def test_warm_process_imports_no_package_that_it_does_not_use(copy):
 PUSH = """
 import json
 import lierb
-from lierb.kernels.driver import integrate_block
+from lierb.kernels.stepping.driver import integrate_block
 
 scale = {scale}
 

@@ -18,11 +18,11 @@ from click.testing import CliRunner
 from studies import TEXT, bits, errors_when_stopped, hashes, start_long, study
 
 import lierb
-from lierb import cluster
 from lierb.cli import cli
-from lierb.dataset import Dataset
 from lierb.errors import ArgumentError, StudyError, StudyWarning
-from lierb.parts import parts_of
+from lierb.studies import cluster
+from lierb.studies.dataset import Dataset
+from lierb.studies.parts import parts_of
 
 pytest.importorskip("distributed")
 import dask
@@ -255,7 +255,7 @@ if __name__ == "__main__":
 JOINING = """
 import os, signal, sys
 import lierb
-from lierb import cluster
+from lierb.studies import cluster
 from studies import study
 
 cluster.CONNECT_SECONDS = cluster.LOST_SECONDS = 3

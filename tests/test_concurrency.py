@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import lierb
+from lierb.compiler._jit import take_turn
 from lierb.errors import ForkError
-from lierb.kernels._jit import take_turn
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="there are no threads with the JIT off"
@@ -119,7 +119,7 @@ def test_threads_are_used_in_the_call(monkeypatch):
         seen.append(numba.get_num_threads())
         summary[:] = 0.0
 
-    monkeypatch.setattr(lierb.engine, "integrate_blocks", idle)
+    monkeypatch.setattr(lierb.runs.engine, "integrate_blocks", idle)
     run(threads=1)
     assert set(seen) == {1}
 
@@ -147,18 +147,18 @@ def test_no_number_is_taken_twice():
 
 def long_run(progress, **given):
     """Two chunks of bodies, and several calls of the driver in each."""
-    count = lierb.engine.CHUNK_BODIES + 100
+    count = lierb.runs.engine.CHUNK_BODIES + 100
     twists = np.tile(TWISTS[:1], (count, 1))
     return run(twists, t_end=0.1, progress=progress, **given)
 
 
 def test_progress_rises_to_the_total(monkeypatch):
-    monkeypatch.setattr(lierb.engine, "CALL_SECONDS", 0.0)  # a call for every step
-    monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", 1)
+    monkeypatch.setattr(lierb.runs.engine, "CALL_SECONDS", 0.0)  # a call for every step
+    monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", 1)
     told = []
     long_run(lambda done, total: told.append((done, total)))
     done, totals = zip(*told, strict=True)
-    assert set(totals) == {(lierb.engine.CHUNK_BODIES + 100) * 100}
+    assert set(totals) == {(lierb.runs.engine.CHUNK_BODIES + 100) * 100}
     assert len(done) == 200
     assert all(a < b for a, b in pairwise(done))
     assert done[0] > 0
@@ -167,11 +167,14 @@ def test_progress_rises_to_the_total(monkeypatch):
 
 def test_chunks_of_a_known_plan_are_not_cut(monkeypatch):
     """What is carried from one call to the next costs as much as dozens of steps."""
-    monkeypatch.setattr(lierb.engine, "CALL_SECONDS", 60.0)
+    monkeypatch.setattr(lierb.runs.engine, "CALL_SECONDS", 60.0)
     told = []
     long_run(False)
     long_run(lambda done, total: told.append(done))
-    assert told == [lierb.engine.CHUNK_BODIES * 100, (lierb.engine.CHUNK_BODIES + 100) * 100]
+    assert told == [
+        lierb.runs.engine.CHUNK_BODIES * 100,
+        (lierb.runs.engine.CHUNK_BODIES + 100) * 100,
+    ]
 
 
 def test_progress_of_one_body_ends_at_its_steps():
@@ -183,8 +186,8 @@ def test_progress_of_one_body_ends_at_its_steps():
 def test_progress_changes_no_bit(alone, monkeypatch):
     # a call of the driver for every step, or for all of them at once
     for seconds, first in ((0.0, 1), (60.0, 10**9)):
-        monkeypatch.setattr(lierb.engine, "CALL_SECONDS", seconds)
-        monkeypatch.setattr(lierb.engine, "FIRST_CALL_BLOCK_STEPS", first)
+        monkeypatch.setattr(lierb.runs.engine, "CALL_SECONDS", seconds)
+        monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", first)
         told = []
         assert bits(run(progress=lambda done, total: told.append(done))) == alone  # noqa: B023
         assert len(told) == (STEPS if seconds == 0.0 else 1)
@@ -261,7 +264,7 @@ import multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
-from lierb.kernels._jit import take_turn
+from lierb.compiler._jit import take_turn
 
 top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
 
@@ -304,7 +307,7 @@ os._exit(0)
 import tempfile
 numba.config.CACHE_DIR = tempfile.mkdtemp()  # nothing is compiled yet
 threading.Thread(target=lierb.lie.so3.exp, args=([1.0, 2.0, 3.0],)).start()
-while not lierb.kernels._jit.is_compiling():
+while not lierb.compiler._jit.is_compiling():
     pass
 def child():
     signal.alarm(15)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from lierb.convergence import ROUNDING_FLOOR, observed_order, verdict
+from lierb.studies.convergence import ROUNDING_FLOOR, observed_order, verdict
 
 DTS = (1e-2, 1e-3, 1e-4)
 

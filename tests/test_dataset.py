@@ -21,12 +21,12 @@ from command import invoke
 from studies import TEXT, hashes, study
 
 import lierb
-from lierb import dataset as dataset_module
-from lierb.dataset import Dataset, parquet_files
 from lierb.errors import ArgumentError, StudyError, StudyFileError, StudyWarning
-from lierb.files import folder_of, write_whole
-from lierb.manifest import read_manifest, sealed
-from lierb.parts import parts_of
+from lierb.studies import dataset as dataset_module
+from lierb.studies.dataset import Dataset, parquet_files
+from lierb.studies.files import folder_of, write_whole
+from lierb.studies.manifest import read_manifest, sealed
+from lierb.studies.parts import parts_of
 
 SMALL = {"sample": {"n": 20}, "integrate": {"cspace": ["SE3"], "dt": [1e-3], "save_every": 10}}
 PARTS = 3  # of SMALL
@@ -227,7 +227,7 @@ def test_an_edited_study_is_noticed(text, copy):
 
 def report_of(folder):
     pytest.importorskip("plotly")
-    from lierb.report import write_report
+    from lierb.studies.report import write_report
 
     dataset = Dataset(folder)
     dataset.read()
@@ -486,9 +486,9 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("lierb.study_plots.figures", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.report.figures", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.study_plots.draw_all", full)
+    monkeypatch.setattr("lierb.studies.figures.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.report.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
     file = {"report": "report.html", "plot": "figures"}[name]
     assert f"{copy / file} cannot be written: No space left on device; " in refused(name, copy)
@@ -542,7 +542,7 @@ def test_a_file_that_is_none_ends_in_a_sentence(name, kind, copy):
 def test_permissions_are_told(copy):
     code = (
         "import os, sys\n"
-        "from lierb.dataset import Dataset\n"
+        "from lierb.studies.dataset import Dataset\n"
         "os.setuid(65534)\n"
         "with Dataset(sys.argv[1]).locked(): pass"
     )
@@ -672,7 +672,7 @@ def test_a_run_from_a_pipe_goes_on_with_the_folders_study(tmp_path, monkeypatch)
     def stopped(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lierb.running.run", stopped)
+    monkeypatch.setattr("lierb.studies.running.run", stopped)
     done = invoke("run", "-", "--n", 10, input=TEXT)
     assert done.exit_code == 130
     line = "go on with:  lierb run results/study/study.toml --out results/study --resume\n"
@@ -702,7 +702,7 @@ def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
         return called
 
     made = {part.name: part.tables(small(), small().design, 1) for part in parts_of(small())}
-    monkeypatch.setattr("lierb.parts.Part.tables", lambda part, *_: made[part.name])
+    monkeypatch.setattr("lierb.studies.parts.Part.tables", lambda part, *_: made[part.name])
     wanted = hashes(whole)
     for n in itertools.count(1, stride):
         out, left[0] = tmp_path / str(n), n

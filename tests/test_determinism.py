@@ -7,10 +7,11 @@ import pytest
 from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but
 
 import lierb
-from lierb import api, engine
+from lierb import api
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.driver import NON_FINITE, OK, SINGULAR
-from lierb.kernels.plan import Plan
+from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
+from lierb.kernels.stepping.plan import Plan
+from lierb.runs import engine
 
 # At dt = 1e-2 some of the fastest of TWISTS fail: in any batch at the same step, or bits differ.
 pytestmark = pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")

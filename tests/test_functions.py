@@ -22,7 +22,7 @@ from lierb.errors import (
     ScalarFunctionWarning,
     UnknownNameError,
 )
-from lierb.kernels.fingerprint import UnfitFunctionError, fingerprint
+from lierb.kernels.functions.fingerprint import UnfitFunctionError, fingerprint
 
 CSPACES = ("SE3", "SO3xR3")
 FALL = {"dt": 0.125, "t_end": 1.0, "method": "Euler"}  # the least to compile, exact in binary

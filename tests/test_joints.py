@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.joints import JOINTS, from_rows
-from lierb.kernels.constraints import (
+from lierb.kernels.mechanics.constraints import (
     Row,
     acceleration,
     jacobian,
@@ -19,7 +19,7 @@ from lierb.kernels.constraints import (
     rotation_error_squared,
     value,
 )
-from lierb.kernels.newton_euler import CSPACES, Parameters
+from lierb.kernels.mechanics.newton_euler import CSPACES, Parameters
 
 mp = mpmath.mp.clone()
 mp.dps = 50

@@ -9,10 +9,11 @@ import pytest
 from cases import RECORD, integrate, top
 
 import lierb
-from lierb import api, engine, memory
+from lierb import api
 from lierb.errors import LierbError, MemoryLimitError
+from lierb.runs import engine, memory
+from lierb.runs.tables import size_of_tables
 from lierb.sampling import Design, Rotation
-from lierb.tables import size_of_tables
 
 GB = 10**9
 

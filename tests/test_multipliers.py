@@ -12,14 +12,14 @@ from mpmath import mp
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels import quaternion
-from lierb.kernels.constraints import Row, acceleration, jacobian
-from lierb.kernels.newton_euler import CSPACES
-from lierb.kernels.plan import Plan
-from lierb.kernels.saddle import Load, solve
-from lierb.kernels.stepper import accelerate
-from lierb.kernels.vec import IDENTITY
-from lierb.kernels.zero import is_zero
+from lierb.kernels.groups import quaternion
+from lierb.kernels.mechanics.constraints import Row, acceleration, jacobian
+from lierb.kernels.mechanics.newton_euler import CSPACES
+from lierb.kernels.mechanics.saddle import Load, solve
+from lierb.kernels.numbers.vec import IDENTITY
+from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.stepper import accelerate
 from lierb.tableaus import TABLEAUS
 
 

@@ -13,8 +13,8 @@ from cases import integrate, top
 from studies import study
 
 import lierb
-from lierb import engine, progress
 from lierb.errors import ArgumentError
+from lierb.runs import engine, progress
 
 STEPS = 6
 TOTAL = 50 * 2 * (50 + 25)  # body-steps of the study: bodies, c-spaces, steps at either dt

@@ -14,10 +14,10 @@ from cases import column, joint
 from numba.core.runtime import _nrt_python, rtsys
 
 import lierb
-from lierb import engine
-from lierb.dataset import parquet_files
 from lierb.errors import FailedTrajectoryWarning
-from lierb.failures import Failures
+from lierb.runs import engine
+from lierb.runs.failures import Failures
+from lierb.studies.dataset import parquet_files
 
 pytestmark = [
     pytest.mark.slow,  # kernels of their own

@@ -16,12 +16,12 @@ from studies import PARTS, TEXT, sorted_rows, study
 
 import lierb
 from lierb.cli import cli
-from lierb.dataset import Dataset
 from lierb.errors import FailedTrajectoryWarning
+from lierb.studies.dataset import Dataset
 
 pytest.importorskip("plotly")
-from lierb.report import POINTS, write_report
-from lierb.study_plots import figures, omitted
+from lierb.studies.figures import figures, omitted
+from lierb.studies.report import POINTS, write_report
 
 BODIES = 50
 

@@ -11,7 +11,6 @@ import pytest
 from cases import GRAVITY, box, column, joint, tilted
 
 import lierb
-from lierb import engine
 from lierb.errors import (
     ArgumentError,
     FailedTrajectoryWarning,
@@ -19,7 +18,8 @@ from lierb.errors import (
     TimeGridError,
     TwistError,
 )
-from lierb.kernels.stepper import TIDY_EVERY
+from lierb.kernels.stepping.stepper import TIDY_EVERY
+from lierb.runs import engine
 
 DT = 1e-2
 STEPS = 100

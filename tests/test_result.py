@@ -17,11 +17,11 @@ from studies import TEXT, sorted_rows, study
 
 import lierb
 from lierb.cli import cli
-from lierb.columns import as_array, as_codes, numbers, texts, vectors
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, UnknownNameError
 from lierb.extras import MissingExtraError
-from lierb.failures import REMEDIES, STATUS_NAMES, Failures
 from lierb.result import COMPONENTS
+from lierb.runs.columns import as_array, as_codes, numbers, texts, vectors
+from lierb.runs.failures import REMEDIES, STATUS_NAMES, Failures
 
 COUNT, STEPS, DT = 5, 6, 1e-2
 TIMES = 4  # steps 0, 2, 4, 6

@@ -21,7 +21,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 import lierb
-from lierb import distributions, sampling
+from lierb import sampling
 from lierb.arrays import SLICE
 from lierb.errors import ArgumentError, LierbError, UnknownNameError
 from lierb.extras import MissingExtraError
@@ -36,6 +36,7 @@ from lierb.sampling import (
     TruncatedNormal,
     Uniform,
     Values,
+    distributions,
     inertia_of,
 )
 

@@ -11,9 +11,10 @@ import pytest
 from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, slow_but, tilted
 
 import lierb
-from lierb import api, engine
+from lierb import api
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.coefficients import TINY
+from lierb.kernels.groups.coefficients import TINY
+from lierb.runs import engine
 
 JOINTS = [name for name in SUBGROUP_JOINTS if name != "free"]
 NO_GRAVITY = (0.0, 0.0, 0.0)

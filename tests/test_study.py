@@ -41,16 +41,16 @@ from studies import (
 )
 
 import lierb
-from lierb import dataset as dataset_module
-from lierb import running
 from lierb.cli import cli
-from lierb.dataset import Dataset
 from lierb.errors import StudyError, StudyWarning
-from lierb.manifest import sealed
-from lierb.parts import _with_draws
-from lierb.running import parts_of, replay
-from lierb.study import KEYS, Study, line_of
-from lierb.units import FORCE_UNITS, UNITS
+from lierb.studies import dataset as dataset_module
+from lierb.studies import running
+from lierb.studies.dataset import Dataset
+from lierb.studies.manifest import sealed
+from lierb.studies.parts import _with_draws
+from lierb.studies.running import parts_of, replay
+from lierb.studies.study import KEYS, Study, line_of
+from lierb.studies.units import FORCE_UNITS, UNITS
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
 
@@ -779,7 +779,7 @@ def test_ctrl_c_finishes_the_part_and_says_how_to_go_on(tmp_path, interruptible)
 
 
 def test_summary_of_a_study(whole):
-    from lierb.findings import findings, orders
+    from lierb.studies.findings import findings, orders
 
     rows = Dataset(whole)
     rows.read()
@@ -818,7 +818,7 @@ def test_errors_that_a_joint_has_no_rows_for_are_dashes(whole, tmp_path):
 
 @pytest.mark.slow
 def test_figures_of_a_study_are_complete(tmp_path):
-    study_plots = pytest.importorskip("lierb.study_plots")
+    study_plots = pytest.importorskip("lierb.studies.figures")
     history = {"save_every": 10}
     done = lierb.run(study(integrate=history), tmp_path / "out")
     written = study_plots.draw_all(done, tmp_path / "figures")

@@ -55,7 +55,7 @@ def available() -> str:
 
 
 def config() -> dict[str, object]:
-    from lierb.provenance import machine
+    from lierb.runs.provenance import machine
 
     return {**machine(), "measure_every": 10}
 

@@ -31,8 +31,9 @@ from cases import RECORD
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb import convergence, errors, tableaus
-from lierb.kernels.constraints import Row
+from lierb import errors, tableaus
+from lierb.kernels.mechanics.constraints import Row
+from lierb.studies import convergence
 
 SECONDS = 5.0  # that a call may take
 MESSAGE = 2000  # characters that an error's message may have

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from faults.crash import Child, Serving
-from lierb.provenance import machine
+from lierb.runs.provenance import machine
 
 
 class Trials(Protocol):

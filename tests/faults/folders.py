@@ -14,8 +14,8 @@ from studies import TEXT, hashes
 
 from faults.crash import in_child
 from lierb.cli import cli
-from lierb.manifest import read_manifest
-from lierb.study import Study
+from lierb.studies.manifest import read_manifest
+from lierb.studies.study import Study
 
 FEW = {
     "n = 50": "n = 4",

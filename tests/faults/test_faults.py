@@ -18,7 +18,7 @@ from faults import campaign
 from faults.campaign import KINDS, Count, Kind
 from faults.crash import ENDS, REFUSALS, Alone, Points, in_child, killed_in_child, points_of
 from faults.damage import damaged, edited
-from lierb.dataset import Dataset
+from lierb.studies.dataset import Dataset
 
 pytestmark = [
     pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled without JIT"),

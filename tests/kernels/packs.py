@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from lierb.kernels import _jit
-from lierb.kernels.arithmetic import gather, scatter
-from lierb.kernels.coefficients import (
+from lierb.compiler import _jit
+from lierb.kernels.groups.coefficients import (
     atan2,
     coefficients,
     half_angle_coefficients,
     sincos,
 )
-from lierb.kernels.lanes import DEFAULT_LANES
-from lierb.kernels.vec import inverse_symmetric, principal_axes
+from lierb.kernels.numbers.arithmetic import gather, scatter
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.numbers.vec import inverse_symmetric, principal_axes
 
 FORMULAS = {
     "coefficients": coefficients,

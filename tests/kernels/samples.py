@@ -11,9 +11,9 @@ import oracle
 from oracle import mp
 
 import lierb
-from lierb.kernels.arithmetic import flatten
-from lierb.kernels.batch import GROUPS, SIGNATURES
-from lierb.kernels.zero import is_zero
+from lierb.kernels.groups.lie_functions import GROUPS, SIGNATURES
+from lierb.kernels.numbers.arithmetic import flatten
+from lierb.kernels.numbers.zero import is_zero
 
 CUTOVERS = (0.1, 0.5, np.pi)  # rad: series of five terms, of eight, long series, closed forms
 NUMBER_TYPES = ("lanes", "arrays", "floats")

@@ -9,8 +9,8 @@ from oracle import mp
 
 from kernels.packs import on_lanes
 from kernels.samples import CUTOVERS, NUMBER_TYPES, angles, near_two_pi
-from lierb.kernels import coefficients as module
-from lierb.kernels.coefficients import (
+from lierb.kernels.groups import coefficients as module
+from lierb.kernels.groups.coefficients import (
     Coefficients,
     HalfAngleCoefficients,
     coefficients,

@@ -12,12 +12,12 @@ from numba import config
 from oracle import mp
 
 from kernels.packs import FORMULAS, on_lanes
-from lierb.kernels import dual as module
-from lierb.kernels.dual import Condition, Dual, raw, where
-from lierb.kernels.lanes import DEFAULT_LANES
-from lierb.kernels.object_arrays import numbers
-from lierb.kernels.vocabulary import clip, log, quaternion, table
-from lierb.kernels.zero import is_zero
+from lierb.kernels.numbers import dual as module
+from lierb.kernels.numbers.dual import Condition, Dual, raw, where
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.numbers.object_arrays import numbers
+from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
+from lierb.kernels.numbers.zero import is_zero
 
 
 def matrix(x):

@@ -10,11 +10,11 @@ import numba
 import pytest
 from numba import float64, int64, types
 
+from lierb.compiler._jit import OPTIONS
 from lierb.joints import JOINTS
-from lierb.kernels._jit import OPTIONS
-from lierb.kernels.driver import integrate_block
-from lierb.kernels.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
-from lierb.kernels.plan import Plan, block_lanes
+from lierb.kernels.numbers.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
+from lierb.kernels.stepping.driver import integrate_block
+from lierb.kernels.stepping.plan import Plan, block_lanes
 from lierb.tableaus import TABLEAUS
 
 pytestmark = pytest.mark.skipif(

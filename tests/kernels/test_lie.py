@@ -24,7 +24,7 @@ from kernels.samples import (
     sweep,
     twists,
 )
-from lierb.kernels import so3
+from lierb.kernels.groups import so3
 
 everywhere = pytest.mark.parametrize("group", slow_but(GROUPS, "so3", "se3"))
 every_number = pytest.mark.parametrize("number_type", NUMBER_TYPES)

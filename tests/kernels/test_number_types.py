@@ -14,9 +14,9 @@ from numba import config, njit
 import lierb
 from kernels.packs import on_lanes
 from kernels.samples import GROUPS, dim, twists, unpacked
-from lierb.kernels import se3, so3xr3
-from lierb.kernels.arithmetic import flatten
-from lierb.kernels.batch import SIGNATURES, LieFunction, apply, width
+from lierb.kernels.groups import se3, so3xr3
+from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
+from lierb.kernels.numbers.arithmetic import flatten
 
 ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 4, 8)

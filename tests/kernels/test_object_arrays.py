@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.kernels import _jit
-from lierb.kernels.dual import Dual, raw
-from lierb.kernels.functions import traceable
-from lierb.kernels.object_arrays import UntraceableError, has_traced, numbers
+from lierb.compiler import _jit
+from lierb.kernels.functions.function import traceable
+from lierb.kernels.numbers.dual import Dual, raw
+from lierb.kernels.numbers.object_arrays import UntraceableError, has_traced, numbers
 
 RNG = np.random.default_rng(1)
 GIVEN = {"t": 0.7, "R": RNG.normal(size=(3, 3)), "r": RNG.normal(size=3), "v": RNG.normal(size=3)}

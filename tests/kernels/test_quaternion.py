@@ -5,9 +5,9 @@ import oracle
 from oracle import mp
 
 from kernels.samples import configurations, norms, packed, reference, sweep, twists, unpacked
-from lierb.kernels import quaternion
-from lierb.kernels.vec import dot
-from lierb.kernels.zero import ZERO, is_zero
+from lierb.kernels.groups import quaternion
+from lierb.kernels.numbers.vec import dot
+from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 def charts():

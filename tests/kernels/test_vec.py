@@ -9,8 +9,8 @@ from oracle import mp
 
 from kernels.packs import on_lanes
 from kernels.samples import NUMBER_TYPES
-from lierb.kernels import vec
-from lierb.kernels.vec import inverse_symmetric, principal_axes
+from lierb.kernels.numbers import vec
+from lierb.kernels.numbers.vec import inverse_symmetric, principal_axes
 
 A, B = np.array([[1, -2, 3], [4, 5, -6], [-7, 8, 9]]), np.array([[2, 0, -1], [1, 3, 5], [-4, 6, 7]])
 a, b = A[0], B[1]

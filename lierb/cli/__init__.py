@@ -1,0 +1,5 @@
+"""The `lierb` command. Needs click and rich: the extra `lierb[cli]`."""
+
+from lierb.cli.main import cli
+
+__all__ = ["cli"]

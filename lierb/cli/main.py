@@ -1,0 +1,300 @@
+"""The group of commands, and those that are no study's.
+
+Each command imports what it runs inside its function, so that `lierb --help` stays quick.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import groupby, zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lierb.cli import studies as study_cli
+from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
+from lierb.errors import LierbError
+from lierb.extras import MissingExtraError, require
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lierb.paper import Finding, PaperReport
+
+
+NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of the cache's folder
+
+
+class Commands(click.Group):
+    """A group whose commands end with one sentence where Python would show a traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("\nInterrupted. No file is left half-written.", err=True)
+            ctx.exit(INTERRUPTED)
+        except BrokenPipeError:
+            raise  # `lierb … | head`: click ends quietly
+        except (MissingExtraError, LierbError, OSError) as error:
+            raise click.ClickException(str(error)) from error
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="lierb")
+def cli() -> None:
+    """Constrained rigid bodies on Lie groups, many at once."""
+
+
+for command in study_cli.COMMANDS:
+    cli.add_command(command)
+
+
+def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
+    """Callback for options that take a finite number."""
+    if not math.isfinite(value):
+        raise click.BadParameter(f"{value} is not a finite number")
+    return value
+
+
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("results/paper"),
+    show_default=True,
+    help="Folder for the tables and figures.",
+)
+@click.option(
+    "--gravity",
+    type=float,
+    default=0.0,
+    show_default=True,
+    callback=finite,
+    help="In m/s², along -e3 of the ground; the paper mentions none.",
+)
+@click.option(
+    "--update",
+    type=click.Choice(["local", "global"]),
+    default="local",
+    show_default=True,
+    help="How a step updates the configuration.",
+)
+@click.option("--as-printed", is_flag=True, help="Keep the mistakes that the paper prints.")
+@click.option("--no-figures", is_flag=True, help="Write the tables only.")
+def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: bool) -> None:
+    """Reproduce section 5 of the paper that lierb grew out of.
+
+    Every joint in both c-spaces, RK4 with three step sizes over 10 s: how well does each keep its
+    constraints, and does that agree with the paper's claims? (A. Müller, BIT 56, 2016)
+    """
+    from lierb.paper import T_END, run_paper
+
+    with progress_of_cases() as progress:
+        report = run_paper(
+            out,
+            gravity=gravity,
+            update=update,
+            as_printed=as_printed,
+            figures=not no_figures,
+            progress=progress,
+        )
+    click.echo(f"Section 5 of the paper over {T_END:g} s: {report.setting}\n")
+    print_whole(_findings_table(report))
+    for line in _closing_lines(report, out):
+        click.echo(line)
+
+
+@cli.command()
+@click.option("--json", "as_json", is_flag=True, help="As JSON, for a report or a script.")
+def info(as_json: bool) -> None:
+    """What lierb runs with here: versions, CPU, lanes, threads, compiled kernels."""
+    import json
+
+    import lierb
+
+    found = lierb.info()
+    if as_json:
+        click.echo(json.dumps(found, indent=2))
+        return
+    cache = found.pop("cache")
+    rows = {
+        "versions": ", ".join(
+            f"{name} {found[name]}"
+            for name in ("lierb", "python", "numba", "llvmlite", "numpy", "pyarrow")
+        ),
+        "platform": found["platform"],
+        "CPU": f"{found['cpu']} ({', '.join(found['vectors'])}{', fma' * found['fma']})",
+        "lanes": f"{found['lanes']} bodies in a vector register",
+        "threads": f"{found['threads']} ({found['threading_layer']})",
+        "cache": cache["folder"] or NO_CACHE,
+        "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB "
+        f"of at most {cache['most_bytes'] / 1e6:.0f}",
+    }
+    for name, text in rows.items():
+        click.echo(f"{name:10}{text}")
+
+
+@cli.command()
+@click.option("--clear", is_flag=True, help="Delete them all, whatever version they are of.")
+def cache(clear: bool) -> None:
+    """Compiled kernels on the disk: where they are, how many, how large."""
+    import lierb
+    from lierb.installation import clear_cache
+
+    if clear:
+        try:
+            deleted = clear_cache()
+        except OSError as error:
+            raise click.ClickException(
+                f"{error.filename} cannot be deleted: {error.strerror}"
+            ) from error
+        click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
+        return
+    found = lierb.info()["cache"]
+    told = f"{found['kernels']} kernels of this version, {found['bytes'] / 1e6:.1f} MB"
+    click.echo(f"{told}; folder: {found['folder'] or NO_CACHE}")
+
+
+@cli.command()
+@click.argument("joint", nargs=-1)
+@click.option("--method", multiple=True, default=["RK4"], show_default=True)
+@click.option(
+    "--cspace", multiple=True, default=["SE3"], show_default=True,
+    help="SE3, SO3xR3 or reduced.",
+)  # fmt: skip
+@click.option(
+    "--update", multiple=True, default=["local"], show_default=True, help="local or global."
+)
+@click.option("--solver", default="auto", show_default=True, help="auto or saddle.")
+@click.option("--multipliers", is_flag=True, help="The kernels of runs that record them.")
+@study_cli.SET
+def warmup(
+    joint: tuple[str, ...],
+    method: tuple[str, ...],
+    cspace: tuple[str, ...],
+    update: tuple[str, ...],
+    solver: str,
+    multipliers: bool,
+    changes: study_cli.Changes,
+) -> None:
+    """Compile ahead of time what later processes then load from the disk cache.
+
+    JOINT is a name such as spherical (the default), or several. Every option but --solver may be
+    given more than once: each combination is compiled. Or it is the TOML file of a study.
+    """
+    import lierb
+
+    if len(joint) == 1 and joint[0].endswith(".toml"):
+        require("study")
+        from lierb.studies.running import compile_for
+
+        for setting, seconds in compile_for(joint[0], changes):
+            click.echo(f"{setting.label:40}{seconds:6.2f} s")
+        return
+    if changes:
+        raise click.UsageError("--set changes a study; name its TOML file")
+    with progress_of_cases() as progress:
+        kernels = lierb.warmup(
+            joint or ("spherical",), methods=method, cspaces=cspace, updates=update,
+            solver=solver, multipliers=multipliers, progress=progress,
+        )  # fmt: skip
+    for kernel in kernels:
+        name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
+        click.echo(f"{name:40}{kernel.seconds:6.2f} s")
+    folder = lierb.info()["cache"]["folder"]
+    click.echo(f"{len(kernels)} kernels are ready; folder: {folder or NO_CACHE}")
+
+
+def _findings_table(report: PaperReport) -> Table:
+    """A block of rows for each joint and c-space: the step sizes, and the judgement beside them.
+
+    It is 79 columns wide, so that it fits where output is piped as well.
+    """
+    from rich import box
+    from rich.table import Table
+
+    from lierb.paper import AS_STATED
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
+    for column in (
+        "joint",
+        "c-space",
+        "dt/s",
+        "max\nposition\nerror/m",
+        "max\nrotation\nerror",
+        "",
+        "observed\norder",
+        "verdict",
+        "paper's\nclaim",
+        "agrees",
+    ):
+        table.add_column(column, no_wrap=True)
+    for example, of_example in groupby(report.findings, key=lambda finding: finding.example):
+        names = example.title.split(", ")
+        if example.reading != AS_STATED:
+            names.append(f"({example.reading})")
+        for cspace, of_cspace in groupby(of_example, key=lambda finding: finding.cspace):
+            findings = list(of_cspace)
+            block = zip_longest(
+                names, [cspace], _error_cells(findings), _judgement_cells(findings), fillvalue=""
+            )
+            for name, space, errors, judgement in block:
+                table.add_row(name, space, *(errors or [""] * 3), *judgement)
+            names = []
+        table.add_section()
+    return table
+
+
+def _error_cells(findings: list[Finding]) -> list[list[str]]:
+    """For each step size: the step size, the position error, the rotation error."""
+    by_quantity = {finding.quantity: finding.errors for finding in findings}
+    dts = findings[0].dts
+    absent = [None] * len(dts)
+    columns = [by_quantity.get(quantity, absent) for quantity in ("position", "rotation")]
+    return [
+        [f"{dt:.0e}".replace("e-0", "e-"), *map(_number, errors)]
+        for dt, *errors in zip(dts, *columns)
+    ]
+
+
+def _number(error: float | None) -> str:
+    if error is None:
+        return "–"
+    return f"{error:.1e}" if error else "0"
+
+
+def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
+    """For each error: its name, the observed order, the verdict, the claim, whether they agree."""
+    agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "–"}
+    return [
+        [
+            finding.quantity[:3],
+            "–" if finding.order is None else str(finding.order),
+            finding.verdict,
+            finding.claim or "–",
+            agreement[finding.agrees],
+        ]
+        for finding in findings
+    ]
+
+
+def _closing_lines(report: PaperReport, out: Path) -> Iterator[str]:
+    """How to read the table, what was read differently, what agrees, and where the files are."""
+    yield ""
+    yield "pos, rot: the position and the rotation error, largest of all steps."
+    yield "exact: at rounding for every dt.  >=: the finer error is at rounding, a lower bound."
+    yield ""
+    noted = dict.fromkeys(f.example for f in report.findings if f.example.note)
+    for example in noted:
+        yield wrapped(f"{example.title} ({example.reading}): {example.note}.")
+    for warning in report.warnings:
+        yield wrapped(f"warning: {warning}")
+    yield ""
+    claims = [finding.agrees for finding in report.findings if finding.agrees is not None]
+    yield f"{sum(claims)} of {len(claims)} claims of the paper agree."
+    yield f"Written to {out}:"
+    for stem, files in groupby(report.files, key=lambda path: path.stem):
+        yield f"  {stem}{', '.join(path.suffix for path in files)}"

@@ -1,0 +1,335 @@
+"""The commands of `lierb` that run and look at studies."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
+from lierb.errors import StudyError
+from lierb.extras import require
+from lierb.runs.failures import told_elsewhere
+from lierb.studies.changes import parsed, written
+from lierb.studies.files import folder_of, naming, write_whole
+from lierb.studies.shipped import example as text_of
+from lierb.studies.shipped import examples
+from lierb.studies.sources import as_file
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from lierb.studies.dataset import Dataset
+    from lierb.studies.study import Study
+
+Changes = dict[str, Any]
+FILE = "study.toml"  # lierb.studies.dataset.STUDY, without what that imports
+COPIED = "lierb.copied"  # in a context: the study is from a pipe
+
+
+class _Path(click.Path):
+    """A path whose `~` is expanded, as in `--out=~/top`, which a shell leaves alone."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        # as text: a Path makes `s3:/x` of a URL, and the folder here of nothing
+        return super().convert(os.path.expanduser(value), param, ctx)  # noqa: PTH111
+
+
+FOLDER = click.argument("folder", type=_Path(exists=True, file_okay=False, path_type=Path))
+
+
+def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
+    """Callback of STUDY: a file that may be read again, until the command ends."""
+    path = ctx.with_resource(as_file(given))
+    ctx.meta[COPIED] = path != given
+    return path
+
+
+STUDY = click.argument(
+    "study", callback=_readable,
+    type=_Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path),
+)  # fmt: skip
+
+
+def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
+    """Callback of --set: what is changed, by dotted keys."""
+    try:
+        pairs = [parsed(each) for each in given]
+    except StudyError as error:
+        raise click.BadParameter(str(error)) from None
+    return _merged(*({key: value} for key, value in pairs))
+
+
+def _merged(*given: Changes) -> Changes:
+    changes: Changes = {}
+    for each in given:
+        for key in changes.keys() & each.keys():
+            raise click.UsageError(f"{key} is set twice; choose")
+        changes |= each
+    return changes
+
+
+SET = click.option(
+    "--set", "changes", multiple=True, metavar="KEY=VALUE", callback=_changes,
+    help="Change a setting of the STUDY, as integrate.dt=1e-4; may be given more than once.",
+)  # fmt: skip
+
+
+@click.command()
+@STUDY
+@SET
+@click.option("--n", type=int, help="Bodies: as --set sample.n=N.")
+@click.option("--seed", type=int, help="Of the sampling: as --set sample.seed=SEED.")
+@click.option(
+    "--out", type=_Path(file_okay=False),
+    help="Folder for the results.  [default: results/NAME]",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
+@click.option(
+    "--threads", type=click.IntRange(min=1),
+    help="Threads to use, in each worker of a cluster.  [default: all that it has]",
+)  # fmt: skip
+@click.option(
+    "--workers", type=click.IntRange(min=1), metavar="N",
+    help="Spread the parts over N processes of this machine.",
+)  # fmt: skip
+@click.option(
+    "--scheduler", metavar="ADDRESS",
+    help="Spread them over the workers of a Dask cluster, such as tcp://10.0.0.1:8786.",
+)  # fmt: skip
+@click.option(
+    "--gather", is_flag=True, help="Workers send their parts here; they do not see the folder."
+)
+@click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
+@click.option(
+    "--only", type=int, metavar="TRAJECTORY",
+    help="Replay the trajectory of this number alone, everything recorded at each step.",
+)  # fmt: skip
+def run(
+    study: Path,
+    changes: Changes,
+    n: int | None,
+    seed: int | None,
+    out: str | None,
+    resume: bool,
+    threads: int | None,
+    workers: int | None,
+    scheduler: str | None,
+    gather: bool,
+    report: bool,
+    only: int | None,
+) -> None:
+    """Run a Monte Carlo STUDY, a TOML file (- for standard input), into a folder of Parquet parts.
+
+    A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
+    """
+    require("study")
+    if report:
+        require("report")  # now, rather than after the run
+    from lierb.studies.running import run as run_study
+    from lierb.studies.study import Study
+
+    folder = folder_of(Path("results") / study.stem if out is None else out)
+    _require_one_way(workers, scheduler, gather, report, only)
+    own = {"sample.n": n, "sample.seed": seed}
+    changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
+    loaded = Study.load(study, changes)  # what is wrong is said before any worker starts
+    if only is not None:
+        _replay(loaded, folder, only, threads)
+        return
+    try:
+        with _client(workers, scheduler) as client, told_elsewhere():
+            dataset = run_study(
+                study, folder, changes=changes, resume=resume, threads=threads,
+                client=client, gather=gather,
+            )  # fmt: skip
+    except KeyboardInterrupt:
+        again = _to_go_on(study, changes, out, folder)
+        click.echo(f"\nStopped. Finished parts are kept; go on with:  {again}", err=True)
+        raise click.exceptions.Exit(INTERRUPTED) from None
+    _show(dataset)
+    if report:
+        _report(dataset, folder / "report.html")
+    _end_with_failures(dataset)
+
+
+def _to_go_on(study: Path, changes: Changes, out: str | None, folder: Path) -> str:
+    """The command that does the rest of a run, of the folder's own study if it was from a pipe."""
+    if click.get_current_context().meta[COPIED]:
+        return shlex.join(["lierb", "run", str(folder / FILE), "--out", str(folder), "--resume"])
+    options = [word for each in written(changes) for word in ("--set", each)]
+    options += ["--out", str(folder)] if out is not None else []
+    return shlex.join(["lierb", "run", str(study), *options, "--resume"])
+
+
+def _require_one_way(
+    workers: int | None, scheduler: str | None, gather: bool, report: bool, only: int | None
+) -> None:
+    spread = workers is not None or scheduler is not None
+    if workers is not None and scheduler is not None:
+        raise click.UsageError("--workers starts a cluster, --scheduler joins one; choose")
+    if gather and not spread:
+        raise click.UsageError("--gather is for a cluster: --scheduler or --workers")
+    if only is not None and spread:
+        raise click.UsageError("--only runs one trajectory here: without --scheduler and --workers")
+    if only is not None and report:
+        raise click.UsageError("--report is on a study, --only on one trajectory; choose")
+
+
+@contextmanager
+def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
+    """A client of the cluster that was asked for, if one was."""
+    if workers is None and scheduler is None:
+        yield None
+        return
+    require("cluster")
+    from lierb.studies.cluster import client_of, local_client
+
+    click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)
+    with local_client(workers) if workers else client_of(str(scheduler)) as client:
+        yield client
+
+
+@click.command()
+@FOLDER
+def show(folder: Path) -> None:
+    """The summary of a study's results in FOLDER, finished or not."""
+    require("study")
+    from lierb.studies.dataset import Dataset
+
+    dataset = Dataset(folder)
+    dataset.read()
+    _show(dataset)
+    _end_with_failures(dataset)
+
+
+@click.command()
+@FOLDER
+def plot(folder: Path) -> None:
+    """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
+    require("study")
+    require("plot")
+    from lierb.studies.dataset import Dataset
+    from lierb.studies.figures import draw_all, omitted
+
+    dataset, figures = Dataset(folder), folder / "figures"
+    dataset.read()
+    with naming(figures, "written", "make room there, and draw them again"):
+        drawn = draw_all(dataset, figures)
+    for path in drawn:
+        click.echo(str(path))
+    for name, why in omitted(dataset).items():
+        click.echo(f"{name}: left out, since {why}", err=True)
+
+
+@click.command("report")
+@FOLDER
+@click.option(
+    "--out", type=_Path(dir_okay=False, path_type=Path),
+    help="The file to write.  [default: FOLDER/report.html]",
+)  # fmt: skip
+def report_page(folder: Path, out: Path | None) -> None:
+    """One HTML page on a study's results in FOLDER, which opens without a network."""
+    require("study")
+    from lierb.studies.dataset import Dataset
+
+    dataset = Dataset(folder)
+    dataset.read()
+    _report(dataset, out or folder / "report.html")
+
+
+@click.command()
+@STUDY
+@SET
+def predict(study: Path, changes: Changes) -> None:
+    """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
+
+    Of its first body: where the joint is on the body can make a difference.
+    """
+    require("study")
+    import lierb
+    from lierb.studies.study import Study
+
+    batch = Study.load(study, changes).batch(0, 1)
+    found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
+    click.echo(str(found))
+    for prediction in found.values():
+        click.echo(wrapped(f"{prediction.cspace}: {prediction.reason}"))
+
+
+def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
+    """A trajectory's history in files of its own, and its row of the summary."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from lierb.studies.running import replay
+
+    for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
+        path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
+        content = pa.BufferOutputStream()
+        pq.write_table(tables["history"], content)
+        write_whole(path, content.getvalue())
+        (row,) = tables["summary"].to_pylist()
+        click.echo(f"{setting.label}: {row['status']}, history in {path}")
+        for name, value in row.items():
+            if isinstance(value, float):
+                click.echo(f"  {name:28}{value!r}")
+
+
+def _report(dataset: Dataset, path: Path) -> None:
+    require("report")
+    from lierb.studies.report import write_report
+
+    click.echo("Writing the report ...", err=True)
+    click.echo(str(write_report(dataset, path)))
+
+
+def _show(dataset: Dataset) -> None:
+    from lierb.studies.findings import findings, table_of
+
+    print_whole(table_of(findings(dataset)))
+    done, asked = len(dataset.parts), dataset.manifest["asked"]
+    state = "" if done == asked else f"; the rest with: {_again(dataset, '--resume')}"
+    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+
+
+def _end_with_failures(dataset: Dataset) -> None:
+    """How many failed, why, and what to do: what is read last."""
+    failures = dataset.failures()
+    if failures is None:
+        return
+    click.secho(str(failures), fg="red", bold=True)
+    for remedy in failures.remedies:
+        click.echo(wrapped(remedy))
+    replay = _again(dataset, "--only", str(failures.trajectory))
+    click.echo(f"That one again, everything recorded:\n  {replay}")
+
+
+def _again(dataset: Dataset, *options: str) -> str:
+    """The command that runs the study of a folder into it."""
+    study, folder = str(dataset.folder / FILE), str(dataset.folder)
+    return shlex.join(["lierb", "run", study, "--out", folder, *options])
+
+
+@click.command()
+@click.argument("name", required=False)
+def example(name: str | None) -> None:
+    """Print the example study NAME, to be run or changed; without a name, list them.
+
+    \b
+    lierb example heavy_top > heavy_top.toml
+    lierb run heavy_top.toml --n 1000
+    """
+    if name is None:
+        for each, line in examples().items():
+            click.echo(f"{each:14}{line}")
+        return
+    click.echo(text_of(name).encode(), nl=False)  # bytes: TOML is UTF-8, whatever a terminal has
+
+
+COMMANDS = (run, show, plot, report_page, predict, example)

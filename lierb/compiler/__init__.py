@@ -1,0 +1,1 @@
+"""Numba and llvmlite: what turns formulas into machine code, and keeps it."""

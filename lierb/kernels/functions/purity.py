@@ -1,0 +1,192 @@
+"""Whether a function is one of its arguments alone: by what it does while it is traced.
+
+What a function names is looked at before it runs (`lierb.kernels.functions.fingerprint`). Here it
+runs, twice: both times it must do the same, leave the random generators as they are, and call
+nothing that reads a clock, a file or the system, by whatever name.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import types
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from lierb.kernels.functions.fingerprint import (
+    ALONE,
+    CLOCKS,
+    RANDOM,
+    TEXT,
+    UnfitFunctionError,
+    at,
+    attributes_of,
+    refusal,
+    refusal_of_call,
+)
+
+MARK = "__lierb_traced__"  # among the globals of functions that are traced
+# They may do what they like on a user's behalf: look a warning's line up in its file, say.
+TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "importlib")
+
+
+def require_repeatable(run: Callable[[], str]) -> None:
+    """Raise UnfitFunctionError unless `run`, which gives a trace's text, does the same twice."""
+    with _watching():
+        first = run()
+    if run() != first:
+        raise UnfitFunctionError(
+            "it does not do the same when it is called again: it reads or changes something beside "
+            f"its arguments (a random generator, a clock, a counter); {ALONE}"
+        )
+
+
+@contextmanager
+def _watching() -> Iterator[None]:
+    """Refuses what a traced function calls and may not, and what it draws at random.
+
+    A profiler that is at work already stays: then only what can be seen without one is.
+    """
+    before, found = _random_states(), _Calls()
+    profiled = sys.getprofile() is not None
+    if not profiled:
+        sys.setprofile(found)
+    try:
+        yield
+    finally:
+        if not profiled:
+            sys.setprofile(None)
+    if found.refused is not None:  # and the function has caught it
+        raise UnfitFunctionError(found.refused)
+    if _random_states() != before:
+        raise UnfitFunctionError(
+            "it draws random numbers: they would be the same constants for every body and in every "
+            f"step; {ALONE}: sample a parameter instead"
+        )
+
+
+def _random_states() -> tuple[Any, ...]:
+    states: tuple[Any, ...] = (random.getstate(),)
+    if "numpy.random" in sys.modules:
+        name, keys, *rest = np.random.get_state()  # noqa: NPY002
+        states += (name, np.asarray(keys).tobytes(), *rest)
+    return states
+
+
+class _Calls:
+    """What `sys.setprofile` calls: refuses calls out of a function's own arguments."""
+
+    refused: str | None = None
+
+    def __call__(self, frame: types.FrameType, event: str, argument: Any) -> None:
+        caller = frame if event == "c_call" else frame.f_back
+        if event not in ("c_call", "call") or caller is None or _is_trusted(caller):
+            return
+        if event == "c_call":
+            why = refusal_of_call(argument, _name_of(argument))
+        else:
+            why = _of_module(frame.f_globals.get("__name__", ""), frame.f_code.co_name)
+        if why is None:
+            return
+        place = _users_line(caller)
+        if place is not None:
+            self.refused = f"{place}: {why}"
+            raise UnfitFunctionError(self.refused)
+
+
+def _name_of(function: Any) -> str:
+    owner = getattr(function, "__self__", None)
+    first = getattr(owner, "__name__", type(owner).__name__) if owner is not None else ""
+    name = getattr(function, "__name__", str(function))
+    return name if first in ("", "builtins") else f"{first}.{name}"
+
+
+def _of_module(module: str, name: str) -> str | None:
+    """What is wrong with calling a Python function of that module."""
+    top = module.split(".")[0]
+    if top == "numpy" and module.endswith(".arrayprint"):
+        return TEXT
+    if top in RANDOM or top in CLOCKS or module.startswith("numpy.random") or top in _SYSTEM:
+        return refusal(sys.modules.get(module, types.ModuleType(module)), f"{module}.{name}")
+    return None
+
+
+_SYSTEM = (
+    "os", "posixpath", "pathlib", "subprocess", "socket", "tempfile", "shutil", "glob", "io",
+    "threading", "logging", "urllib", "http", "platform", "getpass", "locale",
+)  # fmt: skip
+
+
+def _users_line(frame: types.FrameType | None) -> str | None:
+    """Where the function of the user's is that a call goes back to; None if it is not its own."""
+    while frame is not None:
+        if MARK in frame.f_globals:
+            return at(frame.f_code, frame.f_lineno)
+        if _is_trusted(frame):
+            return None
+        frame = frame.f_back
+    return None
+
+
+def _is_trusted(frame: types.FrameType) -> bool:
+    module: str = frame.f_globals.get("__name__", "")
+    return module.partition(".")[0] in TRUSTED
+
+
+# ---- compiled by Numba -------------------------------------------------------------------------
+
+
+def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
+    """Raise UnfitFunctionError for what compiled code calls and may not: Numba knows it all."""
+    seen = [] if seen is None else seen
+    if dispatcher in seen or not hasattr(dispatcher, "overloads"):
+        return
+    seen.append(dispatcher)
+    names = attributes_of(dispatcher.py_func)
+    for found in list(dispatcher.overloads.values()):
+        if getattr(found, "lifted", ()):
+            raise UnfitFunctionError(f"it runs Python code of its own (objmode); {ALONE}")
+        annotation = found.type_annotation
+        for variable, ty in getattr(annotation, "typemap", {}).items():
+            value = getattr(ty, "typing_key", None) or getattr(ty, "pymod", None)
+            if hasattr(ty, "dispatcher"):
+                require_pure_code(ty.dispatcher, seen)
+                continue
+            # Numba makes np.array of np.empty, which the code does not name then.
+            why = TEXT if _is_text_of_numbers(ty) else None
+            if value is not None:
+                is_named = getattr(value, "__name__", "") in names
+                why = (refusal if is_named else refusal_of_call)(value, _dotted(value))
+            if why is not None:
+                line = _line_of(variable, annotation.blocks)
+                place = at(dispatcher.py_func.__code__, line) if line else dispatcher.__name__
+                raise UnfitFunctionError(f"{place}: {why}")
+
+
+def _is_text_of_numbers(ty: Any) -> bool:
+    """Whether Numba has put the name of a type where Python would write a number or an array."""
+    text = getattr(ty, "literal_value", None)
+    return isinstance(text, str) and text.startswith("<object type:")
+
+
+def _dotted(value: Any) -> str:
+    if isinstance(value, types.ModuleType):
+        return value.__name__.replace("numpy", "np", 1)
+    owner = type(getattr(value, "__self__", None))
+    module = str(getattr(value, "__module__", None) or owner.__module__)
+    prefix = "np.random." if module.startswith("numpy.random") else f"{module}."
+    prefix = "np." if module == "numpy" else prefix
+    name = getattr(value, "__name__", str(value))
+    return name if module in ("builtins", "") else f"{prefix}{name}"
+
+
+def _line_of(variable: str, blocks: Any) -> int | None:
+    """Where Numba's intermediate code assigns it."""
+    for block in blocks.values():
+        for step in block.body:
+            if getattr(getattr(step, "target", None), "name", None) == variable:
+                return int(step.loc.line)
+    return None

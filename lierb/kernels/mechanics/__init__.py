@@ -1,0 +1,1 @@
+"""A body, its constraints and forces, and its equations of motion."""

@@ -1,0 +1,390 @@
+"""The rigid body in the frames that make its joint simplest, and Newton–Euler in both c-spaces.
+
+Joint axes. Every problem is brought to the joint's own frames before the first step and taken back
+after the last: Q = GᵣᵀRBᵣ turns the body's joint frame to the ground's. Rows of the constraint
+Jacobian are then unit vectors and rows of Q, however the joint is tilted.
+
+- On SE(3) the body frame *is* the joint frame: D = G⁻¹CB = (Q, d). Both c-space and method are
+  equivariant under this change (left and right translations), so the motion is the same.
+- On SO(3)×R³ only rotations are: C = (Q, s) with s the place of the body frame's origin, and
+  d = s + Q p with p the joint's point seen from there. That p ≠ 0 is what makes constraints drift.
+
+Forces and accelerations are those at the joint's point, in body axes, in both c-spaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from lierb.kernels.groups import quaternion, quaternionxr3, se3, so3xr3
+from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.vec import (
+    IDENTITY,
+    UNIT,
+    ZERO3,
+    Mat,
+    Vec,
+    add,
+    axes_along,
+    axpy,
+    cross,
+    cross_add,
+    dot,
+    inverse_symmetric,
+    mat_mat,
+    mat_mat_t,
+    mat_t_mat,
+    mat_t_vec,
+    mat_vec,
+    mat_vec_add,
+    neg,
+    norm,
+    principal_axes,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO, is_zero
+
+Pose = tuple[Mat, Vec]
+Turn = Callable[[Vec], Vec]  # of a vector from one set of axes to another
+
+
+class Parameters(NamedTuple):
+    """A body and its joint as the user gives them (SI; rotation matrices row by row)."""
+
+    mass: Any
+    inertia: Mat  # about the body frame's origin
+    com: Vec  # centre of mass in the body frame
+    gravity: Vec  # in the ground frame
+    ground: Pose  # joint frame seen from the ground
+    body: Pose  # joint frame seen from the body
+    pitch: Any  # m/rad
+    length: Any  # m, of a rod
+
+
+def frames_of(p: Parameters) -> Frames:
+    """The way to joint axes for forces, which act from the joint's point on."""
+    return Frames(p.ground, *p.body)
+
+
+def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
+    """C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
+    return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
+
+
+class BodyConstants(NamedTuple):
+    """The same in joint axes, as the equations of motion want it."""
+
+    mass: Any
+    inertia: Mat  # Θ about the centre of mass
+    inertia_inverse: Mat
+    com: Vec  # c, from the body frame's origin
+    arm: Vec  # p, from the body frame's origin to the joint's point
+    gravity: Vec  # in the ground's joint frame
+    energy_origin: Any  # potential energy at the ground's joint frame, J
+    pitch: Any
+    length: Any
+    origin_inertia: Mat  # about the body frame's origin
+    first_moment: Vec  # m c
+    gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
+    turn: Mat = IDENTITY  # from the user's joint axes on the body to those that are used
+    shift: Vec = ZERO3  # from the user's joint point on the body to the one that is used
+    # Of a body that turns about a point, in principal axes: K₁ K₂ K₃, K₂ − K₃, K₃ − K₁, K₁ − K₂
+    moments: Vec = ()
+    differences: Vec = ()
+    dropped: Any = ZERO  # how many of the rows depended on others at the start
+    elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
+
+    def momentum(self, velocity: Vec) -> Vec:
+        """M V about the body frame's origin, on SE(3)."""
+        omega, v = velocity[:3], velocity[3:]
+        angular = cross_add(self.first_moment, v, mat_vec(self.origin_inertia, omega))
+        return angular + cross_add(omega, self.first_moment, scale(self.mass, v))
+
+    def wrench(self, fall: Vec, velocity: Vec, momentum: Vec) -> Vec:
+        """ad_Vᵀ (M V) + W about the body frame's origin, on SE(3); `fall` is gravity in body axes.
+
+        momentum : M V, or one that is the same for the purpose.
+        """
+        omega, v = velocity[:3], velocity[3:]
+        spin = gyroscopic(self, omega) if self.differences else cross(momentum[:3], omega)
+        # Of a body that turns and slides about its centre of mass, m v × v is but rounding.
+        torque = spin if not is_zero(*self.shift) else cross_add(momentum[3:], v, spin)
+        force = axpy(self.mass, fall, cross(momentum[3:], omega))
+        return cross_add(self.first_moment, fall, torque) + force
+
+
+class Kinematics(NamedTuple):
+    """What constraint rows are made of."""
+
+    q: Mat
+    d: Vec  # the joint's point in the ground's joint frame
+    omega: Vec
+    arm: Vec
+    point_rate: Vec  # Qᵀ ḋ
+    point_bias: Vec  # Qᵀ d̈ at zero acceleration V̇
+    is_body_fixed: bool  # velocity of the body frame in body axes (v), or in the ground's (ṙ)
+    time: Any = ZERO  # s
+
+    @property
+    def motion(self) -> Motion:
+        return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
+
+    def translation(self, ground: Vec, body: Vec) -> Vec:
+        """Translational part of a row along a direction, given in ground and in body axes."""
+        return body if self.is_body_fixed else ground
+
+    def at_point(self) -> Kinematics:
+        """The same, where rows act on ω and on the velocity of the joint's point, in body axes."""
+        return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
+
+
+class Frames(NamedTuple):
+    """The way from the user's frames to joint axes, for points and directions."""
+
+    ground: Pose
+    axes: Mat  # the joint's, seen from the user's body frame
+    origin: Vec  # the joint's point, seen from the user's body frame
+
+    def body_point(self, p: Vec) -> Vec:
+        return mat_t_vec(self.axes, sub(p, self.origin))
+
+    def body_direction(self, direction: Vec) -> Vec:
+        return mat_t_vec(self.axes, direction)
+
+    def ground_point(self, p: Vec) -> Vec:
+        return mat_t_vec(self.ground[0], sub(p, self.ground[1]))
+
+    def ground_direction(self, direction: Vec) -> Vec:
+        return mat_t_vec(self.ground[0], direction)
+
+
+class Motion(NamedTuple):
+    """What applied forces depend on; points of the body are counted from the joint's."""
+
+    time: Any
+    q: Mat
+    place: Vec  # the joint's point in the ground's joint frame
+    omega: Vec
+    v: Vec  # of the joint's point, in body axes
+
+    def place_of(self, point: Vec) -> Vec:
+        """In the ground's joint frame."""
+        return mat_vec_add(self.q, point, self.place)
+
+    def velocity_of(self, point: Vec) -> Vec:
+        """In body axes."""
+        return cross_add(self.omega, point, self.v)
+
+
+def _body(p: Parameters, origin: Vec, arm: Vec) -> BodyConstants:
+    """Turn to joint axes; `origin`, from which c is counted, is in the user's body frame."""
+    to_joint = p.body[0]
+    inertia = mat_t_mat(to_joint, mat_mat(inertia_about_com(p), to_joint))
+    com = mat_t_vec(to_joint, sub(p.com, origin))
+    return BodyConstants(
+        mass=p.mass,
+        inertia=inertia,
+        inertia_inverse=inverse_symmetric(inertia),
+        com=com,
+        arm=arm,
+        gravity=mat_t_vec(p.ground[0], p.gravity),
+        energy_origin=-p.mass * dot(p.gravity, p.ground[1]),
+        pitch=p.pitch,
+        length=p.length,
+        origin_inertia=axpy(p.mass, unit_inertia(com), inertia),
+        first_moment=scale(p.mass, com),
+    )
+
+
+def gyroscopic(body: BodyConstants, omega: Vec) -> Vec:
+    """(Kω) × ω of a body that turns about a point."""
+    return tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
+
+
+def _products(omega: Vec) -> Vec:
+    """Ω₂Ω₃, Ω₃Ω₁, Ω₁Ω₂."""
+    x, y, z = omega
+    return y * z, z * x, x * y
+
+
+def spinning(body: BodyConstants, omega: Vec, fall: Vec, torque: Vec) -> Vec:
+    """α of a body that turns about a point freely: Euler's equations there.
+
+    fall : gravity in body axes.   torque : of all other forces, about the point.
+    """
+    c = sub(body.com, body.arm)
+    products = _products(omega)
+    found = []
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # what stands before products is constant
+        easy = 1.0 / body.moments[i]
+        pull = body.mass * easy
+        rate = fma(pull * c[j], fall[k], -((pull * c[k]) * fall[j]))
+        rate = fma(body.differences[i] * easy, products[i], rate)
+        found.append(fma(easy, torque[i], rate))
+    return tuple(found)
+
+
+SLENDER = 1e3  # m c²/tr Θ from which on axes along c are taken before anything is added to Θ
+
+
+def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
+    """Principal axes at the joint's point, as a rotation's columns; in them c, the moments K_i, and
+    K₂ − K₃, K₃ − K₁, K₁ − K₂.
+
+    Where Θ is small beside m c², that of a spin about c keeps its digits, and so do differences.
+    """
+    c = sub(body.com, body.arm)
+    heavy, none = body.mass * dot(c, c), 0.0 * body.mass
+    is_slender = heavy > SLENDER * (body.inertia[0] + body.inertia[4] + body.inertia[8])
+    along = where(is_slender, axes_along(where(is_slender, c, UNIT[0])), IDENTITY)
+    aligned = where(is_slender, (norm(c), none, none), c)
+    theta = mat_t_mat(along, mat_mat(body.inertia, along))
+    whole = where(is_slender, theta, axpy(body.mass, unit_inertia(c), body.inertia))
+    shift = (none, where(is_slender, heavy, 0.0), where(is_slender, heavy, 0.0))
+    parts, turn = principal_axes(whole, shift)
+    moments = add(parts, shift)
+    differences = tuple(
+        (shift[i] - shift[j]) + (parts[i] - parts[j]) for i, j in ((1, 2), (2, 0), (0, 1))
+    )
+    return mat_mat(along, turn), mat_t_vec(turn, aligned), moments, differences
+
+
+def inertia_about_com(p: Parameters) -> Mat:
+    """In the user's body axes  (Steiner)."""
+    return sub(p.inertia, scale(p.mass, unit_inertia(p.com)))
+
+
+def unit_inertia(c: Vec) -> Mat:
+    """(c·c) I − c cᵀ, the inertia of a unit mass at c."""
+    x, y, z = c
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = -(x * y), -(x * z), -(y * z)
+    return (yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
+
+
+def kinetic_energy(body: BodyConstants, omega: Vec, com_velocity: Vec) -> Any:
+    turning = dot(omega, mat_vec(body.inertia, omega))
+    return 0.5 * fma(body.mass, dot(com_velocity, com_velocity), turning)
+
+
+def _potential_energy(body: BodyConstants, com: Vec) -> Any:
+    return body.energy_origin - body.mass * dot(body.gravity, com)
+
+
+class SE3:
+    """Velocity (ω, v), both in body axes; v is that of the body frame's origin."""
+
+    group: ModuleType = se3
+    charts: ModuleType = quaternion  # the group as a step has it
+
+    @staticmethod
+    def centred(body: BodyConstants, c: Vec) -> BodyConstants:
+        """The body with c, from the joint's point to the centre of mass, in place of its own."""
+        return body._replace(com=c, first_moment=scale(body.mass, c))
+
+    @staticmethod
+    def body(p: Parameters) -> BodyConstants:
+        return _body(p, origin=p.body[1], arm=ZERO3)
+
+    @staticmethod
+    def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), (turn, point) = p.ground, p.body
+        q = mat_t_mat(ground, mat_mat(pose[0], turn))
+        d = mat_t_vec(ground, sub(add(pose[1], mat_vec(pose[0], point)), origin))
+        omega = mat_t_vec(turn, twist[:3])
+        return (q, d), omega + mat_t_vec(turn, add(twist[3:], cross(twist[:3], point)))
+
+    @staticmethod
+    def to_user_axes(p: Parameters, pose: Pose, velocity: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), (turn, point) = p.ground, p.body
+        r = mat_mat(ground, mat_mat_t(pose[0], turn))
+        place = sub(add(origin, mat_vec(ground, pose[1])), mat_vec(r, point))
+        omega = mat_vec(turn, velocity[:3])
+        return (r, place), omega + sub(mat_vec(turn, velocity[3:]), cross(omega, point))
+
+    @staticmethod
+    def kinematics(body: BodyConstants, pose: Pose, velocity: Vec) -> Kinematics:
+        omega, v = velocity[:3], velocity[3:]
+        return Kinematics(pose[0], pose[1], omega, ZERO3, v, cross(omega, v), is_body_fixed=True)
+
+    @staticmethod
+    def velocity_rate(
+        body: BodyConstants, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec
+    ) -> Vec:
+        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        return turning + cross_add(velocity[3:], velocity[:3], moving)
+
+    @staticmethod
+    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Any:
+        omega = velocity[:3]
+        return kinetic_energy(body, omega, cross_add(omega, body.com, velocity[3:]))
+
+    @staticmethod
+    def potential_energy(body: BodyConstants, pose: Pose) -> Any:
+        """Of gravity."""
+        return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
+
+
+class SO3xR3:
+    """Mixed velocity (ω, ṙ): ω in body axes, ṙ in the ground's; the body frame at the COM."""
+
+    group: ModuleType = so3xr3
+    charts: ModuleType = quaternionxr3
+
+    @staticmethod
+    def centred(body: BodyConstants, c: Vec) -> BodyConstants:
+        return body._replace(arm=neg(c))
+
+    @staticmethod
+    def body(p: Parameters) -> BodyConstants:
+        arm = mat_t_vec(p.body[0], p.body[1])
+        return _body(p, origin=p.com, arm=arm)._replace(com=ZERO3)
+
+    @staticmethod
+    def to_joint_axes(p: Parameters, pose: Pose, twist: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), turn = p.ground, p.body[0]
+        q = mat_t_mat(ground, mat_mat(pose[0], turn))
+        s = mat_t_vec(ground, sub(pose[1], origin))
+        rate = mat_t_vec(ground, mat_vec(pose[0], twist[3:]))
+        return (q, s), mat_t_vec(turn, twist[:3]) + rate
+
+    @staticmethod
+    def to_user_axes(p: Parameters, pose: Pose, velocity: Vec) -> tuple[Pose, Vec]:
+        (ground, origin), turn = p.ground, p.body[0]
+        r = mat_mat(ground, mat_mat_t(pose[0], turn))
+        place = add(origin, mat_vec(ground, pose[1]))
+        return (r, place), mat_vec(turn, velocity[:3]) + mat_vec(
+            turn, mat_t_vec(pose[0], velocity[3:])
+        )
+
+    @staticmethod
+    def kinematics(body: BodyConstants, pose: Pose, velocity: Vec) -> Kinematics:
+        q, omega = pose[0], velocity[:3]
+        swing = cross(omega, body.arm)
+        rate = add(mat_t_vec(q, velocity[3:]), swing)
+        d = add(pose[1], mat_vec(q, body.arm))
+        return Kinematics(q, d, omega, body.arm, rate, cross(omega, swing), is_body_fixed=False)
+
+    @staticmethod
+    def velocity_rate(
+        body: BodyConstants, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec
+    ) -> Vec:
+        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        omega, com = velocity[:3], neg(body.arm)  # seen from the point
+        bend = cross_add(omega, cross(omega, com), moving)
+        return turning + to_ground(cross_add(turning, com, bend))
+
+    @staticmethod
+    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Any:
+        return kinetic_energy(body, velocity[:3], velocity[3:])
+
+    @staticmethod
+    def potential_energy(body: BodyConstants, pose: Pose) -> Any:
+        """Of gravity."""
+        return _potential_energy(body, pose[1])
+
+
+CSPACES: dict[str, type[SE3] | type[SO3xR3]] = {"SE3": SE3, "SO3xR3": SO3xR3}

@@ -1,0 +1,399 @@
+"""The index-1 saddle point  [[M, Jᵀ], [J, 0]] (V̇, λ) = (ad_Vᵀ M V + W, η)  (Müller, eq. index1).
+
+It is solved at the joint's point P, in body axes, for the angular acceleration α and for a, that of
+P (Qᵀd̈). There the rows `d` and `Omega`, and a motor's speed, say a component of a or α outright:
+what remains is the null space of these rows. λ is what their components of f − M V̇ lack. Other
+rows have a Schur complement on that null space.
+
+With c from P to the centre of mass, P held along unit vectors n_h and w_h = c × n_h, the inertia
+against which the body turns is
+
+    K = Θ + m Σ w_h w_hᵀ,   adj K = adj Θ + m Σ ŵ_h Θ ŵ_hᵀ + m² γ c cᵀ,
+    det K = det Θ + m Σ w_hᵀ (adj Θ) w_h + m² γ cᵀΘ c,   γ = Σ_{h<k} (c·(n_h × n_k))².
+
+Every term is a sum of what is not negative, so that a small body on a long arm loses nothing: about
+the centre of mass, a Schur complement loses digits like m c²/Θ. What cᵀ makes of a force at P is
+zero; it is left out, since the third term of adj K would multiply its rounding by c²/Θ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from lierb.kernels.groups.coefficients import taken_for_granted
+from lierb.kernels.mechanics.constraints import Rows
+from lierb.kernels.mechanics.newton_euler import BodyConstants, kinetic_energy
+from lierb.kernels.numbers.arithmetic import absolute, any_lanes, branch, fma, sqrt, where
+from lierb.kernels.numbers.vec import (
+    UNIT,
+    ZERO3,
+    Mat,
+    Vec,
+    add,
+    axpy,
+    cross,
+    cross_add,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    norm,
+    row,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
+
+# A row whose pivot has shrunk to this part of what it moves by itself depends on the rows before
+# it: plain Cholesky, LDLᵀ and LU all return garbage there. Rounding leaves about 1e-15.
+PIVOT_TOLERANCE = 1e-12
+# Its right-hand side must have shrunk likewise, or the rows contradict each other.
+CONSISTENCY_TOLERANCE = 1e-6
+
+
+class Load(NamedTuple):
+    """A wrench in body axes: about the centre of mass, and its torque about P.
+
+    `about_point` may leave out what is no torque, such as c × c.
+    """
+
+    torque: Vec
+    force: Vec
+    about_point: Vec
+
+
+class Solution(NamedTuple):
+    """α, a, λ in the order of the rows, the wrench −Jᵀλ about P, and marks of trouble."""
+
+    turning: Vec
+    moving: Vec
+    multipliers: tuple[Any, ...]
+    wrench: Vec
+    singular: Any  # 1 where rows contradict each other, else 0
+    dropped: Any  # how many rows depend on others
+
+
+class Support:
+    """A body whose point P is held along some directions, and which is kept from some turns.
+
+    held : of d1 d2 d3, from 0.   fixed : body axes about which the turning is given: none, two or
+    all, of two e₁ and e₂ or the like.
+    """
+
+    def __init__(
+        self, body: BodyConstants, q: Mat, held: tuple[int, ...], fixed: tuple[int, ...]
+    ) -> None:
+        self.body = body
+        self.fixed = fixed
+        self.is_point = len(held) == 3  # all directions: the body's own will do
+        self.directions = UNIT if self.is_point else tuple(row(q, i) for i in held)
+        self.centre = sub(body.com, body.arm)
+        self.levers = tuple(cross(self.centre, n) for n in self.directions)
+
+    def response(self, load: Load, turns: Vec, moves: Vec) -> tuple[Vec, Vec]:
+        """α and a under a load.
+
+        turns : α about the `fixed` axes.   moves : a along the directions.
+        """
+        turning = self.turning(load, turns, moves)
+        return turning, self.moving(load, turning, moves)
+
+    def holding(self, load: Load, turning: Vec, moves: Vec) -> Vec:
+        """The forces that hold P, along the directions."""
+        return tuple(
+            fma(self.body.mass, dot(turning, w) + move, -dot(n, load.force))
+            for n, w, move in zip(self.directions, self.levers, moves, strict=True)
+        )
+
+    def torques(self, load: Load, turning: Vec, holding: Vec) -> Vec:
+        """The torques that fix the turning, about body axes; zero about the others but rounding."""
+        lacking = sub(mat_vec(self.body.inertia, turning), load.torque)
+        for w, force in zip(self.levers, holding, strict=True):
+            lacking = axpy(force, w, lacking)
+        return tuple(x if i in self.fixed else ZERO for i, x in enumerate(lacking))
+
+    def force(self, holding: Vec) -> Vec:
+        """The forces that hold P as a vector."""
+        total = ZERO3
+        for n, size in zip(self.directions, holding, strict=True):
+            total = add(total, scale(size, n))
+        return total
+
+    def turning(self, load: Load, turns: Vec, moves: Vec) -> Vec:
+        """α."""
+        mass = self.body.mass
+        if len(self.fixed) == 3:
+            return turns
+        if self.is_point:
+            pushes: Vec = ()
+            torque = cross_add(scale(mass, moves), self.centre, load.about_point)
+        else:
+            pushes = tuple(
+                fma(-mass, move, dot(n, load.force))
+                for n, move in zip(self.directions, moves, strict=True)
+            )
+            torque = load.torque
+            for push, w in zip(pushes, self.levers, strict=True):
+                torque = axpy(push, w, torque)
+        if self.fixed:
+            return self._about_one_axis(torque, turns)
+        return self._about_all(load, torque, pushes)
+
+    def _about_one_axis(self, torque: Vec, turns: Vec) -> Vec:
+        (axis,) = {0, 1, 2} - set(self.fixed)
+        rest = torque[axis]
+        for other in self.fixed:
+            rest = fma(-self._inertia(axis, other), turns[other], rest)
+        alpha = rest * (1.0 / self._inertia(axis, axis))
+        return tuple(alpha if i == axis else turns[i] for i in range(3))
+
+    def _inertia(self, i: int, j: int) -> Any:
+        """K_ij."""
+        sides: Any = ZERO
+        for w in self.levers:
+            sides = fma(w[i], w[j], sides)
+        return fma(self.body.mass, sides, self.body.inertia[3 * i + j])
+
+    def _about_all(self, load: Load, torque: Vec, pushes: Vec) -> Vec:
+        """K⁻¹ torque, where torque = load.torque + Σ push w."""
+        theta, c, mass = self.body.inertia, self.centre, self.body.mass
+        along = dot(c, load.torque)  # c·w is zero
+        if not self.levers:
+            return mat_vec(self.body.inertia_inverse, torque)
+        if self.is_point:  # constant: LLVM makes these once a block
+            spread, slender = self._point_inverse
+            return axpy(slender * along, c, mat_vec(spread, torque))
+        adjugate = adjugate_symmetric(theta)
+        found = mat_vec(adjugate, torque)
+        size = dot(row(theta, 0), row(adjugate, 0))
+        for i, w in enumerate(self.levers):
+            crossed = cross(load.torque, w)
+            for j, push in enumerate(pushes):
+                if i != j:  # w × w is zero
+                    crossed = axpy(push, cross(self.levers[j], w), crossed)
+            found = axpy(mass, cross(w, mat_vec(theta, crossed)), found)
+            size = fma(mass, dot(w, mat_vec(adjugate, w)), size)
+        if len(self.levers) == 2:
+            height = mass * dot(c, cross(*self.directions))
+            gamma = height * height
+            found = axpy(gamma * along, c, found)
+            size = fma(gamma, dot(c, mat_vec(theta, c)), size)
+        return scale(1.0 / size, found)
+
+    @cached_property
+    def _point_inverse(self) -> tuple[Mat, Any]:
+        """K⁻¹ = S + κ c cᵀ, P held in all directions: S and κ.
+
+        S = (adj Θ + m((cᵀΘc) I − Θc cᵀ − c(Θc)ᵀ))/det K,   κ = m(m c² + tr Θ)/det K.
+        """
+        theta, c, mass = self.body.inertia, self.centre, self.body.mass
+        y = mat_vec(theta, c)
+        s, square, trace = dot(c, y), dot(c, c), theta[0] + theta[4] + theta[8]
+        adjugate = adjugate_symmetric(theta)
+        apart = square * (adjugate[0] + adjugate[4] + adjugate[8]) - dot(c, mat_vec(adjugate, c))
+        heavy = mass * square
+        size = dot(row(theta, 0), row(adjugate, 0)) + mass * fma(heavy, s, apart)
+        inverse = 1.0 / size
+        spread = tuple(
+            inverse
+            * fma(
+                mass,
+                (s if i == j else ZERO) - fma(y[i], c[j], c[i] * y[j]),
+                adjugate[3 * i + j],
+            )
+            for i in range(3)
+            for j in range(3)
+        )
+        return spread, inverse * (mass * (heavy + trace))
+
+    def moving(self, load: Load, turning: Vec, moves: Vec) -> Vec:
+        """a."""
+        if self.is_point:
+            return moves
+        falling = axpy(1.0 / self.body.mass, load.force, cross(self.centre, turning))
+        if len(self.directions) < 2:
+            for n, move in zip(self.directions, moves, strict=True):
+                falling = axpy(move - dot(n, falling), n, falling)
+            return falling
+        free = cross(*self.directions)
+        moving = scale(dot(free, falling), free)
+        for n, move in zip(self.directions, moves, strict=True):
+            moving = axpy(move, n, moving)
+        return moving
+
+
+def adjugate_symmetric(m: Mat) -> Mat:
+    """det(m) m⁻¹."""
+    x, y, z = row(m, 0), row(m, 1), row(m, 2)
+    return cross(y, z) + cross(z, x) + cross(x, y)
+
+
+def solve(
+    body: BodyConstants,
+    q: Mat,
+    rows: Rows,
+    jacobian: Callable[[Any], Vec],
+    eta: tuple[Any, ...],
+    load: Load,
+    velocity: Vec | None = None,
+    turning: Vec | None = None,
+) -> Solution:
+    """The saddle point of these rows.
+
+    jacobian : of a row, at P and in body axes.   eta : of the rows, where P does not accelerate and
+    the body does not.   velocity : (ω, that of P), for the scale on which a dropped row's
+    contradiction is judged.   turning : α but for `others`, where it is known.
+    """
+    asked = dict(zip(rows, eta, strict=True))
+    held, fixed, others = _kinds_of(rows)
+    support = Support(body, q, tuple(held), tuple(fixed))
+    moves = tuple(asked[held[i]] for i in held)
+    if support.is_point:
+        moves = mat_t_vec(q, tuple(asked[held[i]] for i in range(3)))
+    turns = tuple(asked[fixed[i]] if i in fixed else ZERO for i in range(3))
+
+    if turning is None:
+        turning = support.turning(load, turns, moves)
+    moving = support.moving(load, turning, moves)
+    total, found = load, {}
+    singular: Any = ZERO
+    dropped: Any = ZERO
+    arms = [jacobian(r) for r in others]
+    if others:
+        still = (ZERO,) * len(moves)
+        loads = [
+            Load(cross_add(arm[3:], support.centre, arm[:3]), arm[3:], arm[:3]) for arm in arms
+        ]
+        responses = [support.response(each, ZERO3, still) for each in loads]
+        excess = [
+            dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
+        ]
+        scales = _Scales(body, support, load, velocity)
+        multipliers, singular, dropped = _schur(arms, responses, excess, scales)
+        for r, size, each, (turned, moved) in zip(
+            others, multipliers, loads, responses, strict=True
+        ):
+            turning, moving = axpy(-size, turned, turning), axpy(-size, moved, moving)
+            total = Load(*(axpy(-size, x, y) for x, y in zip(each, total, strict=True)))
+            found[r] = size
+    holding = support.holding(total, turning, moves)
+    torques = support.torques(total, turning, holding)
+    forces = mat_vec(q, holding) if support.is_point else holding
+    for size, i in zip(forces, range(3) if support.is_point else held, strict=True):
+        found[held[i]] = -size
+    for i, r in fixed.items():
+        found[r] = -torques[i]
+    wrench = torques + support.force(holding)
+    for r, arm in zip(others, arms, strict=True):
+        wrench = axpy(-found[r], arm, wrench)
+    return Solution(turning, moving, tuple(found[r] for r in rows), wrench, singular, dropped)
+
+
+def has_others(rows: Rows) -> bool:
+    """Whether there are rows that say neither a component of a nor one of α."""
+    return bool(_kinds_of(rows)[2])
+
+
+def _kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
+    """Rows that hold P along a direction and rows that fix a turning, by axis; all others.
+
+    An axis is given once: a motor beside `Omega3` is one of the others.
+    """
+    held: dict[int, Any] = {}
+    fixed: dict[int, Any] = {}
+    others = []
+    for r in rows:
+        of_kind = held if r.kind == "d" else fixed
+        axis = r.i if r.kind == "d" else r.fixed_axis
+        if axis is None or axis in of_kind:
+            others.append(r)
+        else:
+            of_kind[axis] = r
+    return held, fixed, others
+
+
+class _Scales:
+    """What rows and loads amount to, measured by the inertia about P that each axis has alone."""
+
+    def __init__(
+        self, body: BodyConstants, support: Support, load: Load, velocity: Vec | None
+    ) -> None:
+        c, theta = support.centre, body.inertia
+        square = dot(c, c)
+        about_point = tuple(fma(body.mass, square - c[i] * c[i], theta[4 * i]) for i in range(3))
+        self.mobility = (*(1.0 / x for x in about_point), *(1.0 / body.mass,) * 3)
+        self.body, self.support, self.load, self.velocity = body, support, load, velocity
+
+    def of(self, wrench: Vec) -> Any:
+        """Its square: of a row, what it would move; of a load, what moves."""
+        total: Any = ZERO
+        for x, easy in zip(wrench, self.mobility, strict=True):
+            total = fma(x * x, easy, total)
+        return total
+
+    def acceleration(self, arm: Vec) -> Any:
+        """The acceleration of a row that the load and the motion could bring about."""
+        body, c, load = self.body, self.support.centre, self.load
+        forced = sqrt(self.of(cross_add(c, load.force, load.torque) + load.force))
+        moved: Any = ZERO
+        if self.velocity is not None:
+            omega = self.velocity[:3]
+            com_velocity = cross_add(omega, c, self.velocity[3:])
+            moved = norm(omega) * sqrt(2.0 * kinetic_energy(body, omega, com_velocity))
+        return sqrt(self.of(arm)) * (forced + moved)
+
+
+def _schur(
+    arms: list[Vec], responses: list[tuple[Vec, Vec]], excess: list[Any], scales: _Scales
+) -> tuple[list[Any], Any, Any]:
+    """λ of rows J from S λ = J V̇ − η, S = L D Lᵀ; whether they contradict each other; how many
+    depend on others.
+    """
+    m = len(arms)
+    moved = [turned + shifted for turned, shifted in responses]
+    schur = [[dot(arms[i], moved[j]) for j in range(i + 1)] for i in range(m)]
+    lower: list[list[Any]] = []  # L
+    scaled: list[list[Any]] = []  # L D
+    pivots_inverse: list[Any] = []
+    dropped: list[Any] = []
+    y: list[Any] = []  # L⁻¹ excess
+    for i in range(m):
+        li: list[Any] = []
+        si: list[Any] = []
+        for j in range(i):
+            si.append(_reduced(schur[i][j], li, scaled[j]))
+            li.append(si[j] * pivots_inverse[j])
+        pivot = _reduced(schur[i][i], li, si)
+        y.append(_reduced(excess[i], li, y))
+        kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + scales.of(arms[i]))
+        pivots_inverse.append(where(kept, 1.0, 0.0) / where(kept, pivot, 1.0))
+        dropped.append(where(kept, 0.0, 1.0))
+        lower.append(li)
+        scaled.append(si)
+    multipliers: list[Any] = [y[i] * pivots_inverse[i] for i in range(m)]
+    for i in reversed(range(m)):
+        for j in range(i):
+            multipliers[j] = fma(-lower[i][j], multipliers[i], multipliers[j])
+    count = sum(dropped, start=ZERO)
+
+    def look() -> Any:
+        found: Any = 0.0
+        for i, mark in enumerate(dropped):
+            size = scales.acceleration(arms[i])
+            for lij, yj in zip(lower[i], y, strict=False):
+                size = size + absolute(lij * yj)
+            contradicts = (mark > 0.5) & (absolute(y[i]) > CONSISTENCY_TOLERANCE * size)
+            found = where(contradicts, 1.0, found)
+        return found
+
+    if taken_for_granted(count <= 0.5):
+        return multipliers, ZERO, count
+    return multipliers, branch(any_lanes(count > 0.5), look, lambda: 0.0, likely=False), count
+
+
+def _reduced(x: Any, left: list[Any], right: list[Any]) -> Any:
+    """x − left·right."""
+    for a, b in zip(left, right, strict=False):
+        x = fma(-a, b, x)
+    return x

@@ -1,0 +1,138 @@
+"""Joints whose motions are a subgroup H of SE(3): velocities in its algebra, as a few coordinates.
+
+What is integrated is their momentum μ = NᵀMV. A Runge–Kutta method takes the same steps in μ as in
+V, its linear image, but needs only V = N(NᵀMN)⁻¹μ in every stage, not M V as well.
+
+In joint axes the algebra of every such joint is spanned by unit vectors (and, for a screw, one
+combination), so that V = N ν is a matter of *slots*: which of the six components are coordinates of
+ν, which depend on them through the pitch, and which are structurally zero. The general SE(3)
+formulas, fed V with its zeros, fold down to those of H, with no code for any H.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics.constraints import Rows
+from lierb.kernels.mechanics.newton_euler import BodyConstants
+from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.vec import Vec, add, dot
+from lierb.kernels.numbers.zero import ZERO
+
+FIXED = -1  # slot of a component that is zero
+PITCHED = -2  # slot of v₃ = pitch·ω₃
+
+Slots = tuple[int, ...]
+
+
+def slots_of(rows: Rows) -> Slots:
+    """For each of (ω, v) its coordinate's number, or FIXED or PITCHED."""
+    constrained = {r.i + (3 if r.kind == "d" else 0) for r in rows if r.kind in ("d", "Omega")}
+    pitched = any(r.kind == "screw" for r in rows)
+    slots = []
+    count = 0
+    for component in range(6):
+        if component in constrained:
+            slots.append(FIXED)
+        elif component == 5 and pitched:
+            slots.append(PITCHED)
+        else:
+            slots.append(count)
+            count += 1
+    return tuple(slots)
+
+
+def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:
+    """V = N ν, with structural zeros."""
+    components: list[Any] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
+    if PITCHED in slots:
+        components[5] = pitch * components[2]
+    return tuple(components)
+
+
+def coordinates(slots: Slots, velocity: Vec) -> Vec:
+    """The ν of a V = N ν."""
+    return tuple(v for slot, v in zip(slots, velocity, strict=True) if slot >= 0)
+
+
+def in_subalgebra(slots: Slots, velocity: Vec, pitch: Any) -> Vec:
+    """A V that is in the algebra up to rounding, exactly there and with its structural zeros."""
+    return lifted(slots, coordinates(slots, velocity), pitch)
+
+
+def projected(slots: Slots, wrench: Vec, pitch: Any) -> Vec:
+    """Nᵀ f, each number at its coordinate's slot, and structural zeros.
+
+    On the algebra this is the same covector as f; it is its own projection.
+    """
+    parts = [x if slot >= 0 else ZERO for slot, x in zip(slots, wrench, strict=True)]
+    if PITCHED in slots:
+        parts[2] = fma(pitch, wrench[5], wrench[2])
+    return tuple(parts)
+
+
+def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Any]]:
+    """Nᵀ M N, from the momenta M N e_j."""
+    count = max(slots) + 1
+    columns = []
+    for j in range(count):
+        unit = tuple(1.0 if i == j else ZERO for i in range(count))
+        momentum = momentum_of(slots, body, lifted(slots, unit, body.pitch))
+        columns.append(coordinates(slots, momentum))
+    return [[columns[j][i] for j in range(count)] for i in range(count)]
+
+
+def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
+    """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
+
+    Symmetric to the last bit: half of it need not be held.
+    """
+    n = len(matrix)
+    rows = [list(row) + [1.0 if i == j else ZERO for j in range(n)] for i, row in enumerate(matrix)]
+    for i in range(n):
+        scale = 1.0 / rows[i][i]
+        rows[i] = [scale * x for x in rows[i]]
+        for k in range(n):
+            if k != i:
+                factor = rows[k][i]
+                rows[k] = [fma(-factor, x, y) for x, y in zip(rows[i], rows[k], strict=True)]
+    return tuple(rows[min(i, j)][n + max(i, j)] for i in range(n) for j in range(n))
+
+
+def momentum_of(slots: Slots, body: BodyConstants, velocity: Vec) -> Vec:
+    """μ = Nᵀ M V, as `projected` gives it."""
+    return projected(slots, body.momentum(velocity), body.pitch)
+
+
+def velocity_of(slots: Slots, body: BodyConstants, momentum: Vec) -> Vec:
+    """V = N (NᵀMN)⁻¹ μ."""
+    parts = coordinates(slots, momentum)
+    n = len(parts)
+    nu = tuple(dot(body.gain[n * i : n * i + n], parts) for i in range(n))
+    return lifted(slots, nu, body.pitch)
+
+
+def momentum_rate(
+    slots: Slots, body: BodyConstants, fall: Vec, applied: Vec, velocity: Vec, momentum: Vec
+) -> Vec:
+    """μ̇ = Nᵀ (ad_Vᵀ μ + W), Euler–Poincaré on H: the saddle point, solved once and for all.
+
+    μ may stand for M V: they differ by what does no work on H's algebra, and with V and N w that
+    holds [V, N w] too.
+
+    fall : gravity in body axes.   applied : the wrench of all other forces.
+    """
+    wrench = add(body.wrench(fall, velocity, momentum), applied)
+    return projected(slots, wrench, body.pitch)
+
+
+def on_subgroup(slots: Slots, chart: Chart) -> Chart:
+    """A pose in H, with H's structural zeros and ones; what is off H is dropped."""
+    p, d = chart
+    if slots[:3] == (FIXED, FIXED, FIXED):
+        p = (1.0, ZERO, ZERO, ZERO)
+    return (
+        (p[0], *(x if slot != FIXED else ZERO for x, slot in zip(p[1:], slots[:3], strict=True))),
+        tuple(x if slot != FIXED else ZERO for x, slot in zip(d, slots[3:], strict=True)),
+    )

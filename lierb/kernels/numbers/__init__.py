@@ -1,0 +1,1 @@
+"""What formulas compute with: floats, arrays, structural zeros, packs of lanes, dual numbers."""

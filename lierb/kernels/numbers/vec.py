@@ -1,0 +1,183 @@
+"""3-vectors and 3×3 matrices as tuples: (x, y, z) and the nine entries row by row.
+
+Tuples, not small arrays: two chained cross products take 2.7 ns instead of 117 ns.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from lierb.kernels.numbers.arithmetic import absolute, fma, sqrt, where
+from lierb.kernels.numbers.zero import ZERO
+
+Vec = tuple[Any, ...]
+Mat = tuple[Any, ...]
+
+ZERO3: Vec = (ZERO, ZERO, ZERO)
+ZERO6: Vec = ZERO3 + ZERO3
+UNIT: tuple[Vec, ...] = ((1.0, ZERO, ZERO), (ZERO, 1.0, ZERO), (ZERO, ZERO, 1.0))
+IDENTITY: Mat = UNIT[0] + UNIT[1] + UNIT[2]
+JACOBI_SWEEPS = 4  # leave 3e-25 of a matrix beside its diagonal; three, 1e-6
+
+
+def add(a: Vec, b: Vec) -> Vec:
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+def sub(a: Vec, b: Vec) -> Vec:
+    return tuple(x - y for x, y in zip(a, b, strict=True))
+
+
+def neg(a: Vec) -> Vec:
+    return tuple(-x for x in a)
+
+
+def scale(s: Any, a: Vec) -> Vec:
+    return tuple(s * x for x in a)
+
+
+def axpy(s: Any, a: Vec, b: Vec) -> Vec:
+    """s a + b."""
+    return tuple(fma(s, x, y) for x, y in zip(a, b, strict=True))
+
+
+def dot(a: Vec, b: Vec) -> Any:
+    total = a[-1] * b[-1]
+    for x, y in zip(a[-2::-1], b[-2::-1], strict=True):
+        total = fma(x, y, total)
+    return total
+
+
+def norm(a: Vec) -> Any:
+    return sqrt(dot(a, a))
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    return (
+        fma(a[1], b[2], -(a[2] * b[1])),
+        fma(a[2], b[0], -(a[0] * b[2])),
+        fma(a[0], b[1], -(a[1] * b[0])),
+    )
+
+
+def cross_add(a: Vec, b: Vec, c: Vec) -> Vec:
+    """a × b + c."""
+    return (
+        fma(a[1], b[2], fma(-a[2], b[1], c[0])),
+        fma(a[2], b[0], fma(-a[0], b[2], c[1])),
+        fma(a[0], b[1], fma(-a[1], b[0], c[2])),
+    )
+
+
+def diagonal(entries: Vec) -> Mat:
+    x, y, z = entries
+    return (x, ZERO, ZERO, ZERO, y, ZERO, ZERO, ZERO, z)
+
+
+def row(m: Mat, i: int) -> Vec:
+    return m[3 * i : 3 * i + 3]
+
+
+def column(m: Mat, j: int) -> Vec:
+    return m[j::3]
+
+
+def transpose(m: Mat) -> Mat:
+    return m[0::3] + m[1::3] + m[2::3]
+
+
+def mat_vec(m: Mat, a: Vec) -> Vec:
+    return tuple(dot(row(m, i), a) for i in range(3))
+
+
+def mat_vec_add(m: Mat, a: Vec, c: Vec) -> Vec:
+    """m a + c."""
+    x, y, z = a
+    return tuple(
+        fma(m[3 * i], x, fma(m[3 * i + 1], y, fma(m[3 * i + 2], z, c[i]))) for i in range(3)
+    )
+
+
+def mat_t_vec(m: Mat, a: Vec) -> Vec:
+    """mᵀ a."""
+    return tuple(dot(column(m, j), a) for j in range(3))
+
+
+def mat_mat(m: Mat, n: Mat) -> Mat:
+    return tuple(dot(row(m, i), column(n, j)) for i in range(3) for j in range(3))
+
+
+def mat_t_mat(m: Mat, n: Mat) -> Mat:
+    """mᵀ n."""
+    return tuple(dot(column(m, i), column(n, j)) for i in range(3) for j in range(3))
+
+
+def mat_mat_t(m: Mat, n: Mat) -> Mat:
+    """m nᵀ."""
+    return tuple(dot(row(m, i), row(n, j)) for i in range(3) for j in range(3))
+
+
+def inverse_symmetric(m: Mat) -> Mat:
+    """Inverse of a symmetric positive definite matrix, by LDLᵀ: no cancelling cofactors.
+
+    Entries of a diagonal or graded matrix stay accurate when its principal values differ by many
+    orders; those of a tilted one lose its condition number, as with any method.
+    """
+    d0 = m[0]
+    l10, l20 = m[3] / d0, m[6] / d0
+    d1 = fma(-l10, m[3], m[4])
+    e = fma(-l20, m[3], m[7])
+    l21 = e / d1
+    d2 = fma(-l21, e, fma(-l20, m[6], m[8]))
+    # columns of L⁻¹: (1, −l10, k20), (0, 1, −l21), (0, 0, 1)
+    k20 = fma(l10, l21, -l20)
+    i0, i1, i2 = 1.0 / d0, 1.0 / d1, 1.0 / d2
+    b, c = -(l10 * i1), k20 * i2
+    xx = fma(k20, c, fma(-l10, b, i0))
+    xy = fma(-l21, c, b)
+    yy = fma(l21 * l21, i2, i1)
+    yz = -(l21 * i2)
+    return (xx, xy, c, xy, yy, yz, c, yz, i2)
+
+
+def principal_axes(m: Mat, shift: Vec = ZERO3) -> tuple[Vec, Mat]:
+    """Eigenvalues of a symmetric m + diag(shift), less the shift, and eigenvectors as a rotation's
+    columns, in that order.
+
+    By Jacobi's rotations, each of 45° at most: a matrix that is diagonal keeps its axes. What is
+    small beside a shift keeps its digits.
+    """
+    a = [list(row(m, i)) for i in range(3)]
+    axes = [list(row(IDENTITY, i)) for i in range(3)]
+    for p, q in JACOBI_SWEEPS * ((0, 1), (0, 2), (1, 2)):
+        aside = a[p][q]
+        apart = (shift[q] - shift[p]) + (a[q][q] - a[p][p])
+        twice = 2.0 * aside  # apart/twice: cot of twice the angle
+        reach = absolute(apart) + sqrt(fma(apart, apart, twice * twice))
+        t = twice / where(reach > 0.0, reach, 1.0)
+        t = where(apart < 0.0, -t, t)
+        c = 1.0 / sqrt(fma(t, t, 1.0))
+        s = t * c
+        a[p][p], a[q][q] = fma(-t, aside, a[p][p]), fma(t, aside, a[q][q])
+        a[p][q] = a[q][p] = 0.0
+        r = 3 - p - q
+        a[r][p], a[r][q] = _turned(c, s, a[r][p], a[r][q])
+        a[p][r], a[q][r] = a[r][p], a[r][q]
+        for line in axes:
+            line[p], line[q] = _turned(c, s, line[p], line[q])
+    return (a[0][0], a[1][1], a[2][2]), tuple(x for line in axes for x in line)
+
+
+def axes_along(a: Vec) -> Mat:
+    """A rotation whose first column is along a vector that is not zero."""
+    u = scale(1.0 / norm(a), a)
+    flat = absolute(u[0]) < 0.9  # else u is near e₁, and e₂ is not
+    aside = where(flat, 1.0, 0.0), where(flat, 0.0, 1.0), 0.0
+    v = axpy(-dot(u, aside), u, aside)
+    v = scale(1.0 / norm(v), v)
+    w = cross(u, v)
+    return tuple(x for line in zip(u, v, w, strict=True) for x in line)
+
+
+def _turned(c: Any, s: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    return fma(c, x, -(s * y)), fma(s, x, c * y)

@@ -1,0 +1,1 @@
+"""What is compiled: a plan, its steps, and the loops over steps and blocks."""

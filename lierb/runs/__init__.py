@@ -1,0 +1,1 @@
+"""One run of a batch: memory, chunks, threads, progress, tables."""

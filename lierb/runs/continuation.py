@@ -1,0 +1,148 @@
+"""Going on where a run has ended, to the same bits as without a break.
+
+What the user sees of a state has been turned to the user's frames, and rounded on the way: turned
+back, it is not the driver's. So the poses at an end remember the driver's own state, and a run that
+starts from them, as they are, starts from that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lierb.arrays import Array
+from lierb.errors import ArgumentError
+from lierb.kernels.stepping.driver import OK
+from lierb.kernels.stepping.plan import Plan
+from lierb.model import Problem
+from lierb.runs.engine import Grid, Output
+from lierb.user_elements import Element
+
+NAMED = 5  # failed trajectories in a message
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """The driver's state at the end of a run, and what it belongs to.
+
+    state : `end_columns` of the plan, [column][body].   twist0 : (n, 6).   t0 : s.
+    """
+
+    problem: Problem
+    formulation: tuple[str, str, str]
+    twist0: Array
+    t0: float
+    grid: Grid
+    state: Array
+
+    def fits(self, problem: Problem, plan: Plan, twist0: Any, t0: float) -> bool:
+        """Whether a run that starts so goes on from here; other forces may act from now on."""
+        return (
+            t0 == self.t0
+            and formulation(plan) == self.formulation
+            and (twist0 is self.twist0 or np.array_equal(twist0, self.twist0))
+            and (problem is self.problem or _is_held_alike(problem, self.problem))
+        )
+
+    def origin(self, dt: float) -> tuple[float, int]:
+        """Of a grid with steps of dt: with the same ones it counts on."""
+        if dt == self.grid.dt:
+            return self.grid.origin, self.grid.first_step + self.grid.steps
+        return counted(self.t0, dt)
+
+
+def counted(t0: float, dt: float) -> tuple[float, int]:
+    """Origin, s, and number of the first step: from 0 on, where t0 is so many steps to the bit."""
+    steps = round(t0 / dt)
+    return (0.0, steps) if steps * dt == t0 else (t0, 0)
+
+
+def formulation(plan: Plan) -> tuple[str, str, str]:
+    """What a state's numbers mean."""
+    return plan.cspace, plan.update, plan.solver
+
+
+def _is_held_alike(a: Problem, b: Problem) -> bool:
+    """Whether body, joint and what else holds it are the same."""
+    holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
+    return (
+        a.joint.rows == b.joint.rows
+        and _are_equal(a.body, b.body, ("mass", "inertia", "com"))
+        and _are_equal(a.joint, b.joint, ("ground_frame", "body_frame", "pitch", "length"))
+        and len(holding[0]) == len(holding[1])
+        and all(_is_same(*pair) for pair in zip(*holding, strict=True))
+    )
+
+
+def _are_equal(a: Any, b: Any, names: tuple[str, ...]) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+def _is_same(a: Element, b: Element) -> bool:
+    return a.kind == b.kind and all(
+        np.array_equal(values, b.parameters[name]) for name, values in a.parameters.items()
+    )
+
+
+class EndPose(np.ndarray):
+    """Poses at the end of a run, (n, 4, 4), read-only; what is made of them are plain arrays."""
+
+    continuation: Continuation | None = None  # of what the class makes of itself: a copy has none
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        return array[()] if return_scalar else np.asarray(array)
+
+    def __reduce__(self) -> Any:
+        return np.asarray(self).__reduce__()
+
+
+@dataclass(frozen=True)
+class End:
+    """The end of a run, from which it can go on.
+
+    statuses : names of the statuses, by their codes.
+    """
+
+    problem: Problem
+    plan: Plan
+    grid: Grid
+    output: Output
+    statuses: dict[int, str]
+
+    def keywords(self) -> dict[str, Any]:
+        """pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
+        self._require_all()
+        r, place, omega, v = self.output.state
+        poses = np.zeros((len(r), 4, 4))
+        poses[:, :3, :3] = r.reshape(-1, 3, 3)
+        poses[:, :3, 3] = place
+        poses[:, 3, 3] = 1.0
+        twists = np.concatenate([omega, v], axis=1)
+        for array in (poses, twists):
+            array.setflags(write=False)
+        t0 = self.grid.time(self.grid.steps)
+        end = poses.view(EndPose)
+        end.continuation = Continuation(
+            self.problem, formulation(self.plan), twists, t0, self.grid, self.output.ends
+        )
+        return {"pose0": end, "twist0": twists, "t0": t0}
+
+    def _require_all(self) -> None:
+        failed = np.flatnonzero(self.output.status != OK)
+        if not failed.size:
+            return
+        named = ", ".join(
+            f"{i} ({self.statuses[int(self.output.status[i])]} at {self.output.t[i]:g} s)"
+            for i in failed[:NAMED].tolist()
+        )
+        more = f" and {failed.size - NAMED} more" if failed.size > NAMED else ""
+        raise ArgumentError(
+            f"result.end: {failed.size} of {len(self.output.status)} trajectories failed and have "
+            f"no end to go on from: {named}{more}; leave them out of the batch, or find what made "
+            "them fail (summary, columns status and t) and run again, often with a smaller dt"
+        )

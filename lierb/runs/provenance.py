@@ -1,0 +1,130 @@
+"""Where a table came from: the whole problem, the method, versions, the machine."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+from lierb.arrays import Array, slices
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.stepping.plan import Plan
+from lierb.model import Problem
+from lierb.user_elements import Element
+
+LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
+
+
+@cache
+def package_version() -> str:
+    try:
+        return version("lierb")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@cache
+def machine() -> dict[str, Any]:
+    return {
+        "lierb": package_version(),
+        "numba": numba.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "cpu": llvm.get_host_cpu_name(),
+        "platform": platform.platform(),
+    }
+
+
+def provenance(
+    problem: Problem,
+    *,
+    twist0: Array,
+    pose0: Array | None,
+    is_continued: bool,
+    plan: Plan,
+    options: dict[str, Any],
+) -> str:
+    """A JSON object.
+
+    is_continued : whether twist0 and pose0 stand for the end of another run, to rounding.
+    """
+    if problem not in _problems:
+        _problems[problem] = json.dumps(_described_problem(problem))
+    start = {
+        "twist0": _described(twist0),
+        "pose0": None if pose0 is None else _described(pose0),
+    }
+    if is_continued:
+        start["continued"] = True
+    whole_problem = _merged(_problems[problem], json.dumps(start))
+    return _merged(
+        _described_plan(plan), _described_options(*options.items()),
+        f'{{"problem": {whole_problem}}}',
+    )  # fmt: skip
+
+
+def _merged(*objects: str) -> str:
+    """One JSON object with the members of these."""
+    return "{" + ", ".join(text[1:-1] for text in objects) + "}"
+
+
+@lru_cache(64)
+def _described_options(*options: tuple[str, Any]) -> str:
+    return json.dumps({"options": dict(options)})
+
+
+@cache
+def _described_plan(plan: Plan) -> str:
+    return json.dumps(
+        {
+            **machine(),
+            "units": "SI: kg, m, s, rad, N, N m, J",
+            "lanes": DEFAULT_LANES,
+            "block": plan.lanes,
+            "tableau": {"A": plan.stages, "b": plan.weights},
+        }
+    )
+
+
+# As JSON: a problem's arrays cannot change, and digests of large ones take a while.
+_problems: WeakKeyDictionary[Problem, str] = WeakKeyDictionary()
+
+
+def _described_problem(problem: Problem) -> dict[str, Any]:
+    joint = problem.joint
+    return {
+        "mass": _described(problem.body.mass),
+        "inertia": _described(problem.body.inertia),
+        "com": _described(problem.body.com),
+        "gravity": _described(problem.gravity),
+        "forces": [_described_element(force) for force in problem.forces],
+        "constraints": [_described_element(added) for added in problem.constraints],
+        "joint": joint.name,
+        "rows": [str(row) for row in problem.rows],
+        "ground_frame": _described(joint.ground_frame),
+        "body_frame": _described(joint.body_frame),
+        "pitch": _described(joint.pitch),
+        "length": _described(joint.length),
+    }
+
+
+def _described_element(element: Element) -> dict[str, Any]:
+    parameters = {name: _described(array) for name, array in element.parameters.items()}
+    return {"name": element.name, "kind": repr(element.kind), **parameters}
+
+
+def _described(array: Array) -> Any:
+    if array.size <= LISTED:
+        return array.tolist()
+    digest = hashlib.sha256()
+    for part in slices(array):  # which may be one body's, broadcast
+        digest.update(np.ascontiguousarray(part).data)
+    return {"shape": list(array.shape), "sha256": digest.hexdigest()}

@@ -1,0 +1,284 @@
+"""Monte Carlo draws for very many bodies: each depends on the seed and the body's number alone.
+
+    design = Design({"mass": Uniform(1.0, 2.0), "omega0": Normal((0.0, 0.0, 9.0), 0.1)}, n=10**9)
+    chunk = design.draw(first=5_000_000, count=100_000)        # {"mass": (100000,), "omega0": …}
+
+Bodies may be drawn in chunks of any size, in any order, by any number of processes, or one of them
+again years later: on one kind of CPU, with one NumPy and SciPy, the bits are the same. No draw is
+rejected and no generator has a state. A quantity takes a fixed number of uniforms a body; those of
+body b are at a fixed place in the stream of a counter-based generator, or in point b of a Sobol
+sequence. Inverse distribution functions make values of them.
+
+Units are the caller's, those of the quantity. Normal distributions and Sobol points need SciPy
+(the extra `lierb[scipy]`).
+
+>>> design = Design({"mass": Uniform(1.0, 2.0), "spin": Direction(9.0)}, n=1000, seed=7)
+>>> whole, part = design.draw(), design.draw(first=600, count=2)
+>>> whole["spin"].shape, part["spin"].shape
+((1000, 3), (2, 3))
+>>> bool((whole["spin"][600:602] == part["spin"]).all())
+True
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import blake2b
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lierb.arrays import SLICE, Array, as_positive, components, is_whole
+from lierb.errors import ArgumentError, unknown_name
+from lierb.extras import require
+from lierb.runs.memory import require_memory
+from lierb.sampling.distributions import (
+    Constant,
+    Distribution,
+    Values,
+    as_distribution,
+)
+
+METHODS = ("random", "sobol", "grid")
+SEED_BITS = 64
+UNIFORM_BITS = 52  # with the half that is added, the 53 of a double
+SOBOL_BITS = 32  # SciPy's Sobol.fast_forward takes no more; the other digits are random
+WALKED_BITS = 12  # of a Sobol point's number, up to which SciPy's own points are looked at
+MOST_BODIES = 2**62  # body numbers are int64
+LONGEST = 10**40  # of a number in a message
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class Design:
+    """Which values n bodies get.
+
+    quantities : a distribution, number or array for each name; numbers and arrays are constants.
+    n : how many bodies. A grid has as many as its levels make.
+    seed : from 0 to 2⁶⁴ − 1; a grid has no use for it.
+    method :
+        "random" : independent draws. Body b takes those of its quantity's stream, whose key is a
+            hash of seed and name: what other quantities there are does not matter, nor does n.
+        "sobol" : the points of one scrambled Sobol sequence, a coordinate for each uniform of each
+            quantity, in their order: they fill the cube more evenly, and means of smooth functions
+            converge almost like 1/n, not like 1/√n. Best with n a power of two; another n does no
+            harm. Draws depend on seed and on all quantities, not on n ≤ 2³².
+        "grid" : every combination of the levels of `Values`, the last quantity's changing fastest;
+            other quantities must be constants.
+
+    Raises ArgumentError for what makes no design, UnknownNameError for another method.
+
+    >>> grid = Design({"mass": Values([1.0, 2.0]), "pitch": Values([0.1, 0.2, 0.3])}, method="grid")
+    >>> grid.n, grid.draw()["pitch"].tolist()
+    (6, [0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
+    """
+
+    quantities: dict[str, Distribution]
+    n: int
+    seed: int
+    method: str
+
+    def __init__(
+        self,
+        quantities: Mapping[str, Distribution | ArrayLike],
+        n: int | None = None,
+        seed: int = 0,
+        method: str = "random",
+    ) -> None:
+        if not isinstance(method, str) or method not in METHODS:
+            raise unknown_name("method", method, METHODS)
+        if not isinstance(quantities, Mapping) or not quantities:
+            raise ArgumentError(
+                f"quantities must name what is drawn, got a {type(quantities).__name__}; expected "
+                "a dictionary, not empty"
+            )
+        for name in quantities:
+            if not isinstance(name, str) or not name:
+                raise ArgumentError(f"quantities has the key {name!r}; expected names")
+        taken = {
+            name: as_distribution(f"quantities[{name!r}]", value)
+            for name, value in quantities.items()
+        }
+        if method == "grid":
+            n = _size_of_grid(taken, n)
+        elif n is None:
+            raise ArgumentError(f"method={method!r} needs n, the number of bodies")
+        object.__setattr__(self, "quantities", taken)
+        object.__setattr__(self, "n", _whole("n", n, 1, MOST_BODIES))
+        if method == "sobol" and self.n > 2**SOBOL_BITS:
+            raise ArgumentError(
+                f"n={n}: a Sobol sequence has 2³² = {2**SOBOL_BITS} points; take as many, or "
+                'method="random"'
+            )
+        object.__setattr__(self, "seed", _whole("seed", seed, 0, 2**SEED_BITS - 1))
+        object.__setattr__(self, "method", method)
+
+    def __len__(self) -> int:
+        return self.n
+
+    @property
+    def dimension(self) -> int:
+        """Uniforms that a body takes."""
+        return sum(quantity.dimension for quantity in self.quantities.values())
+
+    def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:
+        """The values of bodies first, first + 1, …, first + count − 1.
+
+        count : all from `first` on if not given.   Returns arrays (count, *shape) by name.
+        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first; MemoryLimitError for
+        more than is free.
+        """
+        start = _whole("first", first, 0, self.n - 1)
+        left = self.n - start
+        many = left if count is None else _whole("count", count, 1, left)
+        numbers = many * sum(prod(q.shape) for q in self.quantities.values())
+        what = f"what is drawn for {many} bodies"
+        require_memory(8 * numbers, what, "draw fewer at a time: first, count")
+        drawn = {name: np.empty((many, *q.shape)) for name, q in self.quantities.items()}
+        for done in range(0, many, SLICE):
+            size = min(SLICE, many - done)
+            for name, values in self._part(start + done, size).items():
+                drawn[name][done : done + size] = values
+        return drawn
+
+    def _part(self, first: int, count: int) -> dict[str, Array]:
+        if self.method == "grid":
+            return self._grid_part(first, count)
+        if self.method == "sobol":
+            points = self._sobol_points(first, count)
+        drawn, column = {}, 0
+        for name, quantity in self.quantities.items():
+            d = quantity.dimension
+            if self.method == "sobol":
+                u = points[:, column : column + d]
+            else:
+                u = _between_0_and_1(_words(self.seed, name, first, count, d) >> 64 - UNIFORM_BITS)
+            drawn[name] = quantity.draw(u)
+            column += d
+        return drawn
+
+    def _grid_part(self, first: int, count: int) -> dict[str, Array]:
+        """Levels are the digits of the body's number, in the mixed radix of the factors."""
+        drawn, rest = {}, np.arange(first, first + count)
+        for name, quantity in reversed(self.quantities.items()):
+            if isinstance(quantity, Values):
+                rest, levels = np.divmod(rest, len(quantity))
+                drawn[name] = quantity.take(levels)
+            else:
+                drawn[name] = quantity.draw(np.empty((count, 0)))
+        return drawn
+
+    def _sobol_points(self, first: int, count: int) -> Array:
+        """(count, dimension): point i is point i − 1 with one direction added, bit by bit."""
+        origin, directions = self._sobol
+        gray = first ^ first >> 1
+        start = origin.copy()
+        for bit, direction in enumerate(directions):
+            if gray >> bit & 1:
+                start ^= direction
+        later = np.arange(first + 1, first + count, dtype=np.uint64)
+        trailing_zeros = np.bitwise_count(~later & (later - np.uint64(1)))
+        steps = np.concatenate((start[None], directions[trailing_zeros]))
+        leading = np.bitwise_xor.accumulate(steps, axis=0)
+        added = UNIFORM_BITS - SOBOL_BITS
+        trailing = _words(self.seed, "", first, count, self.dimension) >> 64 - added
+        return _between_0_and_1(leading << added | trailing)
+
+    @cached_property
+    def _sobol(self) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+        """The first point, (d,), and the directions, (bits of n − 1, d).
+
+        In the Gray code of 2ᵏ bits k and k − 1 are set, so point 2ᵏ is point 0 with directions k
+        and k − 1 added. To get there SciPy walks from point to point, 2 to 7 ns each: half a minute
+        to the last one. Its own table is taken where it is as its points say.
+        """
+        require("scipy")
+        from scipy.stats.qmc import Sobol
+
+        most = Sobol.MAXDIM
+        if self.dimension > most:
+            raise ArgumentError(f"the draws take {self.dimension} uniforms; Sobol has {most}")
+        engine = Sobol(self.dimension, bits=SOBOL_BITS, rng=np.random.default_rng(self.seed))
+        points = [engine.random(1)]
+        bits = (self.n - 1).bit_length()
+        for bit in range(bits):
+            if bit == WALKED_BITS:
+                first, walked = _directions(points)
+                table = np.asarray(getattr(engine, "_sv", np.empty((0, 0)))).T.astype(np.uint64)
+                if len(table) >= bits and np.array_equal(table[:bit], walked):
+                    return first, table[:bits]
+            engine.fast_forward(2**bit - engine.num_generated)
+            points.append(engine.random(1))
+        return _directions(points)
+
+
+def _directions(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Point 0, and the directions that lead to points 1, 2, 4, 8, …"""
+    numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
+    return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)
+
+
+def _whole(argument: str, value: Any, low: int, high: int) -> int:
+    whole = is_whole(value)
+    if whole and low <= value <= high:
+        return int(value)
+    shown = str(value) if whole and abs(int(value)) < LONGEST else f"a {type(value).__name__}"
+    if isinstance(value, (bool, float, str)):
+        shown = repr(value)
+    raise ArgumentError(f"{argument}={shown}; expected a whole number from {low} to {high}")
+
+
+def _size_of_grid(quantities: dict[str, Distribution], n: int | None) -> int:
+    levels = []
+    for name, quantity in quantities.items():
+        if isinstance(quantity, Values):
+            levels.append(len(quantity))
+        elif not isinstance(quantity, Constant):
+            raise ArgumentError(
+                f"quantities[{name!r}] is {quantity}; a grid takes Values, numbers and arrays"
+            )
+    size = prod(levels)
+    if n is not None and n != size:
+        made = " × ".join(map(str, levels)) or "no levels"
+        _whole("n", n, 1, MOST_BODIES)
+        raise ArgumentError(f"n={n}, but {made} make a grid of {size} bodies; leave n out")
+    return size
+
+
+def _words(seed: int, name: str, first: int, count: int, each: int) -> NDArray[np.uint64]:
+    """(count, each) random words of 64 bits: those of bodies `first` and on, of one stream.
+
+    Philox turns a counter into four words, by a bijection that its key chooses (J. K. Salmon et
+    al., Parallel random numbers: as easy as 1, 2, 3, SC11). Word w of body b is number b·each + w.
+    """
+    digest = blake2b(name.encode(), digest_size=16, key=seed.to_bytes(SEED_BITS // 8, "little"))
+    stream = np.random.Philox(key=int.from_bytes(digest.digest(), "little"))
+    counter, skipped = divmod(first * each, 4)
+    stream.advance(counter)
+    return stream.random_raw(skipped + count * each)[skipped:].reshape(count, each)
+
+
+def _between_0_and_1(numbers: NDArray[np.integer]) -> Array:
+    """(k + ½)/2⁵²: exact, never 0 or 1, and as far from one as from the other."""
+    return (numbers.astype(np.float64) + 0.5) * 2.0**-UNIFORM_BITS
+
+
+def inertia_of(second_moments: ArrayLike) -> Array:
+    """Inertia matrices from ∫x² dm, ∫y² dm and ∫z² dm along the principal axes.
+
+    second_moments : (3,) or (n, 3), kg m², > 0.   Returns (3, 3) or (n, 3, 3), kg m²: diagonal,
+    with b + c, c + a, a + b. (As principal moments, those of three bodies would pass for a matrix.)
+
+    Draw these, not the principal moments: three positive numbers need not be a body's, since each
+    moment is at most the sum of the two others. Here J₁ + J₂ − J₃ = 2c > 0, and every a, b, c > 0
+    is a body's: six points of a sixth of the mass m, on the axes at ±√(3a/m), ±√(3b/m), ±√(3c/m).
+    Conversely every body with an extent in all directions has such a, b, c.
+
+    >>> inertia_of((1.0, 2.0, 3.0)).diagonal().tolist()
+    [5.0, 4.0, 3.0]
+    """
+    a, b, c = components(as_positive("second_moments", second_moments, "kg m²", 3))
+    return np.stack((b + c, c + a, a + b), axis=-1)[..., None] * np.eye(3)

@@ -1,0 +1,510 @@
+"""Distributions of numbers, vectors and rotations, as functions of uniforms.
+
+Every one is an inverse: `dimension` uniforms go in, one draw comes out, and none is rejected. What
+comes out of some uniforms has the same bits alone and in any batch, on one kind of CPU.
+
+Parameters are a number, the same for all components, or (d,); units are the caller's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lierb.arrays import Array, as_floats, as_matrix
+from lierb.errors import ArgumentError
+from lierb.extras import require
+from lierb.kernels.groups import so3
+
+LARGEST = 1e300  # of a parameter: sums of a few, and 39 of a normal's std, are numbers still
+FARTHEST_Z = 8.3  # of the uniforms next to 1, in std
+FARTHEST = 1e6  # std, of a truncated normal from its mean: farther out, doubles get too coarse
+SERIES_BEYOND = 50.0  # std: SciPy's ndtri_exp takes a series that is off by up to 6e-13 beyond 64
+SEMIDEFINITE = 1e-14  # relative to a variance: what is left of it below this counts as nothing
+SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
+SHAPES = {
+    1: "a number or (d,)",
+    2: "a number, (d,) or a matrix",
+    3: "k numbers, vectors or matrices",
+}
+
+
+class Distribution:
+    """What the value of one body is drawn from: the base of those below.
+
+    shape : of one draw, () or (d,) or (3, 3).
+    dimension : how many uniforms a draw takes.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        raise NotImplementedError
+
+    @property
+    def dimension(self) -> int:
+        return prod(self.shape)
+
+    def draw(self, u: ArrayLike) -> Array:
+        """Values at points of the unit cube.
+
+        u : (n, dimension), in (0, 1).   Returns (n, *shape); row i depends on u[i] alone.
+        Raises ArgumentError for another shape, or for numbers outside (0, 1).
+        """
+        points = as_floats("u", u)
+        if points.ndim != 2 or points.shape[1] != self.dimension:
+            raise ArgumentError(
+                f"u has shape {points.shape}; {type(self).__name__} takes (n, {self.dimension})"
+            )
+        _refuse("u", points, ~((points > 0.0) & (points < 1.0)), "numbers in (0, 1)")
+        # One contiguous row a component: for others NumPy's logarithm takes a path that rounds
+        # otherwise, and a body's bits would depend on how it came to be in an array.
+        parts = self._draw(np.ascontiguousarray(points.T))
+        return np.ascontiguousarray(parts.T).reshape(len(points), *self.shape)
+
+    def _draw(self, u: Array) -> Array:
+        """(dimension, n) → (components, n), by operations on one element at a time."""
+        raise NotImplementedError
+
+    def _column(self, parameter: Array) -> Array:
+        """One row a component, to go with (components, n)."""
+        return np.broadcast_to(parameter, self.shape).reshape(-1, 1)
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        given = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        shown = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in given.items()}
+        inside = ", ".join(f"{k}={v}" for k, v in shown.items() if v is not None)
+        return f"{type(self).__name__}({inside})"
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Constant(Distribution):
+    """The same for every body; what a number or an array stands for where a distribution may be.
+
+    value : number, (d,) or a matrix.
+
+    >>> Constant((0.0, 0.0, -9.81)).draw(np.empty((2, 0))).tolist()
+    [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
+    """
+
+    value: Array
+
+    def __init__(self, value: ArrayLike) -> None:
+        self._set(value=_numbers("value", value, axes=2))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.value.shape
+
+    @property
+    def dimension(self) -> int:
+        return 0
+
+    def _draw(self, u: Array) -> Array:
+        return np.repeat(self.value.reshape(-1, 1), u.shape[1], axis=1)
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Uniform(Distribution):
+    """Uniform between two bounds, independent in each component.
+
+    low, high : number or (d,), low ≤ high.
+
+    >>> Uniform(1.0, (3.0, 5.0)).draw([[0.5, 0.25]]).tolist()
+    [[2.0, 2.0]]
+    """
+
+    low: Array
+    high: Array
+
+    def __init__(self, low: ArrayLike, high: ArrayLike) -> None:
+        lowest, highest = _numbers("low", low), _numbers("high", high)
+        _common_shape(low=lowest, high=highest)
+        _ordered(lowest, highest, strict=False)
+        self._set(low=lowest, high=highest)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return _common_shape(low=self.low, high=self.high)
+
+    def _draw(self, u: Array) -> Array:
+        low, high = self._column(self.low), self._column(self.high)
+        return np.minimum(low + (high - low) * u, high)  # rounding may pass it by an ulp
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Normal(Distribution):
+    """Normal, with independent components or with correlated ones.
+
+    mean : number or (d,).
+    std : number or (d,), ≥ 0, standard deviations of independent components.   Or
+    covariance : (d, d), symmetric positive semi-definite.
+
+    x = mean + L z with LLᵀ = covariance (Cholesky), z = Φ⁻¹(u).
+
+    >>> Normal((1.0, 2.0), 0.1).draw([[0.5, 0.5]]).tolist()
+    [[1.0, 2.0]]
+    >>> Normal(0.0, covariance=[[4.0, 2.0], [2.0, 1.0]]).dimension
+    2
+    """
+
+    mean: Array
+    std: Array | None
+    covariance: Array | None
+
+    def __init__(
+        self, mean: ArrayLike, std: ArrayLike | None = None, *, covariance: ArrayLike | None = None
+    ) -> None:
+        if (std is None) == (covariance is None):
+            raise ArgumentError("give std or covariance=, one of the two")
+        centre = _numbers("mean", mean)
+        self._set(mean=centre, std=None, covariance=None)
+        if covariance is None:
+            spread = _numbers("std", std)
+            _refuse("std", spread, spread < 0.0, "zero or a positive number")
+            _common_shape(mean=centre, std=spread)
+            self._set(std=spread)
+        else:
+            matrix = _covariance(covariance)
+            _common_shape(mean=centre, covariance=matrix[0])
+            self._set(covariance=matrix)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        spread = self.std if self.covariance is None else self.covariance[0]
+        assert spread is not None
+        return _common_shape(mean=self.mean, spread=spread)
+
+    def _draw(self, u: Array) -> Array:
+        z: Array = _special().ndtri(u)
+        mean = self._column(self.mean)
+        if self.std is not None:
+            return mean + self._column(self.std) * z
+        # Sums in a fixed order: the one in which a matrix product adds depends on n.
+        x = np.repeat(mean, u.shape[1], axis=1)
+        for i, row in enumerate(self._factor):
+            for j in np.flatnonzero(row):
+                x[i] += row[j] * z[j]
+        return x
+
+    @cached_property
+    def _factor(self) -> Array:
+        assert self.covariance is not None
+        return _cholesky(self.covariance)
+
+
+def _covariance(value: ArrayLike) -> Array:
+    matrix = _numbers("covariance", value, axes=2)
+    if matrix.ndim != 2 or len(matrix) != matrix.shape[1]:
+        raise ArgumentError(f"covariance has shape {matrix.shape}; expected (d, d)")
+    skew = np.abs(matrix - matrix.T).max()
+    if skew > SYMMETRY_TOLERANCE * np.abs(matrix).max():
+        raise ArgumentError(f"covariance is not symmetric: entries differ by {skew:.3g}")
+    with np.errstate(all="ignore"):  # where it is none, numbers overflow
+        lower = _cholesky(matrix)
+        size = np.sqrt(np.abs(np.diag(matrix)))
+        left = np.abs(lower @ lower.T - matrix)
+    # Of two variances of which nothing is left, the root bounds the covariance that is.
+    if not (left <= 2.0 * np.sqrt(SEMIDEFINITE) * np.outer(size, size)).all():
+        raise ArgumentError(
+            "covariance is not positive semi-definite: its smallest eigenvalue is "
+            f"{np.linalg.eigvalsh(matrix)[0]:.6g}"
+        )
+    return matrix
+
+
+def _cholesky(matrix: Array) -> Array:
+    """Lower triangular; columns of zeros where a component is a combination of those before it."""
+    lower = np.zeros_like(matrix)
+    for j in range(len(matrix)):
+        rest = matrix[j:, j] - sum(lower[j:, k] * lower[j, k] for k in range(j))
+        if rest[0] > SEMIDEFINITE * matrix[j, j]:
+            lower[j:, j] = rest / np.sqrt(rest[0])
+    return lower
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class TruncatedNormal(Distribution):
+    """Normal under the condition that it is between two bounds, independent in each component.
+
+    mean : number or (d,).   std : number or (d,), > 0, both of the normal before it is cut.
+    low, high : number or (d,), low < high; may be −inf and inf. Neither may leave nothing but what
+        is more than 10⁶ std from the mean.
+
+    With a = (low − mean)/std and b = (high − mean)/std, Φ(z) = (1 − u) Φ(a) + u Φ(b), solved for
+    log Φ(z) or log Φ(−z), whichever is smaller: nothing cancels or underflows in either tail.
+
+    >>> tail = TruncatedNormal(0.0, 1.0, low=8.0, high=np.inf)
+    >>> tail.draw([[0.5]]).round(4).tolist()
+    [8.0849]
+    """
+
+    mean: Array
+    std: Array
+    low: Array
+    high: Array
+
+    def __init__(
+        self,
+        mean: ArrayLike,
+        std: ArrayLike,
+        low: ArrayLike = -np.inf,
+        high: ArrayLike = np.inf,
+    ) -> None:
+        centre, spread = _numbers("mean", mean), _numbers("std", std)
+        lowest, highest = _numbers("low", low, infinite=True), _numbers("high", high, infinite=True)
+        _refuse("std", spread, spread <= 0.0, "a positive number")
+        _common_shape(mean=centre, std=spread, low=lowest, high=highest)
+        _ordered(lowest, highest, strict=True)
+        with np.errstate(over="ignore"):
+            above, below = (lowest - centre) / spread, (centre - highest) / spread
+        for name, bound, far in (("low", lowest, above), ("high", highest, below)):
+            reach = f"one at most {FARTHEST:g} std {'above' if name == 'low' else 'below'} the mean"
+            _refuse(name, np.broadcast_to(bound, far.shape), far > FARTHEST, reach)
+        self._set(mean=centre, std=spread, low=lowest, high=highest)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return _common_shape(mean=self.mean, std=self.std, low=self.low, high=self.high)
+
+    def _draw(self, u: Array) -> Array:
+        special = _special()
+        mean, std, low, high = map(self._column, (self.mean, self.std, self.low, self.high))
+        with np.errstate(over="ignore"):
+            a, b = (low - mean) / std, (high - mean) / std
+        of_low, of_high = np.log1p(-u), np.log(u)
+        below = np.logaddexp(of_low + special.log_ndtr(a), of_high + special.log_ndtr(b))
+        above = np.logaddexp(of_low + special.log_ndtr(-a), of_high + special.log_ndtr(-b))
+        tail = np.minimum(below, above)
+        z = special.ndtri_exp(tail)
+        if (np.maximum(a, -b) > SERIES_BEYOND).any():
+            density = np.exp(-0.5 * z * z - 0.5 * np.log(2.0 * np.pi) - special.log_ndtr(z))
+            z = z - (special.log_ndtr(z) - tail) / density  # one step of Newton's method
+        x: Array = mean + std * np.where(below < above, z, -z)
+        return np.clip(x, low, high)
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class LogNormal(Distribution):
+    """exp of a normal: for what is positive, and off by a factor.
+
+    median : number or (d,), > 0.
+    sigma : number or (d,), ≥ 0, the standard deviation of the natural logarithm.
+
+    >>> LogNormal(3.0, 0.2).draw([[0.5]]).tolist()
+    [3.0]
+    """
+
+    median: Array
+    sigma: Array
+
+    def __init__(self, median: ArrayLike, sigma: ArrayLike) -> None:
+        middle, spread = _numbers("median", median), _numbers("sigma", sigma)
+        _refuse("median", middle, middle <= 0.0, "a positive number")
+        _refuse("sigma", spread, spread < 0.0, "zero or a positive number")
+        _common_shape(median=middle, sigma=spread)
+        reach = np.log(middle) + FARTHEST_Z * spread
+        most = "less: its draws overflow, or a smaller median"
+        _refuse("sigma", np.broadcast_to(spread, reach.shape), reach > np.log(LARGEST), most)
+        self._set(median=middle, sigma=spread)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return _common_shape(median=self.median, sigma=self.sigma)
+
+    def _draw(self, u: Array) -> Array:
+        z: Array = _special().ndtri(u)
+        return self._column(self.median) * np.exp(self._column(self.sigma) * z)
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Direction(Distribution):
+    """Vectors that point anywhere with equal probability.
+
+    length : their norm: a number ≥ 0, or a distribution of numbers.
+
+    z = 1 − 2u₀ is uniform in (−1, 1) and the azimuth 2πu₁ in (0, 2π), by Archimedes' theorem that a
+    sphere and its cylinder have equal zones; the length takes further uniforms.
+
+    >>> Direction(2.0).draw([[0.5, 0.25]]).round(15).tolist()
+    [[0.0, 2.0, 0.0]]
+    """
+
+    length: Distribution
+
+    def __init__(self, length: Distribution | ArrayLike = 1.0) -> None:
+        along = as_distribution("length", length)
+        if along.shape != ():
+            raise ArgumentError(f"length has shape {along.shape}; expected numbers, one a vector")
+        if isinstance(along, Constant):
+            _refuse("length", along.value, along.value < 0.0, "zero or a positive number")
+        self._set(length=along)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (3,)
+
+    @property
+    def dimension(self) -> int:
+        return 2 + self.length.dimension
+
+    def _draw(self, u: Array) -> Array:
+        across = 2.0 * np.sqrt(u[0] * (1.0 - u[0]))  # √(1 − z²)
+        azimuth = 2.0 * np.pi * u[1]
+        unit = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), 1.0 - 2.0 * u[0]))
+        return unit * self.length._draw(u[2:])
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Rotation(Distribution):
+    """Rotation matrices, uniform over SO(3): their law is the same after any fixed rotation.
+
+    The quaternion (√u₀ (cos 2πu₂, sin 2πu₂), √(1 − u₀) (sin 2πu₁, cos 2πu₁)) is uniform over the
+    unit sphere (K. Shoemake, Uniform random rotations, Graphics Gems III, 1992, p. 124). RᵀR is I
+    to 1e-15 in every entry.
+
+    >>> Rotation().draw([[0.5, 0.0625, 0.9375]]).shape
+    (1, 3, 3)
+    """
+
+    def __init__(self) -> None:
+        pass
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (3, 3)
+
+    @property
+    def dimension(self) -> int:
+        return 3
+
+    def _draw(self, u: Array) -> Array:
+        first, second = 2.0 * np.pi * u[1], 2.0 * np.pi * u[2]
+        r1, r2 = np.sqrt(1.0 - u[0]), np.sqrt(u[0])
+        w, x = r2 * np.cos(second), r1 * np.sin(first)
+        y, z = r1 * np.cos(first), r2 * np.sin(second)
+        x2, y2, z2 = 2.0 * x, 2.0 * y, 2.0 * z
+        matrix = (
+            1.0 - (y2 * y + z2 * z), x2 * y - z2 * w, x2 * z + y2 * w,
+            x2 * y + z2 * w, 1.0 - (x2 * x + z2 * z), y2 * z - x2 * w,
+            x2 * z - y2 * w, y2 * z + x2 * w, 1.0 - (x2 * x + y2 * y),
+        )  # fmt: skip
+        return np.stack(so3.orthonormalised(matrix))
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Values(Distribution):
+    """One of a list, each with the same probability; in a grid, the levels of a factor.
+
+    values : (k,), (k, d) or (k, ·, ·): k numbers, vectors or matrices.
+
+    >>> Values([1.0, 2.0, 5.0]).draw([[0.1], [0.5], [0.9]]).tolist()
+    [1.0, 2.0, 5.0]
+    """
+
+    values: Array
+
+    def __init__(self, values: ArrayLike) -> None:
+        listed = _numbers("values", values, axes=3)
+        if listed.ndim == 0:
+            raise ArgumentError(f"values is {listed}; expected a list of numbers, or of arrays")
+        self._set(values=listed)
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.values.shape[1:]
+
+    @property
+    def dimension(self) -> int:
+        return 1
+
+    def _draw(self, u: Array) -> Array:
+        # The largest double below 1, times k, rounds to one below k.
+        return self.take((u[0] * len(self)).astype(np.int64)).reshape(u.shape[1], -1).T
+
+    def take(self, levels: NDArray[np.int64]) -> Array:
+        """The values of these numbers, (n, *shape)."""
+        return self.values[levels]
+
+
+DISTRIBUTIONS = {  # by the names that studies give them
+    "normal": Normal,
+    "uniform": Uniform,
+    "truncated_normal": TruncatedNormal,
+    "log_normal": LogNormal,
+    "direction": Direction,
+    "rotation": Rotation,
+    "values": Values,
+}
+
+
+def as_distribution(label: str, value: Distribution | ArrayLike) -> Distribution:
+    """`value` itself, or the constant that it is."""
+    if isinstance(value, Distribution):
+        return value
+    return Constant(_numbers(label, value, axes=2))
+
+
+# ---- parameters ----------------------------------------------------------------------------------
+
+
+def _label(field: str, place: tuple[int, ...]) -> str:
+    return f"{field}[{', '.join(map(str, place))}]" if place else field
+
+
+def _numbers(field: str, value: Any, axes: int = 1, infinite: bool = False) -> Array:
+    """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
+    array = as_floats(field, as_matrix(field, value), copy=True)
+    if array.ndim > axes or array.size == 0:
+        raise ArgumentError(f"{field} has shape {array.shape}; expected {SHAPES[axes]}")
+    if infinite:
+        _refuse(field, array, np.isnan(array), "a number or ±inf")
+    else:
+        _refuse(field, array, ~np.isfinite(array), "finite numbers")
+        _refuse(field, array, np.abs(array) > LARGEST, f"numbers up to {LARGEST:g}")
+    array.setflags(write=False)
+    return array
+
+
+def _refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> None:
+    """Raise for the first entry of `array` that is bad."""
+    for place in np.argwhere(bad)[:1]:
+        where = tuple(int(i) for i in place)
+        raise ArgumentError(f"{_label(field, where)} is {array[where]}; expected {expected}")
+
+
+def _common_shape(**given: Array) -> tuple[int, ...]:
+    """() or (d,): numbers go with vectors, vectors with vectors of their length."""
+    sizes = {name: array.shape for name, array in given.items() if array.ndim}
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{name} has {shape[0]}" for name, shape in sizes.items())
+        raise ArgumentError(f"parameters differ in their number of components: {listed}")
+    return next(iter(sizes.values()), ())
+
+
+def _ordered(low: Array, high: Array, strict: bool) -> None:
+    low, high = np.broadcast_arrays(low, high)
+    for place in np.argwhere(low >= high if strict else low > high)[:1]:
+        where = tuple(int(i) for i in place)
+        raise ArgumentError(
+            f"{_label('low', where)} is {low[where]} and {_label('high', where)} is {high[where]}; "
+            f"expected low {'<' if strict else '≤'} high"
+        )
+
+
+def _special() -> Any:
+    require("scipy")
+    import scipy.special
+
+    return scipy.special

@@ -1,0 +1,1 @@
+"""Studies: files, parts, results on the disk, and what is found in them."""

@@ -1,0 +1,448 @@
+"""A study's results on the disk: Parquet parts, entered in a manifest once they are safe there.
+
+    DIR/study.toml            as it was run
+    DIR/manifest.json         digest of the study, versions, every finished part with its checksums
+    DIR/summary/part-*.parquet, DIR/history/part-*.parquet
+    DIR/.lock
+
+A file is written under another name, synced, renamed, and then entered; a process may die at any
+moment. What is not in the manifest does not count, and since other readers take whatever Parquet
+is in a table's folder, no run is begun or finished beside any that is not the study's own:
+
+    manifest             Parquet that it does not enter    a run of study S
+    none                 none                              begins
+    of S                 parts of S, by their names        removes them and does them again
+    of T, no part done   none                              begins
+    of T, parts done     -                                 is refused
+    any                  any other                         is refused
+
+A study.toml that says another study, as after an edit, is refused as well; one that is missing is
+written again. Of other files in the folder none is touched.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+from filelock import FileLock, Timeout
+
+from lierb.errors import LierbError, StudyError, StudyFileError
+from lierb.runs.failures import COLUMNS, Failures
+from lierb.runs.provenance import machine
+from lierb.shown import FAILED, Lines, Shown
+from lierb.studies.files import (
+    KEPT,
+    RESUME,
+    TEMPORARY,
+    as_it_is,
+    folder_of,
+    naming,
+    reason,
+    rename,
+    sha256_of,
+    write_aside,
+)
+from lierb.studies.manifest import (
+    FORMAT,
+    PART,
+    TABLES,
+    claims_of,
+    file_of,
+    read_manifest,
+    sealed,
+)
+from lierb.studies.study import Setting, Study, settings_told
+
+MANIFEST = "manifest.json"
+STUDY = "study.toml"
+LOCK = ".lock"
+UNFINISHED = {  # names of what a process that died may have left, by folder
+    "": re.compile(rf"\.(manifest\.json|study\.toml)\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}"),
+    **dict.fromkeys(
+        TABLES, re.compile(rf"\.part-{PART}\.parquet\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}")
+    ),
+}
+LOCKABLE = (
+    "make room, or choose a folder that you may write to, on a file system with locks, such as a "
+    "local disk"
+)
+PARQUET = b"PAR1"  # how such a file begins
+MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing a large manifest
+QUICK_SECONDS = 0.05  # to write one that is not large
+
+
+@dataclass(frozen=True)
+class File:
+    """A part's table as it will be in the folder.
+
+    failed : rows whose status is not ok, by status.
+    """
+
+    path: str
+    rows: int
+    content: pa.Buffer
+    failed: dict[str, int]
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A file that is safe in the folder under a name that no reader sees.
+
+    failed : as in File.
+    """
+
+    path: str
+    aside: str
+    rows: int
+    sha256: str
+    failed: dict[str, int]
+
+
+def parquet_files(part: str, tables: dict[str, pa.Table], compression: str) -> list[File]:
+    """A part's tables as Parquet files, the same bytes wherever they are made."""
+    files = []
+    for name, table in tables.items():
+        # No two doubles are alike: looking for a dictionary of them takes most of the time.
+        repeated = [f.name for f in table.schema if pa.types.is_dictionary(f.type)]
+        sink = pa.BufferOutputStream()
+        pq.write_table(table, sink, compression=compression, use_dictionary=repeated)
+        failures = Failures.of(table) if "status" in table.column_names else None
+        failed = failures.counts if failures else {}
+        files.append(File(file_of(name, part), table.num_rows, sink.getvalue(), failed))
+    return files
+
+
+def part_named(file: str) -> str | None:
+    """The part whose table that file is, by its path in the folder."""
+    found = re.fullmatch(rf"(?:{'|'.join(TABLES)})/part-({PART})\.parquet", file)
+    return found[1] if found else None
+
+
+class Dataset(Shown):
+    """The folder of one study's results.
+
+    Raises StudyError for a folder that is none; its methods raise it for results that are not as
+    they were entered, and StudyFileError, an OSError as well, for what cannot be read or written.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = folder_of(folder)
+        self.manifest: dict[str, Any] = {}
+        self._written, self._next_writing = True, 0.0
+        self._whole: dict[str, tuple[int, ...]] = {}  # files that were looked at, as they were
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """The finished parts by name."""
+        found: dict[str, Any] = self.manifest.get("parts", {})
+        return found
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else writes to the folder meanwhile; the lock goes with its process."""
+        with naming(self.folder, "made", "choose another folder"):
+            self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / LOCK
+        lock = FileLock(path)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise StudyError(
+                f"{self.folder} is being written by another run, which holds {path}"
+            ) from None
+        except (OSError, NotImplementedError) as error:  # of others, or no file system with locks
+            raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
+        try:
+            yield
+        finally:
+            try:
+                if not self._written:
+                    self._write_manifest()
+            finally:
+                lock.release()
+
+    def exists(self) -> bool:
+        return os.path.lexists(self.folder / MANIFEST)
+
+    def read(self) -> None:
+        """Read the manifest. Raises StudyError where there is none, or no more of one."""
+        self.manifest = read_manifest(self.folder / MANIFEST)
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What was changed of the study's file when it was run, by dotted keys."""
+        found: dict[str, Any] = self.manifest.get("set", {})
+        return found
+
+    def begin(
+        self,
+        digest: str,
+        study: dict[str, Any],
+        text: str,
+        asked: int,
+        changes: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Start the folder of a study of so many parts, or of another than was begun in it.
+
+        Raises StudyError for a study.toml of the user's that says another study.
+        """
+        begun = self.manifest.get("text")
+        if begun and sha256_of(self.folder / STUDY) == begun:
+            self.drop([STUDY])
+        is_there = self.study_text(digest) is not None
+        self.manifest = _fresh(digest, study, asked) | {"set": dict(changes or {})}
+        if not is_there:
+            self.manifest["text"] = hashlib.sha256(text.encode()).hexdigest()
+        self._write_manifest()  # first: a study.toml without one is the user's
+        if not is_there:
+            self.write(STUDY, text.encode())
+
+    def study_text(self, digest: str | None = None) -> str | None:
+        """What study.toml says, the study of that digest or of the manifest; None if there is none.
+
+        Raises StudyError where it says another one: somebody has edited it, or put it there.
+        """
+        path, digest = self.folder / STUDY, digest or self.manifest["digest"]
+        if not os.path.lexists(path):
+            return None
+        entered = self.manifest.get("digest") == digest and self.manifest.get("text")
+        if sha256_of(path) != entered and not _says(path, digest):
+            raise StudyError(
+                f"{path} says another study than the one that the folder is for, and is not "
+                "written over; move it elsewhere, or choose another folder"
+            )
+        return path.read_text(encoding="utf-8")
+
+    def store(self, files: list[File]) -> list[Stored]:
+        """Write a part's files, each under a name of its own that `enter` replaces.
+
+        Any process may do this, the one with the lock alone enters: a worker that another run has
+        left behind overwrites nothing.
+        """
+        return [
+            Stored(
+                file.path,
+                str(write_aside(self.folder / file.path, file.content).relative_to(self.folder)),
+                file.rows, hashlib.sha256(file.content).hexdigest(), file.failed,
+            )
+            for file in files
+        ]  # fmt: skip
+
+    def enter(self, part: str, files: list[Stored]) -> None:
+        """Give a part's files their names, and count it among the finished ones.
+
+        The manifest is written at once, unless it has grown so large that this would take more than
+        a share of the time; then a killed run does the last parts again.
+        """
+        for file in files:
+            rename(self.folder / file.aside, self.folder / file.path)
+            self._whole[file.path] = as_it_is(self.folder / file.path)
+        self._written = False
+        self.parts[part] = {f.path: _entry(f.rows, f.sha256, f.failed) for f in files}
+        if time.monotonic() >= self._next_writing:
+            self._write_manifest()
+
+    def _write_manifest(self) -> None:
+        began = time.monotonic()
+        self.manifest["parts"] = dict(sorted(self.parts.items()))
+        self.write(MANIFEST, sealed(self.manifest))
+        self._written = True
+        took = time.monotonic() - began
+        self._next_writing = began + (took / MANIFEST_SHARE if took > QUICK_SECONDS else 0.0)
+
+    def write(self, name: str, content: Any) -> None:
+        """A file with that content, or none: never half of it."""
+        rename(write_aside(self.folder / name, content), self.folder / name)
+
+    def drop_damaged(self) -> list[str]:
+        """Forget parts whose files are not what was entered, and what was left unfinished."""
+        damaged = [part for part, files in self.parts.items() if not self._is_whole(files)]
+        for part in damaged:
+            del self.parts[part]
+        self.drop_unfinished()
+        if damaged:
+            self._write_manifest()
+        return damaged
+
+    def mend(self, study: Study, asked: int) -> bool:
+        """Enter anew, of a damaged manifest, the parts whose files are as it says.
+
+        Returns whether it is one of that study; else nothing is changed.
+        """
+        tables = TABLES if study.integrate.save_every else TABLES[:1]
+        claims = claims_of(self.folder / MANIFEST, study.digest(), tables)
+        if claims is None:
+            return False
+        if claims.get("text") != sha256_of(self.folder / STUDY):
+            claims["text"] = None  # it is not as a run wrote it
+        parts = {
+            part: {name: self._recounted(name, entry["sha256"]) for name, entry in files.items()}
+            for part, files in claims["parts"].items() if self._is_whole(files)
+        }  # fmt: skip
+        fresh = _fresh(study.digest(), study.model_dump(), asked)
+        self.manifest = fresh | claims | {"parts": parts}
+        self._write_manifest()
+        return True
+
+    def _recounted(self, name: str, sha256: str) -> dict[str, Any]:
+        """The entry of a file that is whole."""
+        file = pq.ParquetFile(self.folder / name)
+        has_status = "status" in file.schema_arrow.names
+        failures = Failures.of(file.read(columns=list(COLUMNS))) if has_status else None
+        return _entry(file.metadata.num_rows, sha256, failures.counts if failures else {})
+
+    def drop_unfinished(self) -> None:
+        """Delete what processes that died have left unfinished, and nothing else."""
+        for folder, names in UNFINISHED.items():
+            place = self.folder / folder
+            if not place.is_dir() or (folder and place.is_symlink()):
+                continue
+            with naming(place, "cleaned", KEPT), os.scandir(place) as entries:
+                for entry in entries:
+                    if names.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                        Path(entry.path).unlink(missing_ok=True)
+
+    def strays(self) -> list[str]:
+        """Parquet files that other readers take for parts of a table and no manifest enters."""
+        entered = {file for files in self.parts.values() for file in files}
+        found = (file for table in TABLES for file in _seen(self.folder, table))
+        return sorted(
+            file for file in found if file not in entered and _is_parquet(self.folder / file)
+        )
+
+    def drop(self, files: list[str]) -> None:
+        """Delete files of the folder."""
+        for file in files:
+            with naming(self.folder / file, "deleted", "delete it"):
+                (self.folder / file).unlink(missing_ok=True)
+
+    def _is_whole(self, files: dict[str, Any]) -> bool:
+        for name, entry in files.items():
+            before = as_it_is(self.folder / name)
+            if not before:
+                return False
+            if self._whole.get(name) != before:
+                if sha256_of(self.folder / name) != entry["sha256"]:
+                    return False
+                self._whole[name] = before
+        return True
+
+    def _require_whole(self, files: Iterable[str]) -> None:
+        for name in files:
+            part = Path(name).stem.removeprefix("part-")
+            if not self._is_whole({name: self.parts[part][name]}):
+                raise StudyError(f"{self.folder / name} is damaged or missing; {RESUME} it again")
+
+    def table(self, name: str = "summary", *, check: bool = True) -> ds.Dataset:
+        """The finished parts of a table, as an Arrow dataset.
+
+        check : whether each file is compared with its checksum, once; it is read for that.
+        Raises StudyError where there is none, or one is damaged.
+        """
+        chosen = [
+            file for part, files in self.parts.items()
+            for file in files if file == file_of(name, part)
+        ]  # fmt: skip
+        if not chosen:
+            raise StudyError(f"{self.folder} has no finished part with {name}")
+        if check:
+            self._require_whole(chosen)
+        return ds.dataset([str(self.folder / file) for file in chosen], format="parquet")
+
+    @property
+    def trajectories(self) -> int:
+        """How many rows the summary has, by the manifest."""
+        return sum(entry["rows"] for _, entry in self._summaries())
+
+    def failures(self) -> Failures | None:
+        """The trajectories that failed, by the manifest; None if all are ok."""
+        failing = [
+            (path, entry["failed"]) for path, entry in self._summaries() if "failed" in entry
+        ]
+        if not failing:
+            return None
+        columns = ["cspace", "method", "dt", *COLUMNS]
+        self._require_whole([failing[0][0]])
+        table = ds.dataset(str(self.folder / failing[0][0]), format="parquet")
+        (first,) = table.head(1, columns=columns, filter=pc.field("status") != "ok").to_pylist()
+        setting = Setting(*(first.pop(name) for name in columns[:3]))
+        counts: Counter[str] = Counter()
+        for _, failed in failing:
+            counts.update(failed)
+        return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
+
+    def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Files of the summary, setting by setting, and their entries."""
+        for part, files in sorted(self.parts.items()):
+            yield (name := file_of("summary", part)), files[name]
+
+    def _shown(self) -> tuple[str, Lines]:
+        if not self.manifest:
+            return f"lierb.Dataset of {self.folder}, not read", []
+        study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
+        run = study["integrate"]
+        lines = [
+            ("settings", settings_told(run["cspace"], run["method"], run["dt"])),
+            ("trajectories", str(self.trajectories)),
+            ("parts", f"{done} of {asked}{'' if done == asked else '; resume=True does the rest'}"),
+        ]
+        if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
+            lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))
+        tables = ("summary", "history") if run["save_every"] else ("summary",)
+        lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
+        return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines
+
+
+def _fresh(digest: str, study: dict[str, Any], asked: int) -> dict[str, Any]:
+    """The manifest of a study of which no part is done."""
+    return {
+        "format": FORMAT, "digest": digest, "text": None, "study": study, "set": {},
+        "machine": machine(), "asked": asked, "parts": {},
+    }  # fmt: skip
+
+
+def _entry(rows: int, sha256: str, failed: dict[str, int]) -> dict[str, Any]:
+    """Of the manifest."""
+    entry: dict[str, Any] = {"rows": rows, "sha256": sha256}
+    return entry | {"failed": failed} if failed else entry
+
+
+def _says(path: Path, digest: str) -> bool:
+    """Whether a file is the study of that digest, in whatever words."""
+    try:
+        return path.is_file() and Study.load(path).digest() == digest
+    except (LierbError, OSError, RecursionError):
+        return False
+
+
+def _seen(folder: Path, table: str) -> Iterator[str]:
+    """Files of a table's folder that its readers do not skip, by their paths in `folder`."""
+    for root, inner, files in os.walk(folder / table):
+        inner[:] = [name for name in inner if name[0] not in "._"]
+        way = Path(root).relative_to(folder).as_posix()
+        yield from (f"{way}/{name}" for name in files if name[0] not in "._")
+
+
+def _is_parquet(path: Path) -> bool:
+    if path.suffix.lower() == ".parquet":
+        return True
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(len(PARQUET)) == PARQUET
+    except OSError:
+        return False

@@ -1,0 +1,191 @@
+"""What a study found, setting by setting: quantiles of the errors, failures, observed orders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import ValidationError
+
+from lierb.arrays import Array
+from lierb.errors import StudyError
+from lierb.studies.convergence import Order, observed_order
+from lierb.studies.dataset import Dataset
+from lierb.studies.sizes import as_array, rows_of, sizes_of
+from lierb.studies.study import Setting, Study
+from lierb.studies.units import each_unit
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+ERRORS = {
+    "position": "position_error_max",
+    "rotation": "rotation_error_max",
+    "energy": "energy_drift_max",
+}
+LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
+QUANTILES = (0.5, 0.95, 1.0)
+NEGLIGIBLE = 1e-18  # an error below this is none, relative to the problem's own size
+
+
+@dataclass(frozen=True)
+class Found:
+    """One setting of a study.
+
+    bodies : finished ones.   failed : those of them whose status is not ok.
+    quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
+        there are none, and for an error that the joint has no rows for.
+    sizes : of what each of ERRORS is an error of; see `lierb.studies.sizes`.
+    """
+
+    setting: Setting
+    bodies: int
+    failed: int
+    quantiles: dict[str, Array]
+    sizes: dict[str, float]
+
+
+def study_of(dataset: Dataset) -> Study:
+    """The study whose results they are."""
+    try:
+        return Study.model_validate(dataset.manifest["study"])
+    except ValidationError as error:
+        raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
+
+
+def findings(dataset: Dataset) -> list[Found]:
+    """What the finished parts say, setting by setting."""
+    study = study_of(dataset)
+    kinds = (*study.batch(0, 1).problem.joint.error_kinds, "energy")
+    return [_found(dataset, study, setting, kinds) for setting in study.settings]
+
+
+def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
+    names = ["status", *ERRORS.values()]
+    rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
+    ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
+    quantiles = {
+        kind: np.quantile(rows[name].to_numpy()[ok], QUANTILES, method="inverted_cdf")
+        if kind in kinds and ok.any()
+        else np.full(len(QUANTILES), np.nan)
+        for kind, name in ERRORS.items()
+    }
+    sizes = sizes_of(dataset, study, setting)
+    return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes)
+
+
+def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
+    """Observed orders of the medians over all dt of a c-space and method."""
+    same = [
+        f for f in found
+        if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)
+    ]  # fmt: skip
+    dts = [f.setting.dt for f in same]
+    if len(set(dts)) < 2:
+        return dict.fromkeys(ERRORS)
+    return {
+        kind: observed_order(
+            dts, [f.quantiles[kind][0] for f in same], [f.sizes[kind] for f in same]
+        )
+        for kind in ERRORS
+    }
+
+
+# ---- columns -----------------------------------------------------------------------------------
+
+
+def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
+    """Columns of the bodies that are ok in a setting; lists as (n, k)."""
+    table = dataset.table().to_table(
+        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
+    )
+    return {name: as_array(table, name) for name in names}
+
+
+def drawn_columns(dataset: Dataset) -> dict[str, str]:
+    """The columns of what was sampled, and their units."""
+    fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
+    return {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in fields}
+
+
+def some_rows(rows: int, most: int) -> Array:
+    """Which rows to draw if there are too many: at random, since Sobol points have a rhythm."""
+    chosen = np.random.default_rng(0).permutation(rows)[:most]
+    return np.sort(chosen)
+
+
+def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
+    """The errors of which there are any, and their columns."""
+    seen = {
+        kind
+        for s in study.settings
+        for kind, size in sizes_of(dataset, study, s).items()
+        if ok_columns(dataset, s, [ERRORS[kind]])[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size
+    }
+    return {kind: name for kind, name in ERRORS.items() if kind in (seen or {"energy"})}
+
+
+def least_drawn(dataset: Dataset, study: Study) -> dict[str, float]:
+    """Where errors of each kind are drawn that are below it: zero has no place on a log axis."""
+    sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
+    return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}
+
+
+def components(drawn: dict[str, str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
+    """Sampled numbers one by one, but for matrices, by a title with their unit.
+
+    drawn : as `drawn_columns` gives it.   rows : as `ok_columns` does.
+    """
+    for name, unit in drawn.items():
+        values, title = rows[name], name.removeprefix("sample.")
+        if values.ndim == 1:
+            yield _with_unit(title, unit), values
+        elif values.shape[1] <= 6:
+            for i, own in enumerate(each_unit(unit, values.shape[1])):
+                yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
+
+
+def _with_unit(title: str, unit: str) -> str:
+    return title if unit == "1" else f"{title} [{unit}]"
+
+
+# ---- for a terminal ----------------------------------------------------------------------------
+
+
+def shown(error: float) -> str:
+    """With two digits; a dash where there is none."""
+    if np.isnan(error):
+        return "–"
+    return f"{error:.1e}" if error else "0"
+
+
+def table_of(found: list[Found]) -> Table:
+    """For a terminal."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    for column in ("c-space", "method", "dt/s", "bodies", "failed", "largest error of"):
+        table.add_column(column, no_wrap=True)
+    for column in (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"):
+        table.add_column(column, no_wrap=True, justify="right")
+    for each in found:
+        seen, setting = orders(found, each), each.setting
+        heads = [
+            setting.cspace,
+            setting.method,
+            f"{setting.dt:g}",
+            str(each.bodies),
+            str(each.failed),
+        ]
+        for kind, label in LABELS.items():
+            quantiles = [shown(x) for x in each.quantiles[kind]]
+            order = "" if seen[kind] is None else str(seen[kind])
+            table.add_row(*heads, label, *quantiles, order)
+            heads = [""] * len(heads)
+        table.add_section()
+    return table

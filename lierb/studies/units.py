@@ -1,0 +1,46 @@
+"""Units of what a study samples: in its tables' fields, and on the axes of its figures."""
+
+from __future__ import annotations
+
+from lierb.joints import Joint
+from lierb.studies.study import Study
+
+UNITS = {
+    "mass": "kg", "inertia": "kg m²", "second_moments": "kg m²", "com": "m", "size": "m",
+    "radius": "m", "length": "m", "density": "kg/m³",
+    "body_point": "m", "ground_point": "m", "axis": "1", "slot": "1", "second_axis": "1",
+    "pitch": "m/rad", "gravity": "m/s²",
+    "omega": "rad/s", "point_velocity": "m/s", "twist": "rad/s, rad/s, rad/s, m/s, m/s, m/s",
+    "rotation": "1", "place": "m",
+}  # fmt: skip
+FORCE_UNITS = {
+    "constant_wrench": {"torque": "N m", "force": "N", "point": "m"},
+    "spring_damper": {
+        "body_point": "m", "ground_point": "m", "stiffness": "N/m", "damping": "N s/m",
+        "length": "m",
+    },
+    "torsional_spring": {"stiffness": "N m/rad", "damping": "N m s/rad", "angle": "rad"},
+    "drag": {"linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "point": "m"},
+    "motor": {"torque": "N m", "speed": "rad/s"},
+}  # fmt: skip
+
+
+def unit_of(quantity: str, study: Study, joint: Joint) -> str:
+    """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas.
+
+    joint : the study's, whose coordinates are angles or lengths.
+    """
+    section, _, key = quantity.rpartition(".")
+    if section.startswith("forces."):
+        types = {f"forces.{force.label}": force.type for force in study.problem.forces}
+        return FORCE_UNITS[types[section]][key]
+    if key in ("coordinates", "velocities"):
+        of_each = ["m" if name.startswith("d") else "rad" for name in joint.coordinate_names]
+        return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)
+    return UNITS[key]
+
+
+def each_unit(unit: str, width: int) -> list[str]:
+    """The units of so many components: each its own, or all the same."""
+    units = unit.split(", ")
+    return units if len(units) == width else [unit] * width

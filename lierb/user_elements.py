@@ -1,0 +1,377 @@
+"""What a problem has beside its body, joint and gravity: forces and constraints, with parameters.
+
+Some are functions of the user's: `@lierb.wrench` makes a force of one, `@lierb.constraint` a
+constraint. They are written for one body and compiled for many at once.
+"""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, update_wrapper
+from typing import Any, Self, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.arrays import Array, as_floats, as_numbers, batch_size
+from lierb.errors import (
+    ArgumentError,
+    ForceError,
+    ScalarFunctionWarning,
+    require_name,
+    told,
+    unknown_name,
+)
+from lierb.kernels.functions.fingerprint import (
+    TEXT,
+    Reference,
+    UnfitFunctionError,
+    fingerprint,
+    watched,
+)
+from lierb.kernels.functions.function import (
+    ANY,
+    Function,
+    Shape,
+    compilable,
+    compile_alone,
+    traceable,
+    trial,
+    where_it_was,
+)
+from lierb.kernels.mechanics import elements as kinds
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """A force or a constraint.
+
+    parameters : by name, each in its own shape, or with an axis for the bodies before it.
+    """
+
+    name: str
+    kind: kinds.Element
+    parameters: dict[str, Array]
+
+    @classmethod
+    def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
+        parameters = {
+            parameter: as_numbers(parameter, given[parameter], shape)
+            for parameter, shape in kind.shapes.items()
+        }
+        element = cls(name, kind, parameters)
+        batch_size(**element.batched())
+        return element
+
+    def __repr__(self) -> str:
+        return f"<{self.name}: {', '.join(self.parameters) or 'no parameters'}>"
+
+    def batched(self) -> dict[str, tuple[Array, int]]:
+        """The parameters as `batch_size` takes them."""
+        return {
+            f"{self.name}.{name}": (array, len(self.kind.shapes[name]))
+            for name, array in self.parameters.items()
+        }
+
+    @cached_property
+    def references(self) -> tuple[Reference, ...]:
+        """What functions of the user's in it referred to when it was made."""
+        return tuple(r for function in self.kind.functions for r in function.references)
+
+    def require_unchanged(self) -> None:
+        """Raise ForceError if something that its function has been made with is another by now."""
+        for reference in self.references:
+            if reference.has_changed():
+                raise ForceError(
+                    f"{reference.name} has changed since {self.name} was made with it; make the "
+                    f"{type(self).__name__.lower()} anew, or make {reference.name} a parameter"
+                )
+
+
+class Force(Element):
+    """A force on the body; made by the functions of `lierb.forces` and by `lierb.wrench`."""
+
+
+class Constraint(Element):
+    """Rows beside the joint's own; made by `lierb.constraint`."""
+
+
+# ---- functions of the user's -------------------------------------------------------------------
+
+ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
+POSE = ("R", "r")
+WRENCH: tuple[Shape, ...] = ((3,), (3,))
+# Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
+# body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
+BODY_BY_BODY = "10 to 60 times slower"
+
+
+class _Decorated:
+    """A function and its parameters' defaults; called with parameters, it is an element."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, ArrayLike]) -> None:
+        self.function, self.defaults = function, defaults
+        update_wrapper(self, function)  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        name, kind = self.function.__name__, type(self).__name__.lower()
+        return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
+
+    def _shapes(self, given: dict[str, ArrayLike]) -> dict[str, Shape]:
+        """Of the parameters for one body: as in the defaults, or numbers."""
+        for name in given:
+            if self.defaults and name not in self.defaults:
+                raise unknown_name("parameter", name, self.defaults)
+        shapes: dict[str, Shape] = dict.fromkeys(given, ())
+        return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
+
+
+class Wrench(_Decorated):
+    """What `lierb.wrench` makes of a function."""
+
+    _potential: Callable[..., Any] | None = None
+
+    def __call__(self, **parameters: ArrayLike) -> Force:
+        """The force with these parameters; each is one for all bodies or one for each."""
+        shapes = self._shapes(parameters)
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH)
+        potential = self._potential and user_function(
+            self._potential, POSE, shapes, ((),), differentiated=True
+        )
+        kind = kinds.UserWrench(function, potential)
+        return Force.of(self.function.__name__, kind, **self.defaults | parameters)
+
+    def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
+
+        It may be that of a part of the wrench: what the rest does counts as work. For that it is
+        differentiated, and so must run for many bodies at once, as a constraint does.
+        """
+        if not inspect.isfunction(function):
+            raise ForceError(f"expected a function to decorate, got {told(function)}")
+        self._potential = function
+        return function
+
+
+class ConstraintFunction(_Decorated):
+    """What `lierb.constraint` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        unit = defaults.pop("unit", "m")
+        require_name("unit", unit, ("m", "1"))
+        super().__init__(function, defaults)
+        self.is_translational = unit == "m"
+
+    def __call__(self, **parameters: ArrayLike) -> Constraint:
+        """The constraint with these parameters; each is one for all bodies or one for each."""
+        shapes = self._shapes(parameters)
+        function = user_function(self.function, POSE, shapes, (ANY,), differentiated=True)
+        rows = trial(function)
+        function = replace(function, results=((rows,),))
+        kind = kinds.UserConstraint(function, rows, self.is_translational)
+        return Constraint.of(function.name, kind, **self.defaults | parameters)
+
+
+@overload
+def wrench(function: Callable[..., Any], /) -> Wrench: ...
+@overload
+def wrench(**defaults: ArrayLike) -> Callable[[Callable[..., Any]], Wrench]: ...
+def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike) -> Any:
+    """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
+
+    The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
+    3×3 and r the pose in the ground frame, ω and v the body-fixed twist, all as arrays of numbers;
+    torque (N m) and force (N) are in body axes, about the body frame's origin.
+
+    Called with its parameters, what results is a force for `Problem(forces=…)`. The defaults say
+    which parameters there are and what shape they have for one body; without defaults all are
+    numbers. In the function they are `params.name`.
+
+    An argument named `body`, after `params`, sees the body: `body.mass`, `body.inertia` (3×3, about
+    the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
+
+    The function is written for one body and compiled for many at once: operators, `math`, NumPy,
+    and `lierb.where(condition, a, b)` in place of `if`. One that branches on a number all the same
+    runs body by body, 10 to 60 times slower; a warning says so once. It must be a function of its
+    arguments: what else it refers to is what it was when the force was made, and once that has
+    changed the force can be used no more.
+
+    Raises ForceError for a function of another form, or one that cannot be compiled at all.
+
+    >>> import lierb
+    >>> @lierb.wrench(stiffness=10.0, anchor=(0.0, 0.0, 1.0))
+    ... def tether(t, R, r, omega, v, params):
+    ...     return (0.0, 0.0, 0.0), -params.stiffness * R.T @ (r - params.anchor)
+    >>> tether(stiffness=[5.0, 10.0, 20.0])
+    <tether: stiffness, anchor>
+    """
+    return _decorated(Wrench, function, defaults)
+
+
+@overload
+def constraint(function: Callable[..., Any], /) -> ConstraintFunction: ...
+@overload
+def constraint(
+    *, unit: str = "m", **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], ConstraintFunction]: ...
+def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function a constraint: `@lierb.constraint`, or with defaults as `lierb.wrench`.
+
+    The function is called with (R, r, params), and `body` as in `lierb.wrench`, and returns h, one
+    number or several, which shall stay zero; each becomes a row beside the joint's. Its Jacobian
+    and acceleration term come from the same function, differentiated exactly. It cannot branch on
+    numbers but with `lierb.where`.
+
+    unit : of h, "m" or "1": whether it counts as position or as rotation error. Default "m".
+
+    Raises ForceError as `lierb.wrench` does.
+
+    >>> import lierb
+    >>> @lierb.constraint(length=0.5)
+    ... def rod(R, r, params):
+    ...     return (r @ r / params.length - params.length) / 2
+    >>> rod(length=[0.4, 0.5])
+    <rod: length>
+    """
+    return _decorated(ConstraintFunction, function, defaults)
+
+
+def _decorated(kind: type[_Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+    if function is None:
+        return lambda given: _decorated(kind, given, defaults)
+    if not inspect.isfunction(function):
+        raise ForceError(f"expected a function to decorate, got {told(function)}")
+    return kind(function, defaults)
+
+
+_warned: set[str] = set()  # fingerprints of functions that run body by body
+
+
+def user_function(
+    function: Callable[..., Any],
+    arguments: tuple[str, ...],
+    shapes: dict[str, Shape],
+    results: tuple[Shape, ...],
+    differentiated: bool = False,
+) -> Function:
+    """The function as kernels take it: traced if it can be, else compiled by Numba.
+
+    differentiated : whether its derivatives are needed too, which only a traced one has.
+    """
+    name = getattr(function, "__name__", "function")
+    form = _form(function, name, arguments, bool(shapes))
+    try:
+        mark, references = fingerprint(function), watched(function)
+        python = traceable(function)
+    except UnfitFunctionError as error:
+        raise ForceError(f"{name} cannot be compiled: {error}") from None
+    given = tuple((argument, ARGUMENTS[argument]) for argument in arguments)
+    fields = (name, mark, form, given, tuple(shapes.items()), results)
+    traced = Function(*fields, True, python, references)
+    try:
+        trial(traced)
+    except UnfitFunctionError as error:
+        raise ForceError(f"{name} cannot be compiled: {_told(error)}") from None
+    except Exception as error:  # whatever a function of the user's may raise
+        if isinstance(error, ValueError) and "read-only" in str(error):
+            raise ForceError(
+                f"{name} cannot be compiled: {where_it_was(error)}: it changes an array that is "
+                "not its own; make a copy in the function"
+            ) from None
+        reason = _told(error)
+    else:
+        return traced
+    if differentiated:
+        raise ForceError(
+            f"{name} must run for many bodies at once, because its derivatives are needed as well; "
+            f"{reason}"
+        )
+    compiled = Function(*fields, False, compilable(function), references)
+    try:
+        compile_alone(compiled)
+    except UnfitFunctionError as error:
+        raise ForceError(f"{name} cannot be compiled: {error}") from None
+    except Exception as error:
+        raise ForceError(
+            f"{name} runs neither for many bodies at once ({reason}) nor, compiled by Numba, for "
+            f"one at a time ({_sentence(error)})"
+        ) from None
+    if mark not in _warned:
+        _warned.add(mark)
+        warnings.warn(
+            f"{name} runs body by body, {BODY_BY_BODY} than for many at once; {reason}",
+            ScalarFunctionWarning,
+            stacklevel=3,
+        )
+    return compiled
+
+
+def _form(
+    function: Callable[..., Any], name: str, arguments: tuple[str, ...], has_parameters: bool
+) -> tuple[str, ...]:
+    """What the function is given, in its own order: `body` wherever it stands.
+
+    Without parameters it need not take any.
+    """
+    signature = inspect.signature(function)
+    own = list(signature.parameters.values())
+    names = [p.name for p in own]
+    sees_body = "body" in names and own[names.index("body")].kind is POSITIONAL
+    place = names.index("body") if sees_body else len(names)
+    forms = [(*arguments, "params")]
+    if not has_parameters:  # first: what is left may be defaults, and no place for params
+        forms.insert(0, arguments)
+    for form in forms:
+        given = (*form[:place], "body", *form[place:]) if sees_body else form
+        try:
+            signature.bind(*given)
+        except TypeError:
+            continue
+        return given
+    expected = f"({', '.join((*arguments, 'params'))}), and body after these if wanted"
+    raise ForceError(f"{name} takes {signature}; expected the form {expected}")
+
+
+POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
+
+
+def _told(error: Exception) -> str:
+    """What went wrong in a trace, and at which line of the user's."""
+    line, sentence = where_it_was(error), _sentence(error)
+    if isinstance(error, (AttributeError, NameError, KeyError, IndexError)):
+        sentence = f"{type(error).__name__}: {sentence}"
+    return sentence if line is None or sentence.startswith("line ") else f"{line}: {sentence}"
+
+
+# Numba's words for what has a name of its own in Python.
+_IN_PLAIN_WORDS = {
+    "yield in a closure": "it has a generator expression, such as sum(… for …), which Numba does "
+    "not compile: write a list, sum([… for …])",
+    "Can't unify return type": "it returns different kinds of things in its branches: return the "
+    "same kind everywhere, such as np.array or tuples of numbers",
+    "format spec in f-strings": TEXT,
+    "Untyped global name 'format'": TEXT,
+}
+
+
+def _sentence(error: Exception) -> str:
+    """The line of its message that says most."""
+    text = str(error)
+    for words, plain in _IN_PLAIN_WORDS.items():
+        if words in text:
+            return plain
+    lines = [line.strip(" -") for line in text.splitlines()]
+    telling = [line for line in lines if line and not line.startswith("Failed in")]
+    return telling[0] if telling else type(error).__name__
+
+
+def reject_functions(argument: str, given: Any) -> None:
+    """Raise for a decorated function that was not called with its parameters."""
+    if isinstance(given, _Decorated):
+        name = given.function.__name__
+        raise ArgumentError(
+            f"{argument} is the function {name}; call it, with its parameters if it has any: "
+            f"{name}(…)"
+        )
