@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from lierb.compiler import _jit
+from lierb.compiler.code import OPTIONS, compiled
+from lierb.compiler.tags import Tag
+from lierb.compiler.trace import kernel
 from lierb.kernels.numbers.arithmetic import fma, load, store
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 
@@ -21,7 +23,7 @@ TURNS = 200_000
 
 
 @dataclass(frozen=True)
-class Calibration(_jit.Tag):
+class Calibration(Tag):
     """Chains of multiply–adds on packs of `lanes` numbers."""
 
     lanes: int
@@ -41,10 +43,10 @@ def finish(tag, chains, numbers):
 
 
 for _formula in (begin, turn, finish):
-    _jit.kernel(_formula)
+    kernel(_formula)
 
 
-@njit(cache=True, **_jit.OPTIONS)
+@njit(cache=True, **OPTIONS)
 def churn(tag, numbers, turns, factor, shift):
     chains = begin(tag, numbers)
     for _ in range(turns):
@@ -57,7 +59,7 @@ def peak_gflops(seconds: float = 0.03) -> float:
     tag = Calibration(DEFAULT_LANES)
     numbers = np.ones((1, CHAINS * DEFAULT_LANES))
     arguments = (numbers, TURNS, 0.75, 0.25)
-    run = _jit.compiled(churn, tag, *arguments)
+    run = compiled(churn, tag, *arguments)
     best, end = np.inf, time.perf_counter() + seconds
     while time.perf_counter() < end:
         began = time.perf_counter()
@@ -66,7 +68,7 @@ def peak_gflops(seconds: float = 0.03) -> float:
     return 2e-9 * CHAINS * DEFAULT_LANES * TURNS / best
 
 
-@njit(cache=True, **_jit.OPTIONS)
+@njit(cache=True, **OPTIONS)
 def _chain(turns: int, mask: int) -> int:
     x = 1
     for i in range(turns):

@@ -14,8 +14,9 @@ import numba
 import pyarrow as pa
 
 from lierb.api import check_names, integrate
-from lierb.compiler import _jit, disk_cache
+from lierb.compiler import disk_cache
 from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
+from lierb.compiler.entries import kernels_loaded
 from lierb.errors import ArgumentError, items_of, require_name, told
 from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels.groups.lie_functions import apply
@@ -49,7 +50,7 @@ def info() -> dict[str, Any]:
         "lanes": DEFAULT_LANES,
         "threads": numba.get_num_threads(),
         "threading_layer": threading_layer(),
-        "loaded": _jit.kernels_loaded(),
+        "loaded": kernels_loaded(),
         "cache": _cache(),
     }
 

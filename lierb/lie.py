@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.arrays import FEWER, Array, as_floats, as_matrix
-from lierb.compiler import _jit
+from lierb.compiler.code import compiled, is_ready
 from lierb.errors import ArgumentError
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
@@ -118,8 +118,8 @@ class Group:
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
-        check_compiler(is_needed=not _jit.is_ready(apply, tag))
-        run = _jit.compiled(apply, tag, *arguments)
+        check_compiler(is_needed=not is_ready(apply, tag))
+        run = compiled(apply, tag, *arguments)
         with np.errstate(all="ignore"):
             run(tag, *arguments)
         shape = (self.dim,) if result_kind == "x" else (self.size, self.size)

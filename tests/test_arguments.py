@@ -50,7 +50,7 @@ def stop_before_running(monkeypatch):
     monkeypatch.setattr(lierb.runs.engine, "integrate_blocks", stub)
     monkeypatch.setattr(lierb.runs.engine, "_pace", lambda plan, dt: lierb.runs.engine._Pace())
     monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
-    monkeypatch.setattr(lierb.runs.engine._jit, "entry_of", lambda function, plan, *args: plan)
+    monkeypatch.setattr(lierb.runs.engine, "entry_of", lambda function, plan, *args: plan)
 
 
 def spherical_top(body=None, joint=None, gravity=(0.0, 0.0, 0.0)):

@@ -19,7 +19,10 @@ import pytest
 from numba.core.caching import InTreeCacheLocator
 
 import lierb
-from lierb.compiler import _jit, disk_cache
+from lierb.compiler import disk_cache, entries
+from lierb.compiler.code import cached, compiled
+from lierb.compiler.tags import Tag
+from lierb.compiler.trace import kernel
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -351,7 +354,7 @@ def test_function_of_the_user_leaves_nothing_of_its_own_in_the_cache(copy):
 
 
 @dataclass(frozen=True)
-class Times(_jit.Tag):
+class Times(Tag):
     factor: float
 
 
@@ -359,7 +362,7 @@ def times(tag, x):
     return tag.factor * x
 
 
-_jit.kernel(times)
+kernel(times)
 
 
 def product(tag, x):
@@ -368,8 +371,8 @@ def product(tag, x):
 
 def computed(factor):
     """factor · 2 by a new dispatcher, as a new process has it, and whether that was loaded."""
-    dispatcher = _jit.cached()(product)
-    found = _jit.compiled(dispatcher, Times(factor), 2.0)(Times(factor), 2.0)
+    dispatcher = cached()(product)
+    found = compiled(dispatcher, Times(factor), 2.0)(Times(factor), 2.0)
     return found, bool(dispatcher.stats.cache_hits)
 
 
@@ -519,9 +522,9 @@ def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
 
 @pytest.mark.usefixtures("own_cache")
 def test_code_that_two_calls_wait_for_is_entered_once():
-    key = _jit.cached()(product), Times(13.0)
+    key = cached()(product), Times(13.0)
     for _ in range(2):  # the wait for the first one was interrupted
-        _jit._enter(key, (numba.typeof(key[1]), numba.float64))
+        entries._enter(key, (numba.typeof(key[1]), numba.float64))
 
 
 INTERRUPTED = """

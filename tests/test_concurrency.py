@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.compiler._jit import take_turn
+from lierb.compiler.entries import take_turn
 from lierb.errors import ForkError
 
 pytestmark = pytest.mark.skipif(
@@ -264,7 +264,7 @@ import multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
-from lierb.compiler._jit import take_turn
+from lierb.compiler.entries import take_turn
 
 top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
 
@@ -307,7 +307,7 @@ os._exit(0)
 import tempfile
 numba.config.CACHE_DIR = tempfile.mkdtemp()  # nothing is compiled yet
 threading.Thread(target=lierb.lie.so3.exp, args=([1.0, 2.0, 3.0],)).start()
-while not lierb.compiler._jit.is_compiling():
+while not lierb.compiler.code.is_compiling():
     pass
 def child():
     signal.alarm(15)

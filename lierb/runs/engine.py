@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.arrays import Array, is_whole
-from lierb.compiler import _jit
+from lierb.compiler import calls
+from lierb.compiler.code import compiled
+from lierb.compiler.entries import entry_of
+from lierb.compiler.tags import Sources
 from lierb.errors import ArgumentError, told
-from lierb.kernels.functions import calls
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.driver import (
     CARRIED_COLUMNS,
@@ -52,7 +54,7 @@ SUMMARY_SCALARS = (
 )  # fmt: skip
 STATE_WIDTHS = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
-SOURCES = _jit.Sources()
+SOURCES = Sources()
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
 
 # Bodies in one chunk: about 1 kB each, so that a chunk stays in the cache beside the state.
@@ -445,10 +447,10 @@ def _call_driver(
         chunk.inputs, chunk.carried, chunk.summary, *output.arrays, chunk.start, begin, end,
         grid.steps, grid.origin, grid.first_step, grid.dt, grid.measure_every, grid.save_every,
     )  # fmt: skip
-    entry = _jit.entry_of(integrate_block, plan, 0, *arguments)
+    entry = entry_of(integrate_block, plan, 0, *arguments)
     counter = np.zeros(2, dtype=np.int64)
     loop = (SOURCES, entry, counter, plan.lanes, threads, *arguments)
-    run = _jit.compiled(integrate_blocks, *loop)
+    run = compiled(integrate_blocks, *loop)
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         began = time.perf_counter()
         run(*loop)

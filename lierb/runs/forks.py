@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numba
 
-from lierb.compiler import _jit
+from lierb.compiler.code import is_compiling
 from lierb.errors import ForkError
 
 REMEDY = "start workers with multiprocessing.get_context('spawn')"
@@ -40,7 +40,7 @@ def check_compiler(is_needed: bool) -> None:
 def _after_fork() -> None:
     """In a forked child: what the parent had started, lierb or anybody."""
     global _lacks_threads, _lacks_compiler
-    _lacks_compiler |= _jit.is_compiling()
+    _lacks_compiler |= is_compiling()
     with suppress(ValueError):  # what Numba raises before its threads have started
         numba.threading_layer()
         _lacks_threads = True

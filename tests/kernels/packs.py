@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from lierb.compiler import _jit
+from lierb.compiler.code import OPTIONS
+from lierb.compiler.tags import Tag
+from lierb.compiler.trace import kernel
 from lierb.kernels.groups.coefficients import (
     atan2,
     coefficients,
@@ -27,7 +29,7 @@ FORMULAS = {
 
 
 @dataclass(frozen=True)
-class Formula(_jit.Tag):
+class Formula(Tag):
     """FORMULAS[name], `operands` numbers to `results` numbers, on packs of `lanes` rows."""
 
     name: str
@@ -42,10 +44,10 @@ def block(tag: Formula, rows, out, first) -> None:
     scatter(out, 0, [(first, c) for c in range(tag.results)], numbers, tag.lanes)
 
 
-_jit.kernel(block)
+kernel(block)
 
 
-@njit(**_jit.OPTIONS)
+@njit(**OPTIONS)
 def apply(tag, rows, out, lanes):
     for first in range(0, out.shape[0], lanes):
         block(tag, rows, out, first)

@@ -10,7 +10,7 @@ import numba
 import pytest
 from numba import float64, int64, types
 
-from lierb.compiler._jit import OPTIONS
+from lierb.compiler.code import OPTIONS
 from lierb.joints import JOINTS
 from lierb.kernels.numbers.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
 from lierb.kernels.stepping.driver import integrate_block

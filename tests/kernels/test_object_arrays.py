@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.compiler import _jit
+from lierb.compiler.trace import trial
 from lierb.kernels.functions.function import traceable
 from lierb.kernels.numbers.dual import Dual, raw
 from lierb.kernels.numbers.object_arrays import UntraceableError, has_traced, numbers
@@ -83,7 +83,7 @@ def test_lanes_go_through(expression):
         found = traceable(of_expression(expression))(*as_traced(members))
         return tuple(raw(x) for x in np.ravel(np.asarray(found, dtype=object)))
 
-    assert _jit.trial(formula, len(MEMBERS))[1]
+    assert trial(formula, len(MEMBERS))[1]
 
 
 NOT_LIKE_NUMPY = {

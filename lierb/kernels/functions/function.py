@@ -20,8 +20,8 @@ import numba
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
-from lierb.compiler import _jit
-from lierb.kernels.functions import calls
+from lierb.compiler import calls, trace
+from lierb.compiler.code import OPTIONS, undisturbed
 from lierb.kernels.functions.fingerprint import (
     ALONE,
     NO_CHANGE,
@@ -52,7 +52,7 @@ Shapes = tuple[tuple[str, Shape], ...]
 ANY: Shape = (-1,)  # a vector of as many components as there are
 BODY: Shapes = (("mass", ()), ("inertia", (3, 3)), ("com", (3,)))
 # Reads past an array's end are looked for where functions run body by body: lanes cannot make any.
-COMPILED = _jit.OPTIONS | {"boundscheck": True}
+COMPILED = OPTIONS | {"boundscheck": True}
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ def trial(function: Function) -> int:
         sizes.append(len(flatten(results)))
         return results
 
-    require_repeatable(lambda: _jit.trial(call, size)[1])
+    require_repeatable(lambda: trace.trial(call, size)[1])
     return sizes[-1]
 
 
@@ -261,7 +261,7 @@ def compile_alone(function: Function) -> None:
     """Compile the function for one body at a time; raises what Numba raises."""
     compiled, samples = _dispatcher(function), tuple(function.samples())
     if hasattr(compiled, "compile"):
-        _jit.undisturbed(compiled.compile, (numba.typeof(samples),))
+        undisturbed(compiled.compile, (numba.typeof(samples),))
         require_pure_code(compiled)
     else:  # the JIT is off
         compiled(samples)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
-from lierb.compiler import _jit
+from lierb.compiler.code import cached
+from lierb.compiler.tags import Tag
+from lierb.compiler.trace import kernel
 from lierb.kernels.groups import se3, so3, so3xr3
 from lierb.kernels.numbers.arithmetic import gather, scatter
 
@@ -21,7 +23,7 @@ SIGNATURES = {
 
 
 @dataclass(frozen=True)
-class LieFunction(_jit.Tag):
+class LieFunction(Tag):
     """The function `name` of a group, on packs of `lanes` rows."""
 
     group: str
@@ -71,11 +73,11 @@ def _packed(tag: LieFunction, kind: str, result: Any) -> tuple[Any, ...]:
 
 for _group in GROUPS.values():
     for _name in SIGNATURES:
-        _jit.kernel(getattr(_group, _name), numbers_only=True)  # for the user's own @njit code
-_jit.kernel(apply_block)
+        kernel(getattr(_group, _name), numbers_only=True)  # for the user's own @njit code
+kernel(apply_block)
 
 
-@_jit.cached()
+@cached()
 def apply(tag, a, b, out, lanes):
     """out[i] = f(a[i], b[i]); `b` is not read where f takes one operand."""
     for first in range(0, out.shape[0], lanes):

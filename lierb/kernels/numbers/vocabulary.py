@@ -14,7 +14,7 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import ArrayLike
 
-from lierb.compiler import _jit
+from lierb.compiler.trace import kernel
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers import dual
@@ -175,8 +175,8 @@ def _as_traced(given: Sequence[Any], found: Vec) -> Vec:
 
 # ---- the same in functions that Numba compiles -------------------------------------------------
 
-_jit.kernel(unit_quaternion, numbers_only=True)
-_jit.kernel(rotation_vector, numbers_only=True)
+kernel(unit_quaternion, numbers_only=True)
+kernel(rotation_vector, numbers_only=True)
 
 
 @overload(quaternion)

@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 
 from numba import njit, prange
 
-from lierb.compiler import _jit
-from lierb.kernels.functions import calls
+from lierb.compiler import calls
+from lierb.compiler.code import OPTIONS, cached
+from lierb.compiler.entries import call, raise_again, take_turn
+from lierb.compiler.trace import kernel
 from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.coefficients import TINY, angles_taken_for_tiny
 from lierb.kernels.mechanics.elements import Applied, Element, body_with, parameter_count
@@ -643,19 +645,19 @@ for _formula in (
     advance_still, has_still, is_still, is_gentle, advance_gently, tidy, observe,
     store_errors, store_state, store_forces, store_summary, store_start, store_end, heard,
 ):  # fmt: skip
-    _jit.kernel(_formula)
+    kernel(_formula)
 
 
 # ---- the loop over steps and the loop over blocks ------------------------------------------------
 
 
-@njit(**_jit.OPTIONS)
+@njit(**OPTIONS)
 def _until(k: int, every: int, end: int) -> int:
     """Steps from k to the next multiple of `every`, or to the end."""
     return min(every - k % every, end - k)
 
 
-@_jit.cached()
+@cached()
 def integrate_block(
     plan, first, inputs, carried, summary, errors, rotations, places, omegas, velocities,
     multipliers, reactions, ends, offset, begin, stop, last, origin, first_step, h, measure_every,
@@ -740,7 +742,7 @@ def integrate_block(
         store_end(plan, state, ends, column)
 
 
-@_jit.cached(parallel=True)
+@cached(parallel=True)
 def integrate_blocks(
     sources, integrate, counter, lanes, threads, inputs, carried, summary, errors, rotations,
     places, omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
@@ -753,14 +755,14 @@ def integrate_blocks(
     blocks = inputs.shape[1] // lanes
     for _ in prange(threads):  # each takes what comes next: cores need not be equally fast
         while True:
-            block = _jit.take_turn(counter)
+            block = take_turn(counter)
             if block >= blocks:
                 break
-            raised = _jit.call(
+            raised = call(
                 integrate, block * lanes, inputs, carried, summary, errors, rotations, places,
                 omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
                 first_step, h, measure_every, save_every,
             )  # fmt: skip
             if raised != 0:
                 counter[1] = raised
-    _jit.raise_again(counter[1])
+    raise_again(counter[1])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from typing import Any
 
-from lierb.compiler._jit import Tag
+from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import Row, Rows
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3

@@ -13,7 +13,9 @@ from numba import types
 from numba.core import cgutils
 from numba.np.arrayobj import populate_array
 
-from lierb.compiler._jit import INT64, OPTIONS, lowering, raise_again, undisturbed
+from lierb.compiler.code import OPTIONS, undisturbed
+from lierb.compiler.entries import INT64, raise_again
+from lierb.compiler.trace import lowering
 from lierb.kernels.numbers.lanes import BIT, DOUBLE, INT32, Lane, Predicate, branch_on, select
 
 

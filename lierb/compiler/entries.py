@@ -1,0 +1,141 @@
+"""Compiled code called by its address, by @njit code that was compiled before it."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
+from numba.extending import intrinsic, overload
+
+from lierb.compiler.code import _compile, _compiling, undisturbed
+from lierb.compiler.tags import Tag
+from lierb.kernels.numbers.lanes import BIT
+
+INT64 = ir.IntType(64)
+
+_entries: dict[tuple[Any, Tag], Any] = {}
+_callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
+
+
+def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
+    """What `call` takes to run dispatcher(tag, *args): the address of its code.
+
+    Code called by its address is compiled once; what calls it is compiled once for all tags. A
+    caller that Numba links it to would optimise and translate all of it again, and so would each of
+    a parallel loop's wrappers: five times in all.
+    """
+    if (dispatcher, tag) not in _entries:
+        if not hasattr(dispatcher, "compile"):  # the JIT is off
+            return partial(dispatcher, tag)
+        undisturbed(_enter, (dispatcher, tag), tuple(map(numba.typeof, (tag, *args))))
+    return _entries[dispatcher, tag]
+
+
+def _enter(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
+    with _compiling:
+        if key in _entries:
+            return
+        _compile(key, operands)
+        result = key[0].overloads[operands]
+        _callable.add(operands[1:])
+        _entries[key] = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+        _release(result.library)
+
+
+def kernels_loaded() -> int:
+    """How many are in this process's memory."""
+    return len(_entries)
+
+
+def _release(library: Any) -> None:
+    """Let go of the LLVM code behind machine code that nothing will be linked with any more.
+
+    3 of the 7 MB that a kernel takes once it is compiled, 1.1 of 1.3 where it came from the disk.
+    What is left of the former is lost in LLVM's passes, and with the process.
+    """
+    library._codegen._engine._ee.remove_module(library._final_module)
+    library._final_module = library._shared_module = library._compiled_object = None
+
+
+def call(entry: Any, *args: Any) -> int:
+    """Run the code at an entry, for @njit code; the types are those that it was compiled for.
+
+    Returns 0, or for `raise_again` what was raised: in a parallel loop's thread nobody hears it.
+    """
+    entry(*args)
+    return 0
+
+
+@overload(call)
+def _call(entry, *args):  # no annotations: Numba compares signatures
+    return lambda entry, *args: _call_entry(entry, args)
+
+
+@intrinsic
+def _call_entry(context: Any, entry: Any, args: Any) -> Any:
+    if tuple(args) not in _callable:
+        raise numba.errors.TypingError(f"no code was compiled for {tuple(args)}")
+    operands = (types.voidptr, *args)  # the tag's value, which is nothing, goes first
+
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        convention = context.call_conv
+        pointer = convention.get_function_type(types.none, operands).as_pointer()
+        code = builder.inttoptr(values[0], pointer)
+        tag = context.get_constant_null(types.voidptr)
+        members = cgutils.unpack_tuple(builder, values[1])
+        status, _ = convention.call_function(builder, code, types.none, operands, [tag, *members])
+        raised = builder.ptrtoint(status.excinfoptr, INT64)
+        return builder.select(status.is_error, raised, INT64(0))
+
+    return types.int64(entry, args), generate
+
+
+def raise_again(raised: int) -> None:
+    """Raise what `call` has returned, unless it is 0, in compiled code."""
+
+
+@overload(raise_again)
+def _raise_again(raised):  # no annotations: Numba compares signatures
+    return lambda raised: _propagate(raised)
+
+
+@intrinsic
+def _propagate(context: Any, raised: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        is_error = builder.icmp_unsigned("!=", values[0], INT64(0))
+        with cgutils.if_unlikely(builder, is_error):
+            status = Status(
+                code=RETCODE_USEREXC, is_ok=BIT(0), is_none=BIT(0), is_error=BIT(1),
+                is_stop_iteration=BIT(0), is_python_exc=BIT(0), is_user_exc=BIT(1),
+                excinfoptr=builder.inttoptr(values[0], excinfo_ptr_t),
+            )  # fmt: skip
+            context.call_conv.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return types.none(raised), generate
+
+
+def take_turn(counter: Any) -> Any:
+    """The number in `counter`, an int64 array, then raised by one: no two threads get the same."""
+    number = counter[0]
+    counter[0] = number + 1
+    return number
+
+
+@intrinsic
+def _atomic_increment(context: Any, counter: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        array = context.make_array(counter)(context, builder, args[0])
+        return builder.atomic_rmw("add", array.data, ir.Constant(INT64, 1), "monotonic")
+
+    return types.int64(counter), generate
+
+
+@overload(take_turn)
+def _take_turn(counter):  # no annotations: Numba compares signatures
+    return lambda counter: _atomic_increment(counter)
