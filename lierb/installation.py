@@ -17,6 +17,7 @@ from lierb.api import check_names, integrate
 from lierb.compiler import disk_cache
 from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.compiler.entries import kernels_loaded
+from lierb.compiler.internals import cache_of
 from lierb.errors import ArgumentError, items_of, require_name, told
 from lierb.joints import JOINTS, REQUIRED, Joint
 from lierb.kernels.groups.lie_functions import apply
@@ -59,7 +60,7 @@ def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, and those of this version of lierb that are there."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
-    caches: list[DiskCache] = [integrate_block._cache, apply._cache]
+    caches: list[DiskCache] = [cache_of(integrate_block), cache_of(apply)]
     kernels = dict(sized(path for each in caches for path in each.entries()))
     return {
         "folder": caches[0].cache_path,

@@ -10,11 +10,10 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.np.arrayobj import populate_array
 
 from lierb.compiler.code import OPTIONS, undisturbed
-from lierb.compiler.entries import INT64, raise_again
+from lierb.compiler.entries import raise_again
+from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
 from lierb.compiler.trace import lowering
 from lierb.kernels.numbers.lanes import BIT, DOUBLE, INT32, Lane, Predicate, branch_on, select
 
@@ -38,7 +37,7 @@ def call_compiled(
     types_of = tuple(numba.typeof(sample) for sample in samples)
     dispatcher.compile(types_of)
     result = dispatcher.overloads[types_of]
-    context.add_linking_libs((result.library,))
+    link(context, result)
 
     marks = Marks.of(builder, width)
     code = _Lanes(context, result, types_of, samples, len(numbers), count, width)
@@ -124,10 +123,8 @@ class _Lanes:
                     _argument(self.context, builder, ty, sample, cells)
                     for ty, sample in zip(self.types_of, self.samples, strict=True)
                 ]
-                status, found = self.context.call_internal_no_propagate(
-                    builder, self.compiled.fndesc, self.compiled.signature, arguments
-                )
-                with cgutils.if_unlikely(builder, status.is_error):
+                status, found = call_linked(self.context, builder, self.compiled, arguments)
+                with builder.if_then(status.is_error, likely=False):
                     address = builder.ptrtoint(status.excinfoptr, INT64)
                     known = builder.select(status.is_user_exc, address, INT64(STOPPED))
                     marks.put(lane, builder.uitofp(known, DOUBLE))

@@ -10,9 +10,9 @@ from typing import Any
 
 import numba
 from numba import types
-from numba.core.compiler_lock import global_compiler_lock
 
 from lierb.compiler.disk_cache import DiskCache
+from lierb.compiler.internals import COMPILER_LOCK, set_cache
 from lierb.compiler.tags import Tag
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
@@ -25,8 +25,8 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**OPTIONS, **options)(function)
-        if hasattr(dispatcher, "_cache"):  # no: the JIT is off
-            dispatcher._cache = DiskCache(function)
+        if hasattr(dispatcher, "compile"):  # no: the JIT is off
+            set_cache(dispatcher, DiskCache(function))
         return dispatcher
 
     return decorate
@@ -80,7 +80,7 @@ def is_ready(dispatcher: Any, tag: Tag) -> bool:
 
 def is_compiling() -> bool:
     """Whether another thread compiles, lierb or anybody: in a forked child, one that it lacks."""
-    for lock in (_compiling, global_compiler_lock._lock):
+    for lock in (_compiling, COMPILER_LOCK):
         if not lock.acquire(blocking=False):
             return True
         lock.release()

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
-import pickle
 import sys
 import time
 import warnings
@@ -24,15 +23,16 @@ from uuid import uuid4
 
 import llvmlite
 import numba
-from numba.core.caching import (
+
+from lierb.compiler.internals import (
     InTreeCacheLocator,
     NullCache,
     UserProvidedCacheLocator,
     UserWideCacheLocator,
+    as_bytes,
+    from_bytes,
+    machine_of,
 )
-from numba.core.compiler import CompileResult
-from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
 
 SUFFIX = ".nbc"
 UNFINISHED = ".unfinished"
@@ -83,11 +83,7 @@ class DiskCache(NullCache):
         return next((str(each) for each in self.folders if _is_writable(each)), None)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled code, or None.
-
-        Without what only a compiler needs: Numba would import all its overloads first, and with
-        them scipy.linalg where SciPy is installed, two thirds of the time to a first result.
-        """
+        """Compiled code, or None."""
         key = self._key(sig, target_context.codegen())
         for folder in self.folders:
             try:
@@ -97,8 +93,7 @@ class DiskCache(NullCache):
                 content = _whole(path.read_bytes(), key)
                 if content is None:
                     continue
-                rtsys.initialize(target_context)  # arrays count references
-                found = CompileResult._rebuild(target_context, *pickle.loads(content))
+                found = from_bytes(content, target_context)
             except Exception:  # there is no telling what reading nonsense raises
                 continue
             with suppress(OSError):
@@ -107,10 +102,11 @@ class DiskCache(NullCache):
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        if any(not lifted.can_cache for lifted in data.lifted) or data.library.has_dynamic_globals:
+        code = as_bytes(data)
+        if code is None:
             return
         key = self._key(sig, data.codegen)
-        content = key.encode() + b"\0" + dumps(data._reduce())
+        content = key.encode() + b"\0" + code
         refusals = []
         for folder in self.folders:
             try:
@@ -145,7 +141,7 @@ class DiskCache(NullCache):
         """
         code = hashlib.sha256(self._function.__code__.co_code).hexdigest()
         versions = source_stamp(), sys.implementation.cache_tag
-        return repr((self._stem, sig, code, codegen.magic_tuple(), *versions))
+        return repr((self._stem, sig, code, machine_of(codegen), *versions))
 
     def _name(self, key: str) -> str:
         digest = hashlib.sha256(key.encode()).hexdigest()[:24]

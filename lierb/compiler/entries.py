@@ -8,15 +8,18 @@ from typing import Any
 import numba
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
 from numba.extending import intrinsic, overload
 
 from lierb.compiler.code import _compile, _compiling, undisturbed
+from lierb.compiler.internals import (
+    INT64,
+    address_of,
+    call_address,
+    cgutils,
+    raise_address,
+    release,
+)
 from lierb.compiler.tags import Tag
-from lierb.kernels.numbers.lanes import BIT
-
-INT64 = ir.IntType(64)
 
 _entries: dict[tuple[Any, Tag], Any] = {}
 _callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
@@ -43,23 +46,13 @@ def _enter(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
         _compile(key, operands)
         result = key[0].overloads[operands]
         _callable.add(operands[1:])
-        _entries[key] = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
-        _release(result.library)
+        _entries[key] = address_of(result)
+        release(result.library)
 
 
 def kernels_loaded() -> int:
     """How many are in this process's memory."""
     return len(_entries)
-
-
-def _release(library: Any) -> None:
-    """Let go of the LLVM code behind machine code that nothing will be linked with any more.
-
-    3 of the 7 MB that a kernel takes once it is compiled, 1.1 of 1.3 where it came from the disk.
-    What is left of the former is lost in LLVM's passes, and with the process.
-    """
-    library._codegen._engine._ee.remove_module(library._final_module)
-    library._final_module = library._shared_module = library._compiled_object = None
 
 
 def call(entry: Any, *args: Any) -> int:
@@ -83,14 +76,9 @@ def _call_entry(context: Any, entry: Any, args: Any) -> Any:
     operands = (types.voidptr, *args)  # the tag's value, which is nothing, goes first
 
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
-        convention = context.call_conv
-        pointer = convention.get_function_type(types.none, operands).as_pointer()
-        code = builder.inttoptr(values[0], pointer)
         tag = context.get_constant_null(types.voidptr)
         members = cgutils.unpack_tuple(builder, values[1])
-        status, _ = convention.call_function(builder, code, types.none, operands, [tag, *members])
-        raised = builder.ptrtoint(status.excinfoptr, INT64)
-        return builder.select(status.is_error, raised, INT64(0))
+        return call_address(context, builder, values[0], operands, [tag, *members])
 
     return types.int64(entry, args), generate
 
@@ -108,13 +96,8 @@ def _raise_again(raised):  # no annotations: Numba compares signatures
 def _propagate(context: Any, raised: Any) -> Any:
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
         is_error = builder.icmp_unsigned("!=", values[0], INT64(0))
-        with cgutils.if_unlikely(builder, is_error):
-            status = Status(
-                code=RETCODE_USEREXC, is_ok=BIT(0), is_none=BIT(0), is_error=BIT(1),
-                is_stop_iteration=BIT(0), is_python_exc=BIT(0), is_user_exc=BIT(1),
-                excinfoptr=builder.inttoptr(values[0], excinfo_ptr_t),
-            )  # fmt: skip
-            context.call_conv.return_status_propagate(builder, status)
+        with builder.if_then(is_error, likely=False):
+            raise_address(context, builder, values[0])
         return context.get_dummy_value()
 
     return types.none(raised), generate

@@ -15,9 +15,9 @@ from typing import Any
 import numba
 from llvmlite import ir
 from numba import types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin, models, register_model
 
+from lierb.compiler.internals import AbstractTemplate, infer_global, signature, tracing_context
 from lierb.compiler.tags import TagType
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.lanes import ArrayRef, Index, Lane, LaneType, Predicate
@@ -100,9 +100,7 @@ def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> t
 
 def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
     """formula(*args), and the function of its own that it was traced into."""
-    from numba.core.registry import cpu_target
-
-    context = cpu_target.target_context
+    context = tracing_context()
     function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
     builder = ir.IRBuilder(function.append_basic_block())
     values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba.core.registry import CPUDispatcher
+from numba.extending import is_jitted
 
 LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, type(...))
 KNOWN = {"numpy", "numba", "lierb", *sys.stdlib_module_names}  # packages whose names say it all
@@ -280,7 +280,7 @@ def _chains(code: types.CodeType, known: dict[str, Any]) -> Iterator[Chain]:
 
 
 def _undecorated(value: Any) -> Any:
-    return value.py_func if isinstance(value, CPUDispatcher) else value
+    return value.py_func if is_jitted(value) else value
 
 
 def _is_users(value: Any) -> bool:

@@ -18,7 +18,7 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core.registry import CPUDispatcher
+from numba.extending import is_jitted
 
 from lierb.compiler import calls, trace
 from lierb.compiler.code import OPTIONS, undisturbed
@@ -356,7 +356,7 @@ class _Rebuilt:
         return rebuilt
 
     def value(self, value: Any, name: str, attributes: set[str]) -> Any:
-        if isinstance(value, CPUDispatcher):
+        if is_jitted(value):
             value = value.py_func
         if isinstance(value, types.FunctionType) and not is_foreign(value):
             return self.helper(self.function(value))

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from lierb.compiler.internals import names_in, runs_python
 from lierb.kernels.functions.fingerprint import (
     ALONE,
     CLOCKS,
@@ -147,11 +148,9 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
     seen.append(dispatcher)
     names = attributes_of(dispatcher.py_func)
     for found in list(dispatcher.overloads.values()):
-        if getattr(found, "lifted", ()):
+        if runs_python(found):
             raise UnfitFunctionError(f"it runs Python code of its own (objmode); {ALONE}")
-        annotation = found.type_annotation
-        for variable, ty in getattr(annotation, "typemap", {}).items():
-            value = getattr(ty, "typing_key", None) or getattr(ty, "pymod", None)
+        for value, ty, line in names_in(found):
             if hasattr(ty, "dispatcher"):
                 require_pure_code(ty.dispatcher, seen)
                 continue
@@ -161,7 +160,6 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
                 is_named = getattr(value, "__name__", "") in names
                 why = (refusal if is_named else refusal_of_call)(value, _dotted(value))
             if why is not None:
-                line = _line_of(variable, annotation.blocks)
                 place = at(dispatcher.py_func.__code__, line) if line else dispatcher.__name__
                 raise UnfitFunctionError(f"{place}: {why}")
 
@@ -181,12 +179,3 @@ def _dotted(value: Any) -> str:
     prefix = "np." if module == "numpy" else prefix
     name = getattr(value, "__name__", str(value))
     return name if module in ("builtins", "") else f"{prefix}{name}"
-
-
-def _line_of(variable: str, blocks: Any) -> int | None:
-    """Where Numba's intermediate code assigns it."""
-    for block in blocks.values():
-        for step in block.body:
-            if getattr(getattr(step, "target", None), "name", None) == variable:
-                return int(step.loc.line)
-    return None

@@ -17,8 +17,9 @@ from typing import Any
 import llvmlite.binding as llvm
 from llvmlite import ir
 from numba import config, types
-from numba.core import cgutils
 from numba.extending import models, register_model
+
+from lierb.compiler.internals import cgutils
 
 DOUBLE = ir.DoubleType()
 BIT = ir.IntType(1)
