@@ -118,7 +118,7 @@ class Group:
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)
-        check_compiler(is_needed=not is_ready(apply, tag))
+        check_compiler(is_needed=not is_ready(apply, tag, *arguments))
         run = compiled(apply, tag, *arguments)
         with np.errstate(all="ignore"):
             run(tag, *arguments)

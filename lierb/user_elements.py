@@ -29,6 +29,7 @@ from lierb.kernels.functions.fingerprint import (
     Reference,
     UnfitFunctionError,
     fingerprint,
+    modules_named,
     watched,
 )
 from lierb.kernels.functions.function import (
@@ -264,12 +265,13 @@ def user_function(
     form = _form(function, name, arguments, bool(shapes))
     try:
         mark, references = fingerprint(function), watched(function)
+        modules = tuple(sorted(modules_named(function, set(), [])))
         python = traceable(function)
     except UnfitFunctionError as error:
         raise ForceError(f"{name} cannot be compiled: {error}") from None
     given = tuple((argument, ARGUMENTS[argument]) for argument in arguments)
     fields = (name, mark, form, given, tuple(shapes.items()), results)
-    traced = Function(*fields, True, python, references)
+    traced = Function(*fields, True, python, references, modules)
     try:
         trial(traced)
     except UnfitFunctionError as error:
@@ -288,7 +290,7 @@ def user_function(
             f"{name} must run for many bodies at once, because its derivatives are needed as well; "
             f"{reason}"
         )
-    compiled = Function(*fields, False, compilable(function), references)
+    compiled = Function(*fields, False, compilable(function), references, modules)
     try:
         compile_alone(compiled)
     except UnfitFunctionError as error:

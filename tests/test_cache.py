@@ -19,7 +19,7 @@ import pytest
 from numba.core.caching import InTreeCacheLocator
 
 import lierb
-from lierb.compiler import disk_cache, entries
+from lierb.compiler import disk_cache, entries, sealed
 from lierb.compiler.code import cached, compiled
 from lierb.compiler.tags import Tag
 from lierb.compiler.trace import kernel
@@ -123,13 +123,13 @@ def test_second_process_loads_what_the_first_compiled(copy):
 
 EDITS = {
     "gravity": (
-        "newton_euler.py",
+        "mechanics/newton_euler.py",
         "gravity=mat_t_vec(p.ground[0], p.gravity)",
         "gravity=mat_t_vec(p.ground[0], scale(2.0, p.gravity))",
         {"v": -16.0, "r": -6.0},
     ),
     "step size": (
-        "stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
+        "stepping/stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
     ),
 }  # fmt: skip
 
@@ -321,7 +321,7 @@ def needed_packages(folder):
     """What must be there for the cache's files to be read."""
     found = set()
     for path in folder.rglob("*.nbc"):
-        content = path.read_bytes()[disk_cache.DIGEST_SIZE :]
+        content = path.read_bytes()[sealed.DIGEST_SIZE :]
         recorder = Recorder(io.BytesIO(content.partition(b"\0")[2]))
         recorder.load()
         found |= recorder.packages
@@ -478,7 +478,7 @@ def test_without_a_folder_beside_the_sources_the_users_own_is_taken(tmp_path, mo
 
 
 def test_sources_that_were_edited_leave_no_code_behind(two_files, monkeypatch):
-    monkeypatch.setattr(disk_cache, "source_stamp", lambda: "another")
+    monkeypatch.setattr(disk_cache, "source_stamp", lambda *_: "another")
     assert computed(3.0) == (6.0, False)
     (left,) = two_files[0].parent.iterdir()
     assert "-another-" in left.name
@@ -522,7 +522,7 @@ def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
 
 @pytest.mark.usefixtures("own_cache")
 def test_code_that_two_calls_wait_for_is_entered_once():
-    key = cached()(product), Times(13.0)
+    key = cached()(product), Times(13.0), float
     for _ in range(2):  # the wait for the first one was interrupted
         entries._enter(key, (numba.typeof(key[1]), numba.float64))
 

@@ -9,6 +9,7 @@ from contextvars import copy_context
 from typing import Any
 
 import numba
+import numpy as np
 from numba import types
 
 from lierb.compiler.disk_cache import DiskCache
@@ -32,26 +33,41 @@ def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-_ready: dict[tuple[Any, Tag], Callable[..., Any]] = {}
-_compiling = threading.RLock()  # compiling may need something compiled
+_ready: dict[tuple[Any, ...], Callable[..., Any]] = {}
+compiling = threading.RLock()  # which may need something else compiled
 
 
-def compiled(dispatcher: Any, tag: Tag, *args: Any) -> Callable[..., Any]:
-    """The code of `dispatcher` for (tag, *args): compiled, or from the disk cache, once a process.
+def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
+    """The code of `dispatcher` for arguments of these types, and for no others.
 
-    A function of such arguments, and of no others: it spares Numba's look at each one's type.
+    Compiled, or from the disk cache, once a process.
     """
-    key = dispatcher, tag
+    key = kinds_of(dispatcher, *args)
     if key not in _ready:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return dispatcher
-        operands = tuple(map(numba.typeof, (tag, *args)))
-        undisturbed(_compile, key, operands)
+        undisturbed(_compile, key, tuple(map(numba.typeof, args)))
     return _ready[key]
 
 
-def _compile(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
-    with _compiling:
+def kinds_of(dispatcher: Any, *args: Any) -> tuple[Any, ...]:
+    """What code is found by: a tag itself, and of other arguments what decides on Numba's type.
+
+    That type takes ten times as long to find. Arguments of one type may be of several kinds.
+    """
+    return dispatcher, *map(_kind, args)
+
+
+def _kind(argument: Any) -> Any:
+    if isinstance(argument, np.ndarray):
+        return argument.dtype, argument.ndim, argument.flags.num
+    if isinstance(argument, tuple):
+        return type(argument), *map(_kind, argument)
+    return argument if isinstance(argument, Tag) else type(argument)
+
+
+def _compile(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
+    with compiling:
         if key not in _ready:
             _ready[key] = key[0].compile(operands)
 
@@ -73,14 +89,14 @@ def undisturbed(work: Callable[..., None], *args: Any) -> None:
         pool.shutdown(wait=False)
 
 
-def is_ready(dispatcher: Any, tag: Tag) -> bool:
+def is_ready(dispatcher: Any, *args: Any) -> bool:
     """Whether `compiled` has nothing to do any more."""
-    return (dispatcher, tag) in _ready
+    return kinds_of(dispatcher, *args) in _ready
 
 
 def is_compiling() -> bool:
     """Whether another thread compiles, lierb or anybody: in a forked child, one that it lacks."""
-    for lock in (_compiling, COMPILER_LOCK):
+    for lock in (compiling, COMPILER_LOCK):
         if not lock.acquire(blocking=False):
             return True
         lock.release()

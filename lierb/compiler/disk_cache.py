@@ -1,59 +1,28 @@
-"""Compiled code on the disk: one file for each kernel, which says what it is and that it is whole.
+"""Compiled code on the disk: one file for each kernel, named after all that its code depends on.
 
-A file is named after the digest of all that its code depends on, the sources among it, and holds
-the digest of the rest, that key in full, and the code. There is no index and no lock: a file is
-written aside and renamed, and one that is damaged, foreign or half there is no file at all. What
+There is no index and no lock: a file that is damaged, foreign or half there is no file at all. What
 cannot be read is compiled anew; what cannot be written is not kept, and a warning says so.
 """
 
 from __future__ import annotations
 
 import hashlib
-import inspect
 import os
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
-import llvmlite
-import numba
-
-from lierb.compiler.internals import (
-    InTreeCacheLocator,
-    NullCache,
-    UserProvidedCacheLocator,
-    UserWideCacheLocator,
-    as_bytes,
-    from_bytes,
-    machine_of,
-)
+from lierb.compiler import sealed, stamp
+from lierb.compiler.internals import NullCache, as_bytes, from_bytes, machine_of
+from lierb.compiler.stamp import source_stamp
 
 SUFFIX = ".nbc"
-UNFINISHED = ".unfinished"
 ABANDONED = 3600.0  # s, after which what is unfinished has been left by a process that died
 MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels: what was used last stays
-DIGEST_SIZE = hashlib.sha256().digest_size
-
-
-@cache
-def source_stamp() -> str:
-    """Digest of every source that compiled code depends on, and of the compilers."""
-    digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    package = Path(__file__).parents[1]
-    for path in sorted(
-        [*(package / "kernels").rglob("*.py"), *(package / "compiler").glob("*.py")]
-    ):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-source_stamp()  # now: later, a file may differ from what this process has imported
 
 
 class DiskCache(NullCache):
@@ -67,15 +36,8 @@ class DiskCache(NullCache):
 
     @property
     def folders(self) -> list[Path]:
-        """Where code may be, those that come first being asked first: Numba's own choice."""
-        source = inspect.getfile(self._function)
-        chosen = (
-            [UserProvidedCacheLocator]
-            if numba.config.CACHE_DIR
-            else [InTreeCacheLocator, UserWideCacheLocator]
-        )
-        found = (Path(each(self._function, source).get_cache_path()) for each in chosen)
-        return [folder for folder in found if folder.is_absolute() or numba.config.CACHE_DIR]
+        """Where code may be, those that come first being asked first."""
+        return sealed.folders_of(self._function)
 
     @property
     def cache_path(self) -> str | None:
@@ -88,9 +50,7 @@ class DiskCache(NullCache):
         for folder in self.folders:
             try:
                 path = folder / self._name(key)
-                if not path.is_file():  # a pipe would be waited for
-                    continue
-                content = _whole(path.read_bytes(), key)
+                content = sealed.read(path, key)
                 if content is None:
                     continue
                 found = from_bytes(content, target_context)
@@ -106,11 +66,10 @@ class DiskCache(NullCache):
         if code is None:
             return
         key = self._key(sig, data.codegen)
-        content = key.encode() + b"\0" + code
         refusals = []
         for folder in self.folders:
             try:
-                _write(folder / self._name(key), hashlib.sha256(content).digest() + content)
+                sealed.write(folder / self._name(key), key, code)
             except OSError as error:
                 refusals.append(f"{folder}: {error.strerror or error}")
             else:
@@ -122,11 +81,11 @@ class DiskCache(NullCache):
         """Its code in a folder, of whatever version of the sources, and its unfinished files."""
         with suppress(OSError):
             yield from folder.glob(f"{self._stem}-*{SUFFIX}")
-            yield from folder.glob(f".{self._stem}-*{SUFFIX}{UNFINISHED}")
+            yield from folder.glob(f".{self._stem}-*{SUFFIX}{sealed.UNFINISHED}")
 
     def entries(self) -> list[Path]:
         """The code of this version of the sources, in all folders."""
-        mine = f"{self._stem}-{source_stamp()}-"
+        mine = self._prefix
         return [
             path
             for folder in self.folders
@@ -140,21 +99,26 @@ class DiskCache(NullCache):
         A tag's type has the digest of the tag in its name.
         """
         code = hashlib.sha256(self._function.__code__.co_code).hexdigest()
-        versions = source_stamp(), sys.implementation.cache_tag
-        return repr((self._stem, sig, code, machine_of(codegen), *versions))
+        version = sys.implementation.cache_tag
+        return repr((self._prefix, sig, code, machine_of(codegen), version))
 
     def _name(self, key: str) -> str:
         digest = hashlib.sha256(key.encode()).hexdigest()[:24]
-        return f"{self._stem}-{source_stamp()}-{digest}{SUFFIX}"
+        return f"{self._prefix}{digest}{SUFFIX}"
+
+    @property
+    def _prefix(self) -> str:
+        """What files of this version of the sources begin with."""
+        return f"{self._stem}-{source_stamp(self._function.__module__)}-"
 
     def _prune(self, folder: Path) -> None:
         """Delete what nothing asks for any more, and beyond MOST_BYTES what was used first."""
-        mine = f"{self._stem}-{source_stamp()}-"
+        mine = self._prefix
         kept = []
         for path in self.files(folder):
             with suppress(OSError):
                 status = path.stat()
-                if path.suffix == UNFINISHED:
+                if path.suffix == sealed.UNFINISHED:
                     if time.time() - status.st_mtime > ABANDONED:
                         path.unlink()
                 elif path.name.startswith(mine):
@@ -181,6 +145,7 @@ def clear() -> dict[Path, int]:
     there = dict(sized(p for each in _caches for f in each.folders for p in each.files(f)))
     for path in there:
         path.unlink(missing_ok=True)
+    stamp.forget()
     return there
 
 
@@ -189,28 +154,6 @@ def sized(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
     for path in paths:
         with suppress(FileNotFoundError):  # other processes delete, too
             yield path, path.stat().st_size
-
-
-def _whole(stored: bytes, key: str) -> bytes | None:
-    """The code in a file, if it is the one asked for and as it was written."""
-    digest, content = stored[:DIGEST_SIZE], stored[DIGEST_SIZE:]
-    begin = key.encode() + b"\0"
-    if hashlib.sha256(content).digest() != digest or not content.startswith(begin):
-        return None
-    return content[len(begin) :]
-
-
-def _write(path: Path, content: bytes) -> None:
-    """A file with that content, or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name[: -len(SUFFIX)]}.{uuid4().hex[:8]}{SUFFIX}{UNFINISHED}")
-    try:
-        aside.write_bytes(content)
-        aside.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            aside.unlink(missing_ok=True)
-        raise
 
 
 def _is_writable(folder: Path) -> bool:

@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from lierb.compiler.code import _compile, _compiling, undisturbed
+from lierb.compiler.code import compiling, kinds_of, undisturbed
 from lierb.compiler.internals import (
     INT64,
     address_of,
@@ -21,7 +21,8 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
-_entries: dict[tuple[Any, Tag], Any] = {}
+_entries: dict[tuple[Any, ...], int] = {}  # by kinds of arguments
+_addresses: dict[tuple[Any, ...], int] = {}  # the same, by their types
 _callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
 
 
@@ -32,27 +33,29 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     caller that Numba links it to would optimise and translate all of it again, and so would each of
     a parallel loop's wrappers: five times in all.
     """
-    if (dispatcher, tag) not in _entries:
+    key = kinds_of(dispatcher, tag, *args)
+    if key not in _entries:
         if not hasattr(dispatcher, "compile"):  # the JIT is off
             return partial(dispatcher, tag)
-        undisturbed(_enter, (dispatcher, tag), tuple(map(numba.typeof, (tag, *args))))
-    return _entries[dispatcher, tag]
+        undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
+    return _entries[key]
 
 
-def _enter(key: tuple[Any, Tag], operands: tuple[types.Type, ...]) -> None:
-    with _compiling:
-        if key in _entries:
-            return
-        _compile(key, operands)
-        result = key[0].overloads[operands]
-        _callable.add(operands[1:])
-        _entries[key] = address_of(result)
-        release(result.library)
+def _enter(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
+    dispatcher, code = key[0], (key[0], operands)
+    with compiling:
+        if code not in _addresses:
+            dispatcher.compile(operands)
+            result = dispatcher.overloads[operands]
+            _callable.add(operands[1:])
+            _addresses[code] = address_of(result)
+            release(result.library)
+        _entries[key] = _addresses[code]
 
 
 def kernels_loaded() -> int:
     """How many are in this process's memory."""
-    return len(_entries)
+    return len(_addresses)
 
 
 def call(entry: Any, *args: Any) -> int:

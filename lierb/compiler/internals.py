@@ -144,7 +144,8 @@ def names_in(result: Any) -> Iterator[tuple[Any, types.Type, int | None]]:
 
     The first is None for what is neither; a result that came from the disk knows of none.
     """
-    annotation, lines = result.type_annotation, {}
+    annotation = result.type_annotation
+    lines: dict[str | None, int] = {}
     for block in getattr(annotation, "blocks", {}).values():
         for step in block.body:  # of Numba's intermediate code
             target = getattr(step, "target", None)

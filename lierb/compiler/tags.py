@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Any
 
 from numba import types
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
-from lierb.compiler.disk_cache import source_stamp
+from lierb.compiler.stamp import source_stamp
 
 
 class Tag:
@@ -30,12 +31,26 @@ class TagType(types.Type):
 
     def __init__(self, tag: Tag) -> None:
         digest = hashlib.sha256(repr(tag).encode()).hexdigest()[:16]
-        super().__init__(name=f"{type(tag).__name__}<{source_stamp()},{digest}>")
+        stamp = source_stamp(*sorted(set(_modules(tag))))
+        super().__init__(name=f"{type(tag).__name__}<{stamp},{digest}>")
         _tags.setdefault(self.name, tag)
 
     @property
     def tag(self) -> Tag:
         return _tags[self.name]
+
+
+def _modules(described: Any) -> Iterator[str]:
+    """Where the classes are written that a tag is made of, and what its `modules` say."""
+    if isinstance(described, tuple):
+        for member in described:
+            yield from _modules(member)
+    elif is_dataclass(described):
+        yield type(described).__module__
+        yield from getattr(described, "modules", ())
+        for field in fields(described):
+            if field.compare:
+                yield from _modules(getattr(described, field.name))
 
 
 _tags: dict[str, Tag] = {}  # of this process, by their types' names

@@ -362,6 +362,30 @@ def is_foreign(value: Any) -> bool:
     return found is value
 
 
+def modules_named(value: Any, attributes: set[str], seen: list[Any]) -> set[str]:
+    """The modules of lierb that a value, and all that it refers to, names something of.
+
+    attributes : what may stand after a dot where it is used.   seen : what has been looked at.
+    """
+    value, within = _undecorated(value), []
+    if any(value is known for known in seen):
+        return set()
+    seen.append(value)
+    if isinstance(value, (tuple, list)):
+        within = list(value)
+    elif isinstance(value, dict):
+        within = list(value.values())
+    elif isinstance(value, types.ModuleType):
+        within = [vars(value)[name] for name in attributes & vars(value).keys()]
+    elif _is_users(value):
+        attributes = attributes_of(value)
+        within = [x for *_, x in _surroundings(value)]
+    key = "__name__" if isinstance(value, types.ModuleType) else "__module__"
+    name = str(getattr(value, key, ""))
+    found = {name} if name.startswith("lierb.") else set()
+    return found.union(*(modules_named(x, attributes, seen) for x in within))
+
+
 # ---- whether it is still what it was -----------------------------------------------------------
 
 

@@ -62,6 +62,7 @@ class Function:
     form : names of what it takes, in its own order: arguments, "params", "body".
     shapes : of its parameters, by name.   arguments : of the arguments, by name.
     results : of what it returns.   is_traced : or else compiled by Numba, for a body at a time.
+    modules : those of lierb that it names something of.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Function:
     is_traced: bool
     python: Callable[..., Any] = field(compare=False, repr=False)
     references: tuple[Reference, ...] = field(compare=False, repr=False, default=())
+    modules: tuple[str, ...] = field(compare=False, repr=False, default=())
 
     def __call__(self, parameters: tuple[Any, ...], *arguments: Any) -> Any:
         """Its results; numbers and vectors as formulas have them, matrices row by row.
