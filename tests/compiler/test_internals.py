@@ -1,0 +1,366 @@
+"""What lierb relies on of Numba's private parts: a test for each, which fails where one changes."""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import threading
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+import pytest
+from llvmlite import ir
+from numba import float64, int64, types
+from numba.extending import intrinsic, models, register_model
+
+import lierb
+from lierb.compiler import internals
+from lierb.compiler.code import OPTIONS
+from lierb.compiler.entries import call, entry_of, raise_again
+from lierb.compiler.internals import INT64, cgutils
+from lierb.compiler.tags import Sources
+from lierb.compiler.trace import kernel
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
+)
+
+ROOT = Path(lierb.__file__).parent
+SOURCES = {path.relative_to(ROOT).as_posix(): path for path in sorted(ROOT.rglob("*.py"))}
+PUBLIC = {"numba", "numba.extending", "numba.types", "llvmlite", "llvmlite.ir", "llvmlite.binding"}
+RELIED_ON = set()
+
+
+def relies_on(*names):
+    RELIED_ON.update(names)
+    return lambda test: test
+
+
+def imports(tree):
+    """(module, name) of each name that a module imports from another."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from ((alias.name, None) for alias in node.names)
+
+
+def test_every_private_part_has_a_test():
+    tree = ast.parse(SOURCES["compiler/internals.py"].read_text())
+    imported = {
+        name for module, name in imports(tree) if module.startswith("numba.") and name != "cgutils"
+    }
+    functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    used = {
+        f"cgutils.{node.attr}"
+        for path in SOURCES.values()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "cgutils"
+    }
+    assert imported | functions | used | {"COMPILER_LOCK"} == RELIED_ON
+
+
+def test_no_other_module_imports_a_private_part():
+    found = {
+        (source, module, name)
+        for source, path in SOURCES.items()
+        for module, name in imports(ast.parse(path.read_text()))
+        if module.split(".")[0] in ("numba", "llvmlite")
+        and (module not in PUBLIC or name in ("core", "np", "misc"))
+    }
+    assert {source for source, *_ in found} == {"compiler/internals.py"}, found
+
+
+# ---------------------------------------------------------------- emitting code
+
+
+def computed(emit, *given):
+    """What compiled code returns that `emit(context, builder, values)` has emitted."""
+
+    @intrinsic
+    def emitted(context, values):
+        def generate(context, builder, sig, values):
+            return emit(context, builder, cgutils.unpack_tuple(builder, values[0]))
+
+        return float64(values), generate
+
+    return numba.njit(lambda *values: emitted(values))(*given)
+
+
+@relies_on("cgutils.alloca_once")
+def test_alloca_once_zeroes_what_it_allocates():
+    # twice, so that the second finds what the first has left on the stack
+    def emit(context, builder, values):
+        memory = cgutils.alloca_once(builder, ir.ArrayType(ir.DoubleType(), 8))
+        place = builder.gep(memory, [INT64(0), INT64(5)])
+        found = builder.load(place)
+        builder.store(values[0], place)
+        return found
+
+    assert [computed(emit, 7.0) for _ in range(2)] == [0.0, 0.0]
+
+
+@relies_on("cgutils.for_range", "cgutils.unpack_tuple")
+def test_for_range_counts_from_zero_up():
+    def emit(context, builder, values):
+        memory = cgutils.alloca_once(builder, ir.DoubleType())
+        with cgutils.for_range(builder, values[1]) as loop:
+            doubled = builder.fadd(builder.load(memory), builder.load(memory))
+            index = builder.sitofp(loop.index, ir.DoubleType())
+            builder.store(builder.fadd(doubled, index), memory)
+        return builder.fadd(builder.load(memory), values[0])
+
+    assert computed(emit, 0.5, 4) == ((0 * 2 + 1) * 2 + 2) * 2 + 3 + 0.5
+
+
+@relies_on("cgutils.get_or_insert_function")
+def test_get_or_insert_function_declares_a_function_once():
+    module, kind = ir.Module(), ir.FunctionType(ir.DoubleType(), [ir.DoubleType()])
+    first, second = (cgutils.get_or_insert_function(module, kind, "llvm.sqrt.f64") for _ in "ab")
+    assert first is second
+
+
+@relies_on("cgutils.global_constant", "populate_array")
+def test_populate_array_makes_an_array_of_foreign_memory():
+    row = types.Array(float64, 1, "C", readonly=True)
+
+    @intrinsic
+    def made(context):
+        def generate(context, builder, sig, values):
+            pair = ir.Constant(ir.ArrayType(ir.DoubleType(), 2), [3.0, 4.5])
+            memory = cgutils.global_constant(builder.module, "pair", pair)
+            pointer = builder.gep(memory, [INT64(0), INT64(0)])
+            array = context.make_array(row)(context, builder)
+            internals.populate_array(
+                array, data=pointer, shape=[INT64(2)], strides=[INT64(8)], itemsize=INT64(8),
+                meminfo=None,
+            )  # fmt: skip
+            return array._getvalue()
+
+        return row(), generate
+
+    assert numba.njit(lambda: made().sum())() == 7.5
+
+
+class _NothingType(types.Type):
+    def __init__(self):
+        super().__init__(name="Nothing")
+
+
+register_model(_NothingType)(models.OpaqueModel)
+
+
+@relies_on("cpu_target", "tracing_context")
+def test_tracing_context_knows_values_without_a_function():
+    context = internals.tracing_context()
+    assert context.get_value_type(float64) == ir.DoubleType()
+    assert context.get_value_type(_NothingType()) == ir.IntType(8).as_pointer()
+    builder = ir.IRBuilder(
+        ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace").append_basic_block()
+    )
+    pair = types.UniTuple(float64, 2)
+    made = context.make_tuple(builder, pair, [ir.DoubleType()(1.0), ir.DoubleType()(2.0)])
+    assert made.type == context.get_value_type(pair)
+    assert context.cast(builder, INT64(3), int64, types.intp).type == INT64
+    assert context.get_dummy_value() is not None
+
+
+def _line(x, pair):
+    return pair[1] + 2.0 * x, x
+
+
+kernel(_line)
+
+
+@relies_on("AbstractTemplate", "infer_global", "signature")
+def test_templates_make_a_python_function_known_to_compiled_code():
+    assert numba.njit(lambda x: _line(x, (x, 1.0)))(3.0) == (7.0, 3.0)
+
+
+# ---------------------------------------------------------------- calls
+
+
+@numba.njit(**OPTIONS)
+def _inverted(tag, x, out):
+    if x == 0.0:
+        raise ZeroDivisionError("no inverse of", 0)
+    out[0] = 1.0 / x
+
+
+@numba.njit(**OPTIONS)
+def _call(entry, x, out):
+    raise_again(call(entry, x, out))
+
+
+@relies_on(
+    "address_of", "call_address", "raise_address", "release", "Status", "RETCODE_USEREXC",
+    "excinfo_ptr_t",
+)  # fmt: skip
+def test_code_is_called_by_its_address_after_its_module_is_released():
+    out = np.zeros(1)
+    entry = entry_of(_inverted, Sources(), 4.0, out)
+    (result,) = _inverted.overloads.values()
+    assert entry == internals.address_of(result)
+    assert result.library._final_module is None
+    _call(entry, 4.0, out)
+    assert out[0] == 0.25
+    with pytest.raises(ZeroDivisionError) as told:
+        _call(entry, 0.0, out)
+    assert told.value.args == ("no inverse of", 0)
+
+
+@relies_on("link", "call_linked")
+def test_linked_code_is_called_and_says_whether_it_raised():
+    @numba.njit(**OPTIONS)
+    def root(x):
+        if x < 0.0:
+            raise ValueError("negative")
+        return np.sqrt(x)
+
+    root.compile((float64,))
+    (result,) = root.overloads.values()
+
+    def emit(context, builder, values):
+        internals.link(context, result)
+        status, found = internals.call_linked(context, builder, result, values)
+        known = builder.icmp_unsigned("!=", builder.ptrtoint(status.excinfoptr, INT64), INT64(0))
+        raised = builder.and_(builder.and_(status.is_error, status.is_user_exc), known)
+        return builder.select(raised, ir.DoubleType()(-1.0), found)
+
+    assert [computed(emit, x) for x in (9.0, -9.0)] == [3.0, -1.0]
+
+
+# ---------------------------------------------------------------- the disk cache
+
+
+class Spy(internals.NullCache):
+    def __init__(self):
+        self.asked, self.given = [], []
+
+    def load_overload(self, sig, target_context):
+        self.asked.append((sig, target_context))
+
+    def save_overload(self, sig, data):
+        self.given.append(data)
+
+
+@relies_on("NullCache", "set_cache", "cache_of")
+def test_dispatcher_asks_its_cache_and_gives_it_what_it_has_compiled():
+    dispatcher, spy = numba.njit(lambda x: 2.0 * x), Spy()
+    internals.set_cache(dispatcher, spy)
+    assert internals.cache_of(dispatcher) is spy
+    assert dispatcher(3.0) == 6.0
+    ((sig, context),) = spy.asked
+    assert sig == (float64,)
+    assert context is internals.tracing_context()
+    assert spy.given == list(dispatcher.overloads.values())
+    assert spy.given[0].codegen is not None
+
+
+@relies_on("as_bytes", "from_bytes", "CompileResult", "dumps", "rtsys")
+def test_compile_result_comes_back_from_its_bytes():
+    dispatcher = numba.njit(lambda x: np.full(2, x).sum(), **OPTIONS)
+    dispatcher.compile((float64,))
+    (result,) = dispatcher.overloads.values()
+    back = internals.from_bytes(internals.as_bytes(result), internals.tracing_context())
+    assert back.signature == result.signature
+    assert back.entry_point(2.5) == 5.0
+
+
+def test_code_that_holds_an_address_has_no_bytes():
+    callback = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)(lambda x: x)
+    dispatcher = numba.njit(lambda x: callback(x))
+    dispatcher.compile((float64,))
+    (result,) = dispatcher.overloads.values()
+    assert internals.as_bytes(result) is None
+
+
+@relies_on("machine_of")
+def test_machine_of_names_the_cpu_and_its_features():
+    triple, cpu, features = internals.machine_of(internals.tracing_context().codegen())
+    assert triple == llvm.get_process_triple()
+    assert cpu
+    assert "," in features or not features
+
+
+@relies_on("InTreeCacheLocator", "UserProvidedCacheLocator", "UserWideCacheLocator")
+def test_locators_choose_folders(monkeypatch, tmp_path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    beside, provided, users = (
+        Path(locator(computed, __file__).get_cache_path())
+        for locator in (
+            internals.InTreeCacheLocator,
+            internals.UserProvidedCacheLocator,
+            internals.UserWideCacheLocator,
+        )
+    )
+    assert beside == Path(__file__).parent / "__pycache__"
+    assert provided.parent == tmp_path
+    assert users.is_absolute()
+    assert users not in (beside, provided)
+
+
+# ---------------------------------------------------------------- compiling
+
+
+def _look(found=[]):  # noqa: B006
+    """Whether another thread could compile now."""
+
+    def look():
+        found.append(internals.COMPILER_LOCK.acquire(blocking=False))
+        if found[-1]:
+            internals.COMPILER_LOCK.release()
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    return found
+
+
+def _looking(x):
+    _look()
+    return x
+
+
+kernel(_looking)
+
+
+@relies_on("COMPILER_LOCK", "global_compiler_lock")
+def test_compiler_lock_is_held_by_the_thread_that_compiles():
+    _look()
+    numba.njit(lambda x: _looking(x))(1.0)  # traced twice, for its type and its instructions
+    assert _look() == [True, False, False, True]
+
+
+@relies_on("names_in", "runs_python")
+def test_names_in_tells_what_compiled_code_names_and_where():
+    @numba.njit
+    def inner(x):
+        return x
+
+    @numba.njit
+    def outer(x):
+        return np.sqrt(x) + inner(x)
+
+    outer(4.0)
+    (result,) = outer.overloads.values()
+    assert not internals.runs_python(result)
+    found = list(internals.names_in(result))
+    line = outer.py_func.__code__.co_firstlineno + 2
+    assert [at for value, _, at in found if value is np.sqrt] == [line]
+    assert any(value is np for value, *_ in found)
+    assert any(getattr(ty, "dispatcher", None) is inner for _, ty, _ in found)
+
+
+def test_runs_python_sees_objmode():
+    @numba.njit
+    def printed(x):
+        with numba.objmode():
+            repr(x)
+        return x
+
+    printed(1.0)
+    assert all(map(internals.runs_python, printed.overloads.values()))
