@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 from numba.core.caching import InTreeCacheLocator
 
@@ -90,8 +91,11 @@ class Copy:
     def run(self, script=NOW, *arguments, **environment):
         return finished(self.start(script, *arguments, **environment))
 
+    def files(self):
+        return sorted((self.folder / "cache").rglob("*.nbc"))
+
     def entries(self):
-        return len(list((self.folder / "cache").rglob("*integrate_block-*.nbc")))
+        return len([file for file in self.files() if "integrate_block-" in file.name])
 
 
 def finished(process):
@@ -112,15 +116,23 @@ def copy(tmp_path):
 # ---------------------------------------------------------------- hits and misses
 
 
-@pytest.mark.slow  # two processes, one of which compiles
-def test_second_process_loads_what_the_first_compiled(copy):
+@pytest.mark.slow  # three processes, one of which compiles
+def test_next_process_loads_what_the_first_compiled_whatever_comments_say(copy):
     first, second = copy.run(), copy.run()
+    kept = copy.files()
+    copy.edit(*COMMENT)
+    with (copy.folder / "lierb" / "api.py").open("a") as unrelated:
+        unrelated.write("\nNEW = 1\n")
+    third = copy.run()
     assert first["cache"].startswith(str(copy.folder))  # not the cache of the tests
     assert (first["compiled"], first["loaded"]) == (1, 0)
-    assert (second["compiled"], second["loaded"]) == (0, 1)
-    assert fallen(first) == fallen(second) == FALLEN["Euler"]
+    for later in (second, third):
+        assert (later["compiled"], later["loaded"]) == (0, 1)
+    assert fallen(first) == fallen(second) == fallen(third) == FALLEN["Euler"]
+    assert copy.files() == kept
 
 
+COMMENT = "numbers/vec.py", "def cross(", "# a comment\ndef cross("
 EDITS = {
     "gravity": (
         "mechanics/newton_euler.py",
@@ -515,6 +527,20 @@ def test_clearing_deletes_code_of_every_version_and_nothing_else(two_files):
     assert min(cleared.values()) > 1000
     assert list(foreign.parent.iterdir()) == [foreign]
     assert disk_cache.clear() == {}
+
+
+def doubled(tag, x):
+    return x + x
+
+
+def test_code_is_found_by_its_tag_and_its_arguments_types():
+    dispatcher, tag = cached()(doubled), Times(1.0)
+    found = [compiled(dispatcher, tag, x)(tag, x) for x in (3.0, 3, 3.0)]
+    assert list(map(type, found)) == [float, int, float]
+    rows = [np.ones((2, 2)), np.ones((2, 1)), np.ones((2, 2), order="F"), np.ones(2)]
+    entered = [entries.entry_of(dispatcher, tag, row) for row in rows]
+    assert entered[0] == entered[1]  # of several kinds, and one type
+    assert len(set(entered)) == 3
 
 
 # ---------------------------------------------------------------- Ctrl-C

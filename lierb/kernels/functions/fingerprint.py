@@ -362,15 +362,15 @@ def is_foreign(value: Any) -> bool:
     return found is value
 
 
-def modules_named(value: Any, attributes: set[str], seen: list[Any]) -> set[str]:
+def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[str]]]) -> set[str]:
     """The modules of lierb that a value, and all that it refers to, names something of.
 
     attributes : what may stand after a dot where it is used.   seen : what has been looked at.
     """
     value, within = _undecorated(value), []
-    if any(value is known for known in seen):
+    if any(value is known and attributes == used for known, used in seen):
         return set()
-    seen.append(value)
+    seen.append((value, attributes))
     if isinstance(value, (tuple, list)):
         within = list(value)
     elif isinstance(value, dict):
