@@ -42,10 +42,10 @@ def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
 
     Compiled, or from the disk cache, once a process.
     """
+    if not hasattr(dispatcher, "compile"):  # the JIT is off
+        return dispatcher
     key = kinds_of(dispatcher, *args)
     if key not in _ready:
-        if not hasattr(dispatcher, "compile"):  # the JIT is off
-            return dispatcher
         undisturbed(_compile, key, tuple(map(numba.typeof, args)))
     return _ready[key]
 
@@ -53,17 +53,18 @@ def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
 def kinds_of(dispatcher: Any, *args: Any) -> tuple[Any, ...]:
     """What code is found by: a tag itself, and of other arguments what decides on Numba's type.
 
-    That type takes ten times as long to find. Arguments of one type may be of several kinds.
+    That type takes 20 times as long to find. Arguments of one type may be of several kinds.
     """
     return dispatcher, *map(_kind, args)
 
 
 def _kind(argument: Any) -> Any:
-    if isinstance(argument, np.ndarray):
+    kind = type(argument)
+    if kind is np.ndarray:
         return argument.dtype, argument.ndim, argument.flags.num
-    if isinstance(argument, tuple):
-        return type(argument), *map(_kind, argument)
-    return argument if isinstance(argument, Tag) else type(argument)
+    if kind is int or kind is float:
+        return kind
+    return argument if isinstance(argument, Tag) else numba.typeof(argument)
 
 
 def _compile(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:

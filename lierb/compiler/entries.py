@@ -33,10 +33,10 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     caller that Numba links it to would optimise and translate all of it again, and so would each of
     a parallel loop's wrappers: five times in all.
     """
+    if not hasattr(dispatcher, "compile"):  # the JIT is off
+        return partial(dispatcher, tag)
     key = kinds_of(dispatcher, tag, *args)
     if key not in _entries:
-        if not hasattr(dispatcher, "compile"):  # the JIT is off
-            return partial(dispatcher, tag)
         undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
     return _entries[key]
 

@@ -37,8 +37,8 @@ def _read(folder: str, package: str) -> Iterator[tuple[str, bytes]]:
             module = entry.name.removesuffix(".py")
             if module != entry.name:
                 name = package if module == "__init__" else f"{package}.{module}"
-                with suppress(OSError):
-                    yield name, Path(entry.path).read_bytes()
+                with suppress(OSError), open(entry.path, "rb", buffering=0) as file:  # noqa: PTH123
+                    yield name, file.read()  # in half the time that a Path takes
             elif module != "__pycache__" and entry.is_dir():
                 yield from _read(entry.path, f"{package}.{module}")
 
@@ -89,11 +89,11 @@ Tree = tuple[str, list[str]]  # its digest, and the names that the module import
 @cache
 def _tree_of(module: str) -> Tree:
     source = SOURCES.get(module)
-    file = getattr(sys.modules.get(module), "__file__", None)
-    if source is None and file is not None:
-        source = Path(file).read_bytes()
-    if source is None:  # typed at a prompt
-        return "", [ANYTHING]
+    if source is None:  # not lierb's
+        try:
+            source = Path(str(sys.modules[module].__file__)).read_bytes()
+        except (KeyError, AttributeError, OSError):  # typed at a prompt
+            return "", [ANYTHING]
     digest = hashlib.sha256(source).hexdigest()
     if digest not in _trees:
         _trees[digest] = described(source)
@@ -152,7 +152,7 @@ def _names(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
 MOST_TREES = 256
 SUFFIX = ".trees"
 FILE = f"{sys.implementation.cache_tag}{SUFFIX}"
-# What made them, too.
+# And of what has made them.
 KEY = hashlib.sha256(SOURCES.get(__name__, b"")).hexdigest()
 _trees: dict[str, Tree] = {}
 
