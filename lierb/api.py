@@ -25,7 +25,8 @@ from lierb.errors import (
 from lierb.joints import JOINTS
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.kernels.stepping.plan import Plan, block_lanes, plan_of
+from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.plan import Plan, plan_of
 from lierb.model import Problem
 from lierb.result import Result
 from lierb.runs import checks, engine
@@ -127,7 +128,7 @@ def integrate(
     kernel = "saddle" if found_by == "saddle" else "subgroup"
     space = "SO3xR3" if cspace == "SO3xR3" else "SE3"
     plan = plan_of(
-        lanes=block_lanes(DEFAULT_LANES, kernel, space, rows, tableau.stages),
+        DEFAULT_LANES,
         rows=rows,
         cspace=space,
         update=update,
@@ -142,7 +143,7 @@ def integrate(
     if known is not None and not known.fits(problem, plan, twist0, float(t0)):
         known = None
     count_from = partial(counted, float(t0)) if known is None else known.origin
-    grid = engine.Grid(float(dt), steps, measured, saved, *count_from(float(dt)))
+    clock = Clock(float(dt), steps, measured, saved, *count_from(float(dt)))
     state = None if known is None else known.state
     inputs = engine.Inputs(problem, poses, twists, count, float(t0), state)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
@@ -152,7 +153,7 @@ def integrate(
         _report(error, on_violation)
         return error is None
 
-    _require_memory(plan, grid, count, recorded)
+    _require_memory(plan, clock, count, recorded)
     checked = on_violation != "off" and bool(rows) and known is None
     metadata = provenance(
         problem,
@@ -162,24 +163,24 @@ def integrate(
         plan=plan,
         options={
             "dt": float(dt), "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
-            "cspace": cspace, "update": update, "save_every": grid.save_every or None,
-            "measure_every": grid.measure_every,
+            "cspace": cspace, "update": update, "save_every": clock.save_every or None,
+            "measure_every": clock.measure_every,
             "record": recorded, "check": check, "solver": found_by,
         },
     )  # fmt: skip
     try:
         output = engine.integrate(
-            plan, inputs, grid, "state" in recorded, threads, progress,
+            plan, inputs, clock, "state" in recorded, threads, progress,
             check_start if checked else None,
         )  # fmt: skip
         covers = covers_of(problem)
         result = Result(
             summary_table(output, metadata, covers),
-            history_table(output, grid, recorded, plan, metadata, covers) if save_every else None,
-            End(problem, plan, grid, output, STATUS_NAMES),
+            history_table(output, recorded, plan, metadata, covers) if save_every else None,
+            End(problem, plan, output, STATUS_NAMES),
         )
     except MemoryError as error:
-        raise _no_room(plan, grid, count, recorded) from error
+        raise _no_room(plan, clock, count, recorded) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
     return result
@@ -300,25 +301,23 @@ def _checked_time(name: str, given: float, after: float = 0.0) -> float:
     return seconds
 
 
-def _require_memory(plan: Plan, grid: engine.Grid, count: int, recorded: tuple[str, ...]) -> None:
+def _require_memory(plan: Plan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
     """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
-    if not is_free(size_of_tables(plan, count, grid.saved_rows, recorded)):
-        raise _no_room(plan, grid, count, recorded)
+    if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
+        raise _no_room(plan, clock, count, recorded)
 
 
-def _no_room(
-    plan: Plan, grid: engine.Grid, count: int, recorded: tuple[str, ...]
-) -> MemoryLimitError:
+def _no_room(plan: Plan, clock: Clock, count: int, recorded: tuple[str, ...]) -> MemoryLimitError:
     free = available()
-    whole = size_of_tables(plan, count, grid.saved_rows, recorded)
+    whole = size_of_tables(plan, count, clock.saved_rows, recorded)
     summary = size_of_tables(plan, count, 0, ())
     apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"
-    if summary >= free or not grid.save_every:
+    if summary >= free or not clock.save_every:
         what, remedy = f"the summary of {count} bodies", f"take fewer at a time, or {apart}"
     else:
-        rows = grid.saved_rows
+        rows = clock.saved_rows
         fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
-        every = -(-grid.steps // (fitting - 1))
+        every = -(-clock.steps // (fitting - 1))
         what = f"the history of {rows} times × {count} bodies"
         more = ", record less" if recorded else ""
         remedy = f"save less often (save_every={every} fits){more}, take fewer bodies, or {apart}"

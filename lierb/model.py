@@ -57,6 +57,7 @@ from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
+from lierb.kernels.stepping.layout import INPUTS
 from lierb.shown import Lines, Shown, counted, quantity
 from lierb.user_elements import Constraint, Element, Force, reject_functions
 
@@ -334,17 +335,20 @@ class Problem(Shown):
         return (*self.joint.rows, *added)
 
     @cached_property
+    def quantities(self) -> dict[str, Array]:
+        """Its numbers, but for the elements' parameters; each for every body, or one for all."""
+        owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
+        given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
+        return {name: getattr(owners.get(name, self.joint), name) for name in given}
+
+    @cached_property
     def _batched(self) -> dict[str, tuple[Array, int]]:
         """The batched arguments, with the number of an item's axes."""
         entries = {
-            "mass": (self.body.mass, 0),
-            "inertia": (self.body.inertia, 2),
-            "com": (self.body.com, 1),
-            "ground_frame": (self.joint.ground_frame, 2),
-            "body_frame": (self.joint.body_frame, 2),
-            "pitch": (self.joint.pitch, 0),
-            "length": (self.joint.length, 0),
-            "gravity": (self.gravity, 1),
+            name: (array, len(field.shape))
+            for field in INPUTS.fields
+            for name, array in self.quantities.items()
+            if name == field.name
         }
         for element in self.elements:
             entries |= element.batched()

@@ -60,9 +60,9 @@ def violation(inputs: Inputs, starts: Array, first: int = 0) -> LierbError | Non
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
     problem = inputs.problem
-    columns = inputs.packed(number, number + 1, np.empty((inputs.columns, 1)))
-    parameters, pose, twist = parameters_of(list(columns[:, 0]))
-    body = body_of(SE3, problem.kinds, list(columns[:, 0]))
+    numbers = inputs.numbers(number)
+    parameters, pose, twist = parameters_of(numbers)
+    body = body_of(SE3, problem.kinds, numbers)
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)._replace(time=np.float64(inputs.time))
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]

@@ -14,10 +14,11 @@ import numpy as np
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError
+from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import OK
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
-from lierb.runs.engine import Grid, Output
+from lierb.runs.engine import Output
 from lierb.user_elements import Element
 
 NAMED = 5  # failed trajectories in a message
@@ -34,7 +35,7 @@ class Continuation:
     formulation: tuple[str, str, str]
     twist0: Array
     t0: float
-    grid: Grid
+    clock: Clock
     state: Array
 
     def fits(self, problem: Problem, plan: Plan, twist0: Any, t0: float) -> bool:
@@ -47,9 +48,9 @@ class Continuation:
         )
 
     def origin(self, dt: float) -> tuple[float, int]:
-        """Of a grid with steps of dt: with the same ones it counts on."""
-        if dt == self.grid.dt:
-            return self.grid.origin, self.grid.first_step + self.grid.steps
+        """Of a clock with steps of dt: with the same ones it counts on."""
+        if dt == self.clock.dt:
+            return self.clock.origin, self.clock.first_step + self.clock.steps
         return counted(self.t0, dt)
 
 
@@ -69,15 +70,14 @@ def _is_held_alike(a: Problem, b: Problem) -> bool:
     holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
     return (
         a.joint.rows == b.joint.rows
-        and _are_equal(a.body, b.body, ("mass", "inertia", "com"))
-        and _are_equal(a.joint, b.joint, ("ground_frame", "body_frame", "pitch", "length"))
+        and all(
+            np.array_equal(array, b.quantities[name])
+            for name, array in a.quantities.items()
+            if name != "gravity"
+        )
         and len(holding[0]) == len(holding[1])
         and all(_is_same(*pair) for pair in zip(*holding, strict=True))
     )
-
-
-def _are_equal(a: Any, b: Any, names: tuple[str, ...]) -> bool:
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
 
 
 def _is_same(a: Element, b: Element) -> bool:
@@ -110,7 +110,6 @@ class End:
 
     problem: Problem
     plan: Plan
-    grid: Grid
     output: Output
     statuses: dict[int, str]
 
@@ -125,12 +124,12 @@ class End:
         twists = np.concatenate([omega, v], axis=1)
         for array in (poses, twists):
             array.setflags(write=False)
-        t0 = self.grid.time(self.grid.steps)
+        clock = self.output.clock
         end = poses.view(EndPose)
         end.continuation = Continuation(
-            self.problem, formulation(self.plan), twists, t0, self.grid, self.output.ends
+            self.problem, formulation(self.plan), twists, clock.end, clock, self.output.ends
         )
-        return {"pose0": end, "twist0": twists, "t0": t0}
+        return {"pose0": end, "twist0": twists, "t0": clock.end}
 
     def _require_all(self) -> None:
         failed = np.flatnonzero(self.output.status != OK)

@@ -1,4 +1,4 @@
-"""Running a batch: bodies packed into columns, the driver called in short calls, progress."""
+"""Running a batch: where its numbers are, the driver called in short calls, progress."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from textwrap import shorten
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numba
@@ -24,40 +24,31 @@ from lierb.compiler.entries import entry_of
 from lierb.compiler.tags import Sources
 from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
+from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.driver import (
     CARRIED_COLUMNS,
-    INPUT_COLUMNS,
-    INPUT_SLICES,
     MARKS,
     OK,
-    RAISED_AT_END,
     RESUMED,
-    STARTS,
-    STATE_COLUMNS,
-    SUMMARY_COLUMNS,
     UNSEEN,
     end_columns,
-    error_columns,
-    input_columns,
+    history_measures,
     integrate_block,
     integrate_blocks,
+    job_of,
 )
+from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field, inputs_of
+from lierb.kernels.stepping.measures import KEPT, SUMMARY
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
 from lierb.runs.forks import check_threads
 from lierb.runs.progress import Progress, reporter
 
-SUMMARY_SCALARS = (
-    "position_error_max", "rotation_error_max", "velocity_error_max", "rotation_rate_error_max",
-    "orthogonality_error_max", "energy_drift_max", "position_error_final", "rotation_error_final",
-    "work_final",
-)  # fmt: skip
-STATE_WIDTHS = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
-
 SOURCES = Sources()
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
+ZERO_STATE = np.zeros(1)
 
-# Bodies in one chunk: about 1 kB each, so that a chunk stays in the cache beside the state.
+# In one chunk at the least: what is carried of them stays in the cache beside the state.
 CHUNK_BODIES = 4096
 # One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
 # enough that the 30 µs of a call do not show, nor the half microsecond that it takes to bring a
@@ -67,103 +58,49 @@ FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to find out how fast a plan runs
 MESSAGE_LENGTH = 200  # of an exception's words, in one line
 
 
-@dataclass(frozen=True)
-class Grid:
-    """The times of a run: `steps` steps of `dt` s, measured and saved every so many (0: never).
+Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
 
-    origin, first_step : the start is `first_step` steps after `origin`, s.
-    """
-
-    dt: float
-    steps: int
-    measure_every: int
-    save_every: int
-    origin: float = 0.0
-    first_step: int = 0
-
-    def time(self, step: Any) -> Any:
-        """Of a step, or of an array of steps, s; to the bit as the driver has it."""
-        return self.origin + self.dt * (self.first_step + step)
-
-    @property
-    def saved_rows(self) -> int:
-        return -(-self.steps // self.save_every) + 1 if self.save_every else 0
-
-    def saved_steps(self) -> NDArray[np.int64]:
-        return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
+_layouts: WeakKeyDictionary[Problem, tuple[Places, tuple[Array, ...]]] = WeakKeyDictionary()
 
 
-class Field(NamedTuple):
-    """Where some of the driver's input columns come from."""
-
-    columns: slice
-    array: Array  # an item for every body, or one for all of them
-    shape: tuple[int, ...] = ()  # of an item
-
-    @property
-    def is_shared(self) -> bool:
-        return self.array.ndim == len(self.shape) or len(self.array) == 1
-
-    def put(self, packed: Array, start: int, stop: int) -> None:
-        """Bodies start … stop, the last one repeated, or what all share."""
-        place = packed[self.columns].reshape(*self.shape, -1)
-        if self.is_shared:
-            place[...] = self.array.reshape(*self.shape, 1)
-            return
-        items = np.moveaxis(self.array[start:stop], 0, -1)
-        place[..., : stop - start] = items
-        place[..., stop - start :] = items[..., -1:]
+def _places_of(field: Field, array: Array) -> Places:
+    """Where the numbers of a field are, in an array with an item for every body or one for all."""
+    ahead = array.ndim - len(field.shape)
+    batch = array.strides[0] if ahead and len(array) > 1 else 0
+    offsets = np.zeros((), dtype=np.int64)
+    for size, stride in zip(field.shape, array.strides[ahead:], strict=True):
+        offsets = offsets[..., None] + stride * np.arange(size)
+    chosen = offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
+    return np.stack([array.ctypes.data + chosen, np.full_like(chosen, batch)], axis=1)
 
 
-def _pose_fields(name: str, poses: Array) -> tuple[Field, Field]:
-    first = INPUT_SLICES[name].start
-    rotations, places = poses[..., :3, :3], poses[..., :3, 3]
-    return (
-        Field(slice(first, first + 9), rotations, (3, 3)),
-        Field(slice(first + 9, first + 12), places, (3,)),
-    )
-
-
-def _problem_fields(problem: Problem) -> Iterator[Field]:
-    body, joint = problem.body, problem.joint
-    yield Field(INPUT_SLICES["mass"], body.mass)
-    yield Field(INPUT_SLICES["inertia"], body.inertia, (3, 3))
-    yield Field(INPUT_SLICES["com"], body.com, (3,))
-    yield Field(INPUT_SLICES["gravity"], problem.gravity, (3,))
-    yield from _pose_fields("ground_frame", joint.ground_frame)
-    yield from _pose_fields("body_frame", joint.body_frame)
-    yield Field(INPUT_SLICES["pitch"], joint.pitch)
-    yield Field(INPUT_SLICES["length"], joint.length)
-    yield from _pose_fields("pose", CLOSED)  # unless a start has others
-    first = INPUT_COLUMNS
-    for element in problem.elements:
-        for name, shape in element.kind.shapes.items():
-            last = first + math.prod(shape)
-            yield Field(slice(first, last), element.parameters[name], shape)
-            first = last
-
-
-_layouts: WeakKeyDictionary[Problem, tuple[Array, list[Field]]] = WeakKeyDictionary()
-
-
-def _layout(problem: Problem) -> tuple[Array, list[Field]]:
-    """The columns that all bodies of a problem share, [column][1], and where the others come from.
-
-    Worked out once: of a call for one body it takes a tenth of the time.
+def _layout(problem: Problem) -> Places:
+    """Where a problem's numbers are; found once: of a call for one body it takes a tenth of the
+    time.
     """
     if problem not in _layouts:
-        fields = list(_problem_fields(problem))
-        shared = np.zeros((input_columns(problem.kinds), 1))
-        for field in fields:
-            if field.is_shared:
-                field.put(shared, 0, 1)
-        _layouts[problem] = shared, [field for field in fields if not field.is_shared]
-    return _layouts[problem]
+        columns, arrays = inputs_of(problem.kinds), numbers_of(problem)
+        places = np.zeros((columns.count, 2), dtype=np.int64)
+        for field, part in columns:
+            if field.name in arrays:
+                places[part] = _places_of(field, arrays[field.name])
+        _layouts[problem] = places, tuple(arrays.values())  # which shall outlive them
+    return _layouts[problem][0]
+
+
+def numbers_of(problem: Problem) -> dict[str, Array]:
+    """What a problem has of the driver's inputs, by field."""
+    parameters = {
+        f"{number}.{name}": element.parameters[name]
+        for number, element in enumerate(problem.elements)
+        for name in element.kind.shapes
+    }
+    return {**problem.quantities, **parameters, "pose": CLOSED}  # unless a start has others
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything about every body, as given; packed chunk by chunk, never copied as a whole.
+    """Everything about every body, where the user has it.
 
     poses : (4, 4) or (n, 4, 4); None for the closed joint.   twists : (6,) or (n, 6).
     time : s, of the start.
@@ -178,149 +115,114 @@ class Inputs:
     time: float = 0.0
     state: Array | None = None
 
-    def packed(self, start: int, stop: int, packed: Array, is_new: bool = True) -> Array:
-        """Bodies start … stop as [column][body], the last one repeated to fill `packed`.
-
-        is_new : whether `packed` lacks even the columns that all bodies share.
-        """
-        shared, fields = _layout(self.problem)
-        if is_new:
-            packed[:] = shared
-        for field in (*fields, *self._start):
-            if is_new or not field.is_shared:
-                field.put(packed, start, stop)
-        return packed
-
-    def put_state(self, plan: Plan, chunk: Chunk) -> None:
-        """Carry the state to start from."""
-        assert self.state is not None
-        width = chunk.stop - chunk.start
-        is_shared = self.state.shape[1] == 1
-        own = self.state if is_shared else self.state[:, chunk.start : chunk.stop]
-        columns = list(end_columns(plan))
-        chunk.carried[:STATE_COLUMNS] = 0.0
-        chunk.carried[columns, :width] = own
-        chunk.carried[columns, width:] = own[:, -1:]
-
-    @cached_property
-    def _start(self) -> tuple[Field, ...]:
-        twists = Field(INPUT_SLICES["twist"], self.twists, (6,))
-        return (twists, *_pose_fields("pose", self.poses)) if self.poses is not None else (twists,)
+    @property
+    def columns(self) -> Columns:
+        return inputs_of(self.problem.kinds)
 
     @property
-    def columns(self) -> int:
-        """Numbers of a body."""
-        return input_columns(self.problem.kinds)
+    def _start(self) -> dict[str, Array]:
+        return {"twist": self.twists} | ({} if self.poses is None else {"pose": self.poses})
 
+    def places(self, plan: Plan) -> Places:
+        """Of every column: a run that does not go on asks for no state."""
+        places, columns = _layout(self.problem).copy(), self.columns
+        for name, array in self._start.items():
+            field = next(f for f in columns.fields if f.name == name)
+            places[columns[name]] = _places_of(field, array)
+        if self.state is None:
+            return places[: columns["state"].start]
+        at = columns["state"].start
+        places[at:] = ZERO_STATE.ctypes.data, 0
+        for row, column in zip(self.state, end_columns(plan), strict=True):
+            places[at + column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
+        return places
 
-# Of the last run, for the next: memory fresh from the system takes as long as a dozen steps.
-_spare: list[Array] = []
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Bodies start … stop while they are integrated: [column][body, padded to full blocks]."""
-
-    start: int
-    stop: int
-    inputs: Array
-    carried: Array
-    summary: Array
-    memory: Array  # that the three are parts of
-
-    @classmethod
-    def of(cls, inputs: Inputs, start: int, lanes: int, spent: Chunk | None = None) -> Chunk:
-        """The bodies from `start` on, in the memory of a chunk that is not needed any more."""
-        stop = min(start + CHUNK_BODIES, inputs.count)
-        width = -(-(stop - start) // lanes) * lanes
-        if spent is not None and spent.inputs.shape[1] == width:
-            inputs.packed(start, stop, spent.inputs, is_new=False)
-            return replace(spent, start=start, stop=stop)
-        rows = inputs.columns, inputs.columns + CARRIED_COLUMNS
-        count = rows[1] + SUMMARY_COLUMNS
-        memory = spent.memory if spent is not None else _memory(count * width)
-        columns = memory[: count * width].reshape(count, width)
-        packed = inputs.packed(start, stop, columns[: rows[0]])
-        return cls(start, stop, packed, columns[rows[0] : rows[1]], columns[rows[1] :], memory)
-
-    @property
-    def found(self) -> Array:
-        """`summary` without the padding."""
-        return self.summary[:, : self.stop - self.start]
-
-    @property
-    def starts(self) -> Array:
-        """1 for a body that starts on its joint, else 0."""
-        starts: Array = self.found[STARTS]
-        return starts
-
-
-def _memory(size: int) -> Array:
-    """So many numbers or more, uninitialised."""
-    with suppress(IndexError):  # none is left, or another thread was faster
-        if (spare := _spare.pop()).size >= size:
-            return spare
-    return np.empty(size)
+    def numbers(self, body: int) -> list[np.float64]:
+        """Of one body, in the order of the columns, as far as they are there without a run."""
+        arrays, found = numbers_of(self.problem) | self._start, []
+        for field, _ in self.columns:
+            if field.name in arrays:
+                array = arrays[field.name]
+                is_shared = array.ndim == len(field.shape) or len(array) == 1
+                item = array.reshape(-1, *field.shape)[0 if is_shared else body].ravel()
+                found += list(item if field.entries is None else item[list(field.entries)])
+        return found
 
 
 @dataclass(frozen=True)
 class Output:
     """Results of a run, as they become Arrow columns.
 
-    status, t (s), scalars : [body].
-    errors : [column][time][body].   states, multipliers, reactions : [time][body][component].
+    clock : the times of the run.
+    summary : [SUMMARY][body].   history : [measure][time][body].
+    states, multipliers, reactions : [time][body][component].
     ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
     raised : what a function of the user's has raised, in words, by body: of the first such body.
     """
 
-    status: NDArray[np.int8]
-    t: Array
-    scalars: Array  # in the order of SUMMARY_SCALARS
-    errors: Array
-    states: tuple[Array, ...]  # in the order of STATE_WIDTHS; if not recorded, the last row alone
+    clock: Clock
+    summary: Array
+    history: Array
+    states: tuple[Array, ...]  # in the order of POSE_AND_TWIST; if not recorded, the end alone
     multipliers: Array
     reactions: Array
     ends: Array
     raised: dict[int, str]
 
     @classmethod
-    def empty(cls, plan: Plan, count: int, grid: Grid, with_state: bool) -> Output:
-        shapes = _shapes(plan, count, grid.saved_rows, with_state)
-        scalars, errors, *states, multipliers, reactions, ends = map(np.empty, shapes)
-        return cls(
-            np.empty(count, dtype=np.int8), np.empty(count), scalars, errors, tuple(states),
-            multipliers, reactions, ends, {},
-        )  # fmt: skip
+    def empty(cls, plan: Plan, count: int, clock: Clock, with_state: bool) -> Output:
+        shapes = _shapes(plan, count, clock.saved_rows, with_state)
+        summary, history, *states, multipliers, reactions, ends = map(np.empty, shapes)
+        return cls(clock, summary, history, tuple(states), multipliers, reactions, ends, {})
 
     @staticmethod
     def size(plan: Plan, count: int, rows: int, with_state: bool) -> int:
         """Bytes of one with so many saved rows, by whole numbers without an end."""
         return 9 * count + 8 * sum(map(math.prod, _shapes(plan, count, rows, with_state)))
 
-    @property
-    def arrays(self) -> tuple[Array, ...]:
+    @cached_property
+    def arrays(self) -> dict[str, Array]:
         """As the driver takes them."""
-        return (self.errors, *self.states, self.multipliers, self.reactions, self.ends)
+        states = {
+            field.name: a for field, a in zip(POSE_AND_TWIST.fields, self.states, strict=True)
+        }
+        names = ("summary", "history", "multipliers", "reactions", "ends")
+        return states | {name: getattr(self, name) for name in names}
 
     @property
     def state(self) -> tuple[Array, ...]:
         """At the end, in memory apart from the history's: [body][component]."""
         return tuple(a[-1].copy() if len(a) > 1 else a[-1] for a in self.states)
 
-    def take(self, chunk: Chunk, grid: Grid) -> None:
-        """Keep a finished chunk's summary."""
-        bodies, found = slice(chunk.start, chunk.stop), chunk.found
-        first = len(SUMMARY_SCALARS)
-        self.scalars[:, bodies] = found[:first]
-        status, failed_step = found[first : first + 2]
-        self.status[bodies] = status
-        self.t[bodies] = grid.time(grid.steps)
-        if (failed := status != OK).any():
-            self.t[bodies][failed] = grid.time(failed_step[failed])
+    @property
+    def kept(self) -> Array:
+        """[KEPT][body]."""
+        return self.summary[: len(KEPT)]
+
+    @cached_property
+    def status(self) -> NDArray[np.int8]:
+        """By body."""
+        codes: NDArray[np.int8] = self.summary[SUMMARY.index("status")].astype(np.int8)
+        return codes
+
+    @cached_property
+    def t(self) -> Array:
+        """Of the end of each trajectory, s: [body]."""
+        t = np.full(len(self.status), self.clock.end)
+        if (failed := self.status != OK).any():
+            t[failed] = time_of(self.clock, self.summary[SUMMARY.index("failed_step"), failed])
+        return t
+
+    def starts(self, first: int, stop: int) -> Array:
+        """1 for each of these bodies that starts on its joint, else 0."""
+        found: Array = self.summary[SUMMARY.index("starts"), first:stop]
+        return found
 
     def hear(self, plan: Plan, chunk: Chunk, is_last: bool) -> None:
         """Take what functions have raised in a call of the driver, and free its memory."""
-        marks = chunk.summary[RAISED_AT_END] if is_last else chunk.carried[MARKS]
+        count = chunk.stop - chunk.start
+        at_end = self.summary[SUMMARY.index("raised"), chunk.start : chunk.stop]
+        marks = at_end if is_last else chunk.carried[MARKS, :count]
         found = np.unique(np.abs(marks)).astype(np.int64).tolist()
         errors = {mark: calls.exception_of(mark) for mark in found if mark > calls.HEARD}
         for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
@@ -331,22 +233,63 @@ class Output:
 
 
 def _shapes(plan: Plan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
-    """Of an Output's arrays of numbers, `scalars` and those after it."""
+    """Of an Output's arrays."""
     states = rows if with_state else 1
     return [
-        (len(SUMMARY_SCALARS), count),
-        (len(error_columns(plan)), rows, count),
-        *((states, count, width) for width in STATE_WIDTHS.values()),
+        (SUMMARY.count, count),
+        (len(history_measures(plan)), rows, count),
+        *((states, count, field.width) for field in POSE_AND_TWIST.fields),
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction, count, 6),
         (len(end_columns(plan)), count),
     ]
 
 
+class Chunk(NamedTuple):
+    """Bodies start … stop, which are integrated together.
+
+    carried : [column][body, padded to full blocks], if it takes more than one call.
+    """
+
+    start: int
+    stop: int
+    carried: Array
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What all calls of the driver have in common.
+
+    spare : memory for what is carried of a chunk, from one to the next.
+    """
+
+    plan: Plan
+    clock: Clock
+    output: Output
+    places: Places
+    threads: int
+
+    @cached_property
+    def inputs(self) -> Array:
+        return np.empty((self.threads, len(self.places), self.plan.lanes))
+
+    def call(self, chunk: Chunk, begin: int, end: int) -> float:
+        """Steps begin … end of a chunk; returns the seconds they took, compilation apart."""
+        arrays = {"places": self.places, "inputs": self.inputs, "carried": chunk.carried}
+        jobs = job_of(arrays | self.output.arrays, chunk.start, chunk.stop, begin, end, self.clock)
+        entry = entry_of(integrate_block, self.plan, self.inputs[0], 0, jobs)
+        loop = (SOURCES, entry, np.zeros(2, dtype=np.int64), self.threads, jobs)
+        run = compiled(integrate_blocks, *loop)
+        with _driver_lock, _thread_mask(self.threads), np.errstate(all="ignore"):
+            began = time.perf_counter()
+            run(*loop)
+            return max(time.perf_counter() - began, 1e-6)
+
+
 def integrate(
     plan: Plan,
     inputs: Inputs,
-    grid: Grid,
+    clock: Clock,
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
@@ -354,70 +297,63 @@ def integrate(
 ) -> Output:
     """Run every body to the end, chunk by chunk.
 
-    check : a function of a chunk's `starts` and the number of its first body; it raises, or says
-        whether it wants to see the next chunk. It sees all of them before the first step, or, where
-        they are but one chunk, after the driver's first call.
+    check : a function of `Output.starts` of a chunk and the number of its first body; it raises, or
+        says whether it wants to see the next chunk. It sees all of them before the first step, or,
+        where they are but one chunk, after the driver's first call.
     """
     check_threads()
+    output = Output.empty(plan, inputs.count, clock, with_state)
     used = _threads(threads, -(-inputs.count // plan.lanes))
-    output = Output.empty(plan, inputs.count, grid, with_state)
-    chunks = _Chunks(inputs, plan.lanes)
-    if check is not None and inputs.count > CHUNK_BODIES:
+    run = _Run(plan, clock, output, inputs.places(plan), used)
+    chunks = list(_chunks(run, inputs.count))
+    if check is not None and len(chunks) > 1:
         for chunk in chunks:
-            _call_driver(plan, chunk, output, grid, UNSEEN, 0, used)
-            if not check(chunk.starts, chunk.start):
+            run.call(chunk, UNSEEN, 0)
+            if not check(output.starts(chunk.start, chunk.stop), chunk.start):
                 break
         check = None
-    with reporter(progress, inputs.count * grid.steps) as report:
+    begin = RESUMED if inputs.state is not None else 0 if check is None else UNSEEN
+    with reporter(progress, inputs.count * clock.steps) as report:
         for chunk in chunks:
-            begin = 0 if check is None else UNSEEN
-            if inputs.state is not None:
-                inputs.put_state(plan, chunk)
-                begin = RESUMED
-            for done in _run_chunk(plan, chunk, grid, output, used, begin):
+            for done in _run_chunk(run, chunk, begin):
                 if check is not None:
-                    check(chunk.starts, chunk.start)
+                    check(output.starts(chunk.start, chunk.stop), chunk.start)
                     check = None
-                report(chunk.start * grid.steps + (chunk.stop - chunk.start) * done)
-    _spare[:] = [chunk.memory]
+                report(chunk.start * clock.steps + (chunk.stop - chunk.start) * done)
     return output
 
 
-class _Chunks:
-    """All bodies, chunk by chunk, as often as asked; one chunk's memory at a time."""
-
-    def __init__(self, inputs: Inputs, lanes: int) -> None:
-        self.inputs, self.lanes = inputs, lanes
-        self.held: Chunk | None = None
-
-    def __iter__(self) -> Iterator[Chunk]:
-        for start in range(0, self.inputs.count, CHUNK_BODIES):
-            if self.held is None or self.held.start != start:
-                self.held = Chunk.of(self.inputs, start, self.lanes, self.held)
-            yield self.held
+def _chunks(run: _Run, count: int) -> Iterator[Chunk]:
+    """As many bodies as one call can take to the end, or CHUNK_BODIES of them."""
+    lanes = run.plan.lanes
+    in_one_call = lanes * int(_pace(run.plan, run.clock.dt).ahead() / run.clock.steps)
+    size = max(CHUNK_BODIES, in_one_call)
+    size = -(-size // lanes) * lanes
+    width = -(-min(size, count) // lanes) * lanes
+    carried = np.empty((CARRIED_COLUMNS, width if in_one_call < min(size, count) else 0))
+    for start in range(0, count, size):
+        yield Chunk(start, min(start + size, count), carried)
 
 
-def _run_chunk(
-    plan: Plan, chunk: Chunk, grid: Grid, output: Output, threads: int, begin: int
-) -> Iterator[int]:
+def _run_chunk(run: _Run, chunk: Chunk, begin: int) -> Iterator[int]:
     """Run a chunk to the end; yields the steps done after each call of the driver.
 
     begin : 0, UNSEEN or RESUMED.
     """
-    done, blocks, pace = 0, chunk.inputs.shape[1] // plan.lanes, _pace(plan, grid.dt)
-    ahead = pace.steps(0.5 * CALL_SECONDS)  # these bodies may be slower than the last ones
-    while done < grid.steps:
-        left = grid.steps - done
-        calls = max(1, round(left * blocks / ahead))
+    plan, steps = run.plan, run.clock.steps
+    done, blocks, pace = 0, -(-(chunk.stop - chunk.start) // plan.lanes), _pace(plan, run.clock.dt)
+    ahead = pace.ahead()
+    while done < steps:
+        left = steps - done
+        calls = max(1, round(left * blocks / ahead)) if chunk.carried.size else 1
         end = done + -(-left // calls)
-        seconds = _call_driver(plan, chunk, output, grid, begin, end, threads)
+        seconds = run.call(chunk, begin, end)
         if plan.calls_functions:
-            output.hear(plan, chunk, is_last=end == grid.steps)
+            run.output.hear(plan, chunk, is_last=end == steps)
         pace.seconds = seconds / ((end - done) * blocks)
         ahead = pace.steps(CALL_SECONDS)
         begin = done = end
         yield done
-    output.take(chunk, grid)
 
 
 @dataclass
@@ -432,29 +368,15 @@ class _Pace:
             return max(FIRST_CALL_BLOCK_STEPS, 1)
         return max(seconds / self.seconds, 1)
 
+    def ahead(self) -> float:
+        """For the first call of a chunk, whose bodies may be slower than the last ones."""
+        return self.steps(0.5 * CALL_SECONDS)
+
 
 @lru_cache(64)
 def _pace(plan: Plan, dt: float) -> _Pace:
     """One for all runs of a plan with steps of dt: the larger a step's angles, the slower it is."""
     return _Pace()
-
-
-def _call_driver(
-    plan: Plan, chunk: Chunk, output: Output, grid: Grid, begin: int, end: int, threads: int
-) -> float:
-    """Steps begin … end of a chunk; returns the seconds that they took, compilation apart."""
-    arguments = (
-        chunk.inputs, chunk.carried, chunk.summary, *output.arrays, chunk.start, begin, end,
-        grid.steps, grid.origin, grid.first_step, grid.dt, grid.measure_every, grid.save_every,
-    )  # fmt: skip
-    entry = entry_of(integrate_block, plan, 0, *arguments)
-    counter = np.zeros(2, dtype=np.int64)
-    loop = (SOURCES, entry, counter, plan.lanes, threads, *arguments)
-    run = compiled(integrate_blocks, *loop)
-    with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
-        began = time.perf_counter()
-        run(*loop)
-        return max(time.perf_counter() - began, 1e-6)
 
 
 def exception_told(plan: Plan, error: Exception) -> str:

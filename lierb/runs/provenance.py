@@ -99,20 +99,12 @@ _problems: WeakKeyDictionary[Problem, str] = WeakKeyDictionary()
 
 
 def _described_problem(problem: Problem) -> dict[str, Any]:
-    joint = problem.joint
     return {
-        "mass": _described(problem.body.mass),
-        "inertia": _described(problem.body.inertia),
-        "com": _described(problem.body.com),
-        "gravity": _described(problem.gravity),
+        **{name: _described(array) for name, array in problem.quantities.items()},
+        "joint": problem.joint.name,
+        "rows": [str(row) for row in problem.rows],
         "forces": [_described_element(force) for force in problem.forces],
         "constraints": [_described_element(added) for added in problem.constraints],
-        "joint": joint.name,
-        "rows": [str(row) for row in problem.rows],
-        "ground_frame": _described(joint.ground_frame),
-        "body_frame": _described(joint.body_frame),
-        "pitch": _described(joint.pitch),
-        "length": _described(joint.length),
     }
 
 

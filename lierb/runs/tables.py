@@ -7,7 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from lierb.kernels.stepping.driver import error_columns
+from lierb.kernels.stepping.clock import time_of
+from lierb.kernels.stepping.driver import history_measures
+from lierb.kernels.stepping.layout import POSE_AND_TWIST
+from lierb.kernels.stepping.measures import KEPT, MEASURES
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
 from lierb.runs import engine
@@ -17,17 +20,12 @@ from lierb.user_elements import Force
 
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
-SUMMARY_ORDER = (
-    "position_error_max", "position_error_final", "rotation_error_max", "rotation_error_final",
-    "velocity_error_max", "rotation_rate_error_max", "energy_drift_max", "work_final",
-    "orthogonality_error_max",
-)  # fmt: skip
 UNITS = {
-    "t": "s", "position_error": "m", "rotation_error": "1", "velocity_error": "m/s",
-    "rotation_rate_error": "rad/s", "energy_drift": "J", "orthogonality_error": "1",
-    "energy": "J", "work": "J", "rotation": "1", "position": "m", "omega": "rad/s", "v": "m/s",
+    "t": "s",
+    **{measure.name: measure.unit for measure in MEASURES},
+    **{field.name: field.unit for field in POSE_AND_TWIST.fields},
     "reaction": "N m, N m, N m, N, N, N",
-}  # fmt: skip
+}
 
 _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
 
@@ -96,7 +94,7 @@ def size_of_tables(plan: Plan, count: int, rows: int, recorded: tuple[str, ...])
     rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by.
     """
     with_state = "state" in recorded
-    copied = sum(engine.STATE_WIDTHS.values()) if with_state and rows > 1 else 0  # of the end
+    copied = POSE_AND_TWIST.count if with_state and rows > 1 else 0  # of the end
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
@@ -104,14 +102,15 @@ def size_of_tables(plan: Plan, count: int, rows: int, recorded: tuple[str, ...])
 
 def summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Table:
     """One row per trajectory.   covers : see `covers_of`."""
-    scalars = dict(zip(engine.SUMMARY_SCALARS, each_row(output.scalars), strict=True))
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
         "t": numbers(output.t),
     }
-    columns |= {name: scalars[name] for name in SUMMARY_ORDER}
-    columns |= {name: vectors(a) for name, a in zip(engine.STATE_WIDTHS, output.state, strict=True)}
+    for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
+        columns[f"{measure.name}_{how}"] = column
+    for field, array in zip(POSE_AND_TWIST.fields, output.state, strict=True):
+        columns[field.name] = vectors(array)
     table = _table(columns, metadata, covers)
     for what in output.raised.values():
         told = {RAISED_KEY: what.encode(errors="backslashreplace")}
@@ -121,29 +120,27 @@ def summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Ta
 
 def history_table(
     output: engine.Output,
-    grid: engine.Grid,
     recorded: tuple[str, ...],
     plan: Plan,
     metadata: str,
     covers: Covers,
 ) -> pa.Table:
     """One row per saved time and trajectory, time-major."""
-    saved = grid.saved_steps()
-    count = output.errors.shape[2]
+    clock, count = output.clock, len(output.status)
+    saved = clock.saved_steps()
     columns = {
         "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
         "step": numbers(np.repeat(saved, count)),
-        "t": numbers(np.repeat(grid.time(saved), count)),
+        "t": numbers(np.repeat(time_of(clock, saved), count)),
     }
-    scalars = dict(zip(error_columns(plan), each_row(output.errors), strict=True))
-    energy, work = scalars.pop("energy"), scalars.pop("work", None)
-    columns |= scalars
+    found = dict(zip(history_measures(plan), each_row(output.history), strict=True))
+    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
     if "state" in recorded:
-        for name, array in zip(engine.STATE_WIDTHS, output.states, strict=True):
-            columns[name] = vectors(array)
-    if "energy" in recorded:
-        columns["energy"] = energy
-        columns["work"] = _no_work(energy) if work is None else work
+        for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
+            columns[field.name] = vectors(array)
+    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
+    if "energy" in recorded and not plan.does_work:
+        columns["work"] = _no_work(columns["energy"])
     units = ""
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = vectors(output.multipliers)

@@ -1,28 +1,28 @@
 """The compiled driver: blocks of L bodies, in parallel, from one step number to another.
 
-Arrays are C-contiguous float64. `inputs`, `carried` and `summary` are [column][body], with the
-bodies padded to a multiple of L; histories are [column][time][body] or [time][body][component],
-unpadded, and become Arrow columns as they are. Between two calls everything about a body lives in
-`carried`: cutting a run into calls changes no bit. At the end the state itself goes to `ends`, for
-a run that goes on from there: it changes no bit either.
+Numbers are read where the user has them, and results written where Arrow's columns will be (`Job`).
+Between two calls everything about a trajectory lives in `carried`: cutting a run into calls changes
+no bit. At the end the state itself goes to `ends`, for a run that goes on from there: it changes no
+bit either.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from itertools import accumulate, pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
-from numba import njit, prange
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
 
 from lierb.compiler import calls
-from lierb.compiler.code import OPTIONS, cached
+from lierb.compiler.code import cached
 from lierb.compiler.entries import call, raise_again, take_turn
+from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
 from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.coefficients import TINY, angles_taken_for_tiny
-from lierb.kernels.mechanics.elements import Applied, Element, body_with, parameter_count
-from lierb.kernels.mechanics.measures import Measures, measure
+from lierb.kernels.mechanics.elements import Element, body_with
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -31,16 +31,7 @@ from lierb.kernels.mechanics.newton_euler import (
     about_a_point,
     closed_pose,
 )
-from lierb.kernels.mechanics.saddle import has_others
 from lierb.kernels.mechanics.scale import bearings, start_tolerances
-from lierb.kernels.mechanics.subgroup import (
-    in_subalgebra,
-    inverse,
-    momentum_of,
-    on_subgroup,
-    projected,
-    reduced_inertia,
-)
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
@@ -59,7 +50,6 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     ZERO3,
-    ZERO6,
     Mat,
     Vec,
     diagonal,
@@ -68,86 +58,108 @@ from lierb.kernels.numbers.vec import (
     mat_vec_add,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, time_of
+from lierb.kernels.stepping.formulations import LARGEST, accelerate
+from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, STATE, inputs_of
+from lierb.kernels.stepping.measures import (
+    KEPT,
+    MEASURES,
+    MUST_BE_FINITE,
+    SUMMARY,
+    Measure,
+    measured,
+)
 from lierb.kernels.stepping.plan import Plan
 from lierb.kernels.stepping.stepper import (
-    TIDY_EVERY,
     State,
-    accelerate,
     chart_of,
-    kinetic_energy_of,
     pose_of,
     step,
+    structured,
     tidied,
     velocity_of,
 )
 
-# ---- columns -----------------------------------------------------------------------------------
-
-INPUT_WIDTHS = {
-    "mass": 1, "inertia": 9, "com": 3, "gravity": 3, "ground_frame": 12, "body_frame": 12,
-    "pitch": 1, "length": 1, "pose": 12, "twist": 6,
-}  # fmt: skip
-_ENDS = tuple(accumulate(INPUT_WIDTHS.values(), initial=0))
-INPUT_SLICES = {
-    name: slice(*ends) for name, ends in zip(INPUT_WIDTHS, pairwise(_ENDS), strict=True)
-}
-INPUT_COLUMNS = _ENDS[-1]
-
-
-def input_columns(elements: tuple[Element, ...]) -> int:
-    """All of them: those that every problem has, and then the elements' parameters."""
-    return INPUT_COLUMNS + parameter_count(elements)
-
-
 OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
-
-X, V_OR_MU, WORK = slice(12, 18), slice(18, 24), 24  # columns of a carried state; before X, C₀
-STATE_COLUMNS = 25
-# As `store_summary` says; what functions have raised at last; whether the start is on the joint.
-RAISED_AT_END, STARTS = 11, 12
-SUMMARY_COLUMNS = STARTS + 1
-SETTLED = 16 * 2.0**-52  # of a twist: what turning it to joint axes may leave
-# In place of step 0: for a start that is to be looked at, and for one that goes on from `carried`.
+# In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
 UNSEEN, RESUMED = -1, -2
-ERROR_COLUMNS = (
-    "position_error", "rotation_error", "velocity_error", "rotation_rate_error", "energy_drift",
-    "orthogonality_error", "energy",
-)  # fmt: skip
+NAN = float("nan")
 
 
-def error_columns(plan: Plan) -> tuple[str, ...]:
-    """Scalar columns of a history: `work` where something does any."""
-    return (*ERROR_COLUMNS, "work") if plan.does_work else ERROR_COLUMNS
+ARRAYS = {
+    "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
+    "inputs": "[thread][column][lane], where each thread brings a block's numbers together",
+    "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
+    "summary": "[SUMMARY][trajectory]",
+    "history": "[`history_measures`][time][trajectory]",
+    **dict.fromkeys(
+        (field.name for field in POSE_AND_TWIST.fields),
+        "[time, or the last one alone][trajectory][component]",
+    ),
+    "multipliers": "[time][trajectory][component]",
+    "reactions": "[time][trajectory][component]",
+    "ends": "[`end_columns`][trajectory]",
+}
+JOB = np.dtype(
+    [
+        *((name, np.int64, (4,)) for name in ARRAYS),  # address and extents
+        ("first", np.int64),  # trajectory of the chunk
+        ("stop", np.int64),  # the one after its last
+        ("begin", np.int64),  # step of this call
+        ("end", np.int64),  # 0: to look at the start alone
+        *get_type_hints(Clock).items(),
+    ]
+)
+"""What the loops over blocks and steps work on: arrays, float64 and C-contiguous but for one,
+sizes, and the clock. In one record, of which nothing but its address goes through calls."""
+
+
+def job_of(
+    arrays: dict[str, NDArray], first: int, stop: int, begin: int, end: int, clock: Clock
+) -> NDArray:
+    """The record, as an array of one; whoever calls keeps the arrays."""
+    job = np.ones(1, dtype=JOB)
+    for name in ARRAYS:
+        place, array = job[name][0], arrays[name]
+        place[0], place[1 : 1 + array.ndim] = array.ctypes.data, array.shape
+    for name, value in {
+        "first": first, "stop": stop, "begin": begin, "end": end, **clock._asdict(),
+    }.items():  # fmt: skip
+        job[name] = value
+    return job
+
+
+@lru_cache(64)
+def history_measures(plan: Plan) -> tuple[Measure, ...]:
+    """Those of a history: `work` where something does any."""
+    return tuple(m for m in MEASURES if m.name != "work" or plan.does_work)
 
 
 class Record(NamedTuple):
-    """What a run remembers of a body; squares as in `Measures`."""
+    """What a run remembers of a body."""
 
-    position: Any
-    rotation: Any
-    velocity: Any
-    rotation_rate: Any
-    orthogonality: Any
-    energy_drift: Any
-    last_position: Any
-    last_rotation: Any
+    kept: tuple[Any, ...]  # of KEPT; squares where a measure is one
     first_energy: Any
     status: Any
     failed_step: Any
     dropped: Any  # at the start; see `BodyConstants`
 
 
-MARKS = STATE_COLUMNS + len(Record._fields)  # what a function has raised, if the plan calls any
+MARKS = STATE.count + len(KEPT) + len(Record._fields) - 1  # column of what functions have raised
 CARRIED_COLUMNS = MARKS + 1
-LARGEST = 1.7976931348623157e308
-NAN = float("nan")
 
 
 # ---- formulas on one block ---------------------------------------------------------------------
 
 
-def _columns(plan: Plan, array: Any, count: int, first: Any) -> list[Any]:
-    return [load(array, (c, first), plan.lanes) for c in range(count)]
+def _columns(plan: Plan, array: Any, columns: range, first: Any) -> list[Any]:
+    return [load(array, (c, first), plan.lanes) for c in columns]
+
+
+def _inputs(plan: Plan, inputs: Any, count: int | None = None) -> list[Any]:
+    """The first `count` numbers, or all but a state to go on from."""
+    many = inputs_of(plan.elements)["state"].start if count is None else count
+    return _columns(plan, inputs, range(many), 0)
 
 
 def parameters_of(
@@ -159,7 +171,7 @@ def parameters_of(
 
     turn, shift : of the joint's axes on the body, and of its point, along them.
     """
-    parts = {name: tuple(numbers[columns]) for name, columns in INPUT_SLICES.items()}
+    parts = INPUTS.parts(numbers)
     parameters = Parameters(
         mass=parts["mass"][0],
         inertia=parts["inertia"],
@@ -194,11 +206,11 @@ def body_of(
 ) -> BodyConstants:
     """The body, with its elements, from the numbers of all input columns."""
     parameters, _, _ = parameters_of(numbers, turn, shift)
-    return body_with(space, parameters, elements, numbers[INPUT_COLUMNS:])
+    return body_with(space, parameters, elements, numbers[INPUTS.count :])
 
 
-def load_body(plan: Plan, inputs: Any, first: Any) -> BodyConstants:
-    numbers = _columns(plan, inputs, input_columns(plan.elements), first)
+def load_body(plan: Plan, inputs: Any) -> BodyConstants:
+    numbers = _inputs(plan, inputs)
     body = body_of(plan.space, plan.elements, numbers)
     if plan.turns_about_a_point:
         turn, centre, moments, differences = about_a_point(body)
@@ -207,86 +219,61 @@ def load_body(plan: Plan, inputs: Any, first: Any) -> BodyConstants:
         body = plan.space.centred(turned, centre)._replace(
             turn=turn, origin_inertia=diagonal(moments), moments=moments, differences=differences
         )
-    if plan.slides_as_it_turns:
+    if plan.formulation.slides_as_it_turns:
         shift = (*body.com[:2], ZERO)
         moved = body_of(plan.space, plan.elements, numbers, shift=shift)
         body = plan.space.centred(moved, (ZERO, ZERO, body.com[2]))._replace(shift=shift)
-    if plan.slots is None:
-        return body
-    return body._replace(gain=inverse(reduced_inertia(plan.slots, body)))
+    return plan.formulation.prepared(body)
 
 
-def _start(plan: Plan, body: BodyConstants, inputs: Any, first: Any) -> tuple[Parameters, Any, Any]:
+def _start(plan: Plan, body: BodyConstants, inputs: Any) -> tuple[Parameters, Any, Any]:
     """Parameters in the body's own joint axes; pose and twist as given."""
-    return parameters_of(_columns(plan, inputs, INPUT_COLUMNS, first), body.turn, body.shift)
+    return parameters_of(_inputs(plan, inputs, INPUTS.count), body.turn, body.shift)
 
 
-def initial_state(plan: Plan, body: BodyConstants, inputs: Any, first: Any) -> State:
-    parameters, pose, twist = _start(plan, BodyConstants(*body), inputs, first)
+def initial_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
+    body = BodyConstants(*body)
+    parameters, pose, twist = _start(plan, body, inputs)
     placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    chart, still = quaternion.from_pose(placed), tuple(0.0 * v for v in velocity)
-    none = 0.0 * parameters.mass
-    if plan.slots is None:
-        velocity = _settled(plan, parameters, twist, velocity)
-        p, d = chart
-        chart = tuple(x + 0.0 for x in p), tuple(x + 0.0 for x in d)  # no −0
-        return _structured(plan, State(chart, still, velocity, none), parameters.pitch)
-    velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
-    momentum = momentum_of(plan.slots, BodyConstants(*body), velocity)
-    start = _structured(plan, State(chart, still, momentum, none), parameters.pitch)
-    return tidied(plan, BodyConstants(*body), start)
-
-
-def _settled(plan: Plan, parameters: Parameters, twist: Any, velocity: Any) -> Any:
-    """V, where the components that rows keep `still` are rounding of the twist: zero there."""
-    turning, moving, reach = (
-        sum(map(absolute, part)) for part in (twist[:3], twist[3:], parameters.body[1])
+    chart, v_or_mu = plan.formulation.start(
+        body, parameters, twist, quaternion.from_pose(placed), velocity
     )
-    sizes = (turning,) * 3 + (moving + turning * reach,) * 3
-    settled = []
-    for i, (v, size) in enumerate(zip(velocity, sizes, strict=True)):
-        is_rounding = (absolute(v) <= SETTLED * size) & (size <= LARGEST)
-        settled.append((where(is_rounding, 0.0, v) if i in plan.still else v) + 0.0)
-    return tuple(settled)
-
-
-def _structured(plan: Plan, state: State, pitch: Any) -> State:
-    """The state with the structural zeros of its plan."""
-    chart, x, v_or_mu, work = state
-    if plan.slots is not None:
-        x = in_subalgebra(plan.slots, x, pitch)
-        v_or_mu = projected(plan.slots, v_or_mu, pitch)
-        chart = on_subgroup(plan.slots, chart)
-    return State(chart, ZERO6 if plan.is_local else x, v_or_mu, work if plan.does_work else ZERO)
+    still = tuple(0.0 * v for v in velocity)
+    return structured(plan, State(chart, still, v_or_mu, 0.0 * parameters.mass), parameters.pitch)
 
 
 def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
-    """Maxima so far: nothing, as numbers of the state's own type."""
+    """Nothing kept so far, as numbers of the state's own type."""
     body, state = BodyConstants(*body), State(*state)
-    nothing = 0.0 * body.mass
-    start = _measured(plan, body, state, nothing)  # no constant: 1 / t of a motor is inf, no error
-    dropped: Any = nothing
-    if plan.slots is None and has_others(plan.rows):
-        # No force makes rows depend on others.
-        chart, still = chart_of(plan, state), Applied(ZERO6, ZERO)
-        dropped = dropped + accelerate(plan, body, chart, state.v_or_mu, applied=still).dropped
+    nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
+    energy = _observed(plan, body, state, nothing)["energy"]
+    dropped = plan.formulation.dropped(body, chart_of(plan, state), state.v_or_mu)
     if plan.calls_functions:
         calls.set_marks(nothing + float(calls.CLEAR))
-    return Record(*(nothing,) * 8, start.energy, nothing, nothing, dropped)
+    return Record((nothing,) * len(KEPT), energy, nothing, nothing, nothing + dropped)
+
+
+def resumed_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
+    """The one that a run goes on from."""
+    at = inputs_of(plan.elements)["state"]
+    numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
+    return _state_of(plan, numbers, BodyConstants(*body).pitch)
 
 
 def load_state(plan: Plan, body: BodyConstants, carried: Any, first: Any) -> State:
-    numbers = _columns(plan, carried, STATE_COLUMNS, first)
-    return _state_of(plan, tuple(numbers), BodyConstants(*body).pitch)
+    numbers = _columns(plan, carried, range(STATE.count), first)
+    return _state_of(plan, numbers, BodyConstants(*body).pitch)
 
 
-def _state_of(plan: Plan, numbers: tuple[Any, ...], pitch: Any) -> State:
-    state = State((numbers[:4], numbers[4:7]), numbers[X], numbers[V_OR_MU], numbers[WORK])
-    return _structured(plan, state, pitch)
+def _state_of(plan: Plan, numbers: Any, pitch: Any) -> State:
+    found = STATE.parts(numbers)
+    state = State((found["p"], found["d"]), found["x"], found["v_or_mu"], *found["work"])
+    return structured(plan, state, pitch)
 
 
 def load_record(plan: Plan, carried: Any, first: Any) -> Record:
-    record = Record(*_columns(plan, carried, MARKS, first)[STATE_COLUMNS:])
+    numbers = _columns(plan, carried, range(STATE.count, MARKS), first)
+    record = Record(tuple(numbers[: len(KEPT)]), *numbers[len(KEPT) :])
     if plan.calls_functions:
         before = load(carried, (MARKS, first), plan.lanes)
         pending = where(before > calls.SILENT, float(calls.HEARD), float(calls.CLEAR))
@@ -295,36 +282,33 @@ def load_record(plan: Plan, carried: Any, first: Any) -> Record:
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    numbers = (*record, *_raised_in_call(plan, Record(*record)))
-    for c, number in (*_placed(state), *enumerate(numbers, STATE_COLUMNS)):
+    record = Record(*record)
+    numbers = (*_numbers_of(state), *record.kept, *record[1:], *_raised_in_call(plan, record))
+    for c, number in enumerate(numbers):
         store(carried, (c, first), number, plan.lanes)
 
 
-def _placed(state: State) -> list[tuple[int, Any]]:
-    """A state's numbers, each with its column."""
+def _numbers_of(state: State) -> tuple[Any, ...]:
+    """In the order of STATE."""
     chart, x, v_or_mu, work = state
-    return [
-        *enumerate(chart[0] + chart[1]), *enumerate(x, X.start), *enumerate(v_or_mu, V_OR_MU.start),
-        (WORK, work),
-    ]  # fmt: skip
+    return (*chart[0], *chart[1], *x, *v_or_mu, work)
 
 
-def store_end(plan: Plan, state: State, ends: Any, first: Any) -> None:
-    """What `end_columns` names, [column][body]."""
-    numbers = [number for _, number in _going_on(state)]
-    places = [(c, first) for c in range(len(numbers))]
-    scatter(ends, 1, places, numbers, plan.lanes)
-
-
-def _going_on(state: State) -> list[tuple[int, Any]]:
-    """Of a state's numbers those with which a run goes on: W counts from its own start."""
-    return [(c, number) for c, number in _placed(state) if c != WORK and not is_zero(number)]
+def store_end(plan: Plan, state: State, ends: Any, column: Any) -> None:
+    numbers = _numbers_of(state)
+    going_on = [numbers[c] for c in end_columns(plan)]
+    places = [(c, column) for c in range(len(going_on))]
+    scatter(ends, 1, places, going_on, plan.lanes)
 
 
 @lru_cache(64)
 def end_columns(plan: Plan) -> tuple[int, ...]:
-    """The columns of a carried state that are kept at the end: those that its plan has."""
-    return tuple(c for c, _ in _going_on(_state_of(plan, (1.0,) * STATE_COLUMNS, 1.0)))
+    """Of STATE those that are kept at the end: what the plan has, but W, which counts from the
+    start of its own run.
+    """
+    numbers = _numbers_of(_state_of(plan, (1.0,) * STATE.count, 1.0))
+    work = STATE.index("work")
+    return tuple(c for c, number in enumerate(numbers) if c != work and not is_zero(number))
 
 
 def advance(
@@ -341,9 +325,10 @@ def advance_still(
     plan: Plan, body: BodyConstants, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
     """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
-    if not plan.still:
+    still = plan.formulation.still
+    if not still:
         return State(*state), Record(*record)  # never
-    return _advanced(plan, body, state, record, k, time, h, plan.still)
+    return _advanced(plan, body, state, record, k, time, h, still)
 
 
 def _advanced(
@@ -434,14 +419,14 @@ def _are_finite(*numbers: Any) -> Any:
 
 def has_still(plan: Plan, h: Any) -> Any:
     """Whether the plan's rows keep anything `still`."""
-    return all_lanes(h == h if plan.still else h < h)
+    return all_lanes(h == h if plan.formulation.still else h < h)
 
 
 def is_still(plan: Plan, state: State, h: Any) -> Any:
     """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
     velocity = State(*state).v_or_mu
     still = h == h
-    for i in plan.still:
+    for i in plan.formulation.still:
         still = still & (velocity[i] == 0.0)
     return all_lanes(still)
 
@@ -466,7 +451,7 @@ def advance_gently(
     if not plan.takes_gentle_steps:
         return State(*state), all_lanes(h < h)  # never
     with angles_taken_for_tiny() as conditions:
-        moved, singular = _stepped(plan, body, state, time, h, plan.still)
+        moved, singular = _stepped(plan, body, state, time, h, plan.formulation.still)
     fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
@@ -474,84 +459,71 @@ def advance_gently(
 
 
 def tidy(plan: Plan, body: BodyConstants, state: State) -> State:
-    return tidied(plan, BodyConstants(*body), State(*state))
+    state = State(*state)
+    return state._replace(chart=tidied(plan, BodyConstants(*body), state.chart))
 
 
-def _measured(plan: Plan, body: BodyConstants, state: State, time: Any) -> Measures:
+def _observed(
+    plan: Plan, body: BodyConstants, state: State, time: Any, first_energy: Any = ZERO
+) -> dict[str, Any]:
+    """Every measure, by name."""
     pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
-    kinetic_energy = kinetic_energy_of(plan, body, state)
-    return measure(plan, body, pose, velocity, kinetic_energy, state.work, time)
-
-
-def _drift(record: Record, now: Measures) -> Any:
-    """E(t) − E(0) − W(t)."""
-    return now.energy - record.first_energy - now.work
+    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
+    return measured(plan, body, pose, velocity, kinetic_energy, state.work, time, first_energy)
 
 
 def observe(
     plan: Plan, body: BodyConstants, state: State, record: Record, k: Any, time: Any
-) -> tuple[Measures, Record]:
-    """The measures at step k, and the record with its maxima raised to them.
+) -> tuple[tuple[Any, ...], Record]:
+    """The measures of a history at step k, and the record with what is kept of all of them.
 
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    record, state = Record(*record), State(*state)
-    now = _measured(plan, BodyConstants(*body), state, time)
-    *squares, _, _ = now
-    drift = absolute(_drift(record, now))  # which energy and work make infinite, if they are
-    fine, so_far = _are_finite(*squares, drift), (record.status, record.failed_step)
+    record = Record(*record)
+    now = _observed(plan, BodyConstants(*body), State(*state), time, record.first_energy)
+    sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
+    fine = _are_finite(*(sizes[name] for name in MUST_BE_FINITE))
+    so_far = (record.status, record.failed_step)
     alive = (record.status == OK) & fine
-
-    def raised(old: Any, new: Any) -> Any:
-        return old if is_zero(new) else where(alive, maximum(old, new), old)
 
     def marked() -> Any:
         fresh = where(record.status == OK, (float(NON_FINITE), real(k)), so_far)
         return where(fine, so_far, fresh)
 
     status, failed_step = branch(all_lanes(fine), lambda: so_far, marked)
-    return now, record._replace(
-        position=raised(record.position, now.position),
-        rotation=raised(record.rotation, now.rotation),
-        velocity=raised(record.velocity, now.velocity),
-        rotation_rate=raised(record.rotation_rate, now.rotation_rate),
-        orthogonality=raised(record.orthogonality, now.orthogonality),
-        energy_drift=raised(record.energy_drift, drift),
-        last_position=where(alive, now.position, NAN),
-        last_rotation=where(alive, now.rotation, NAN),
-        status=status,
-        failed_step=failed_step,
-    )
+    kept = []
+    for (measure, how), old in zip(KEPT, record.kept, strict=True):
+        size = sizes[measure.name]
+        if how == "final":
+            kept.append(where(alive, plain(now[measure.name]), NAN))
+        else:
+            kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
+    shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
+    return shown, record._replace(kept=tuple(kept), status=status, failed_step=failed_step)
 
 
-def store_errors(
-    plan: Plan, record: Record, now: Measures, errors: Any, row: Any, first: Any
+def store_measures(
+    plan: Plan, record: Record, shown: tuple[Any, ...], history: Any, row: Any, first: Any
 ) -> None:
-    """One row of the history's scalar columns, in the order of `error_columns`.
+    """One row of the history's scalar columns.
 
     The next row is far from this one, where no hardware looks for it: fetched now, it is at hand
     when the steps to it are made. Otherwise its cache misses take as long as four steps.
     """
-    record, now = Record(*record), Measures(*now)
-    alive = record.status == OK
-    numbers = (
-        sqrt(now.position), sqrt(now.rotation), sqrt(now.velocity), sqrt(now.rotation_rate),
-        _drift(record, now), sqrt(now.orthogonality), now.energy,
-        *((now.work,) if plan.does_work else ()),
-    )  # fmt: skip
-    places = [(c, row, first) for c in range(len(numbers))]
-    scatter(errors, 2, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
-    for c in range(len(numbers)):
-        prefetch(errors, (c, row + 1, first), plan.lanes)
+    places = [(c, row, first) for c in range(len(shown))]
+    alive = Record(*record).status == OK
+    scatter(history, 2, places, where(alive, tuple(shown), (NAN,) * len(shown)), plan.lanes)
+    for c in range(len(shown)):
+        prefetch(history, (c, row + 1, first), plan.lanes)
 
 
 def user_state(
-    plan: Plan, body: BodyConstants, inputs: Any, state: State, record: Record, first: Any
+    plan: Plan, body: BodyConstants, inputs: Any, state: State, record: Record
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
     body, state = BodyConstants(*body), State(*state)
-    parameters, _, _ = _start(plan, body, inputs, first)
+    parameters, _, _ = _start(plan, body, inputs)
     velocity = velocity_of(plan, body, state)
     pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
     return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
@@ -565,14 +537,11 @@ def store_state(
     record: Record,
     states: Any,
     row: Any,
-    first: Any,
     column: Any,
 ) -> None:
     """One row of the states: R, r, ω and v, each [time][body][component]."""
-    numbers = user_state(plan, body, inputs, state, record, first)
-    for array, part in zip(
-        states, (numbers[:9], numbers[9:12], numbers[12:15], numbers[15:]), strict=True
-    ):
+    numbers = user_state(plan, body, inputs, state, record)
+    for array, part in zip(states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
         scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
         prefetch(array, (row + 1, column, 0), plan.lanes * len(part))
 
@@ -605,45 +574,40 @@ def store_forces(
             prefetch(array, (row + 1, first, 0), plan.lanes * len(numbers))
 
 
-def store_summary(plan: Plan, state: State, record: Record, summary: Any, first: Any) -> None:
-    """Maxima, final errors, W, status and the step of a failure."""
+def store_summary(plan: Plan, record: Record, summary: Any, column: Any) -> None:
+    """What is kept of the measures, status and the step of a failure."""
     r = Record(*record)
-    work = where(r.status == OK, plain(State(*state).work), NAN)
-    numbers = (
-        sqrt(r.position), sqrt(r.rotation), sqrt(r.velocity), sqrt(r.rotation_rate),
-        sqrt(r.orthogonality), r.energy_drift, sqrt(r.last_position), sqrt(r.last_rotation), work,
-        r.status, r.failed_step,
-    )  # fmt: skip
-    for c, number in enumerate(numbers):
-        store(summary, (c, first), number, plan.lanes)
-    for number in _raised_in_call(plan, r):
-        store(summary, (RAISED_AT_END, first), number, plan.lanes)
+    kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
+    numbers = (*kept, r.status, r.failed_step, *_raised_in_call(plan, r))
+    scatter(summary, 1, [(c, column) for c in range(len(numbers))], numbers, plan.lanes)
 
 
-def store_start(plan: Plan, inputs: Any, summary: Any, first: Any, time: Any) -> None:
-    """1 where the start, as given, is on the joint, and 0 elsewhere.
+def store_start(plan: Plan, inputs: Any, summary: Any, column: Any, time: Any) -> None:
+    """Whether the start, as given, is on the joint.
 
     time : s, of the start.
     """
-    numbers = _columns(plan, inputs, input_columns(plan.elements), first)
+    numbers = _inputs(plan, inputs)
     parameters, pose, twist = parameters_of(numbers)
     chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     body = body_of(plan.space, plan.elements, numbers)
     x = plan.space.kinematics(body, chart, velocity)._replace(time=time)
-    off = measure(plan, body, chart, velocity, ZERO, ZERO, time)
+    off = measured(plan, body, chart, velocity, ZERO, ZERO, time)
     allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
     fine = allowed.position <= LARGEST  # false for NaN
-    for square, most in zip(off, allowed):  # energy and orthogonality are not looked at
-        fine = fine & (sqrt(square) <= most) & (most <= LARGEST)
+    for name, most in allowed._asdict().items():
+        fine = fine & (sqrt(off[f"{name}_error"]) <= most) & (most <= LARGEST)
     for bearing in bearings(plan.rows, chart[0]):
         fine = fine & (bearing > 0.0)
-    store(summary, (STARTS, first), where(fine, 1.0, 0.0), plan.lanes)
+    place = (SUMMARY.index("starts"), column)
+    scatter(summary, 1, [place], [where(fine, 1.0, 0.0)], plan.lanes)
 
 
 for _formula in (
-    load_body, initial_state, initial_record, load_state, load_record, store_carried, advance,
-    advance_still, has_still, is_still, is_gentle, advance_gently, tidy, observe,
-    store_errors, store_state, store_forces, store_summary, store_start, store_end, heard,
+    load_body, initial_state, initial_record, resumed_state, load_state, load_record,
+    store_carried, advance, advance_still, has_still, is_still, is_gentle, advance_gently, tidy,
+    observe, store_measures, store_state, store_forces, store_summary, store_start, store_end,
+    heard,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -651,118 +615,123 @@ for _formula in (
 # ---- the loop over steps and the loop over blocks ------------------------------------------------
 
 
-@njit(**OPTIONS)
-def _until(k: int, every: int, end: int) -> int:
-    """Steps from k to the next multiple of `every`, or to the end."""
-    return min(every - k % every, end - k)
-
-
 @cached()
-def integrate_block(
-    plan, first, inputs, carried, summary, errors, rotations, places, omegas, velocities,
-    multipliers, reactions, ends, offset, begin, stop, last, origin, first_step, h, measure_every,
-    save_every,
-):  # fmt: skip
-    """Steps begin … stop of the block that starts at `first` (`offset` + `first` in histories).
+def integrate_block(plan, inputs, first, jobs):
+    """A call's steps of the block that starts with the chunk's trajectory `first`.
 
-    `last` is the run's last step. With begin = UNSEEN the start is looked at first; with stop = 0
-    that is all. With begin = RESUMED the state to start from is carried. States (rotations …
-    velocities) have a row for every saved step, or for the last one only.
-
-    Step k is at origin + h·(first_step + k): a run that goes on from another one counts on, and so
-    has its times, and its rounding tidied, as if there had been no break.
+    With begin = UNSEEN the start is looked at first. With begin = RESUMED the state to start from
+    is one of the inputs.
     """
-    resumes = begin == RESUMED
-    if begin == UNSEEN:
-        store_start(plan, inputs, summary, first, origin + h * first_step)
-    begin = max(begin, 0)
+    job = jobs[0]
+    # Apart from the record: what a loop reads from memory might have been written there.
+    clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
+    column, summary = job.first + first, numbers_at(job.summary)
+    last, stop = clock.steps, job.end
+    if job.begin == UNSEEN:
+        store_start(plan, inputs, summary, column, time_of(clock, 0))
     if stop == 0:
         return
-    body = load_body(plan, inputs, first)
-    if begin > 0 or resumes:
+    carried, history = numbers_at(job.carried), histories_at(job.history)
+    states = (
+        histories_at(job.rotation),
+        histories_at(job.position),
+        histories_at(job.omega),
+        histories_at(job.v),
+    )
+    multipliers, reactions = histories_at(job.multipliers), histories_at(job.reactions)
+    resumes, k, h = job.begin == RESUMED, max(job.begin, 0), clock.dt
+    body = load_body(plan, inputs)
+    if resumes:
+        state = resumed_state(plan, body, inputs)
+    elif k > 0:
         state = load_state(plan, body, carried, first)
     else:
-        state = initial_state(plan, body, inputs, first)
-    if begin > 0:
+        state = initial_state(plan, body, inputs)
+    if k > 0:
         record = load_record(plan, carried, first)
     else:
         record = initial_record(plan, body, state)
-    column = offset + first
     still = is_still(plan, state, h)
-    k = begin
-    fresh = begin == 0
+    fresh = k == 0
     while True:
-        time = origin + h * (first_step + k)
-        save = save_every > 0 and (k % save_every == 0 or k == last)
-        if fresh and (save or k % measure_every == 0 or k == last):
-            now, seen = observe(plan, body, state, record, k, time)
-            if k % measure_every == 0 or k == last:
+        time = time_of(clock, k)
+        measure, save, row = seen_at(clock, k)
+        if fresh and (measure or save):
+            shown, seen = observe(plan, body, state, record, k, time)
+            if measure:
                 record = seen
             if save:
-                row = (k + save_every - 1) // save_every
-                store_errors(plan, record, now, errors, row, column)
+                store_measures(plan, record, shown, history, row, column)
                 store_forces(plan, body, state, record, multipliers, reactions, row, column, time)
                 if k == last:  # before, the next step fails
                     record = heard(plan, record, k)
-            if k == last or (save and rotations.shape[0] > 1):
-                row = rotations.shape[0] - 1 if k == last else k // save_every
-                states = (rotations, places, omegas, velocities)
-                store_state(plan, body, inputs, state, record, states, row, first, column)
+            if k == last or (save and states[0].shape[0] > 1):
+                row = states[0].shape[0] - 1 if k == last else row
+                store_state(plan, body, inputs, state, record, states, row, column)
         if k >= stop:
             break
-        counted = first_step + k
         # After the measures: they see what rounding did.
-        if counted % TIDY_EVERY == 0 and (k > 0 or resumes):
+        end, tidies = ahead_of(clock, k, stop)
+        if tidies and (k > 0 or resumes):
             state = tidy(plan, body, state)
-        ahead = min(_until(k, measure_every, stop), _until(counted, TIDY_EVERY, first_step + stop))
-        if save_every > 0:
-            ahead = min(ahead, _until(k, save_every, stop))
-        end = k + ahead
         if still and is_gentle(plan, body, state, record, h):
             while k < end:
-                moved, fine = advance_gently(plan, body, state, origin + h * (first_step + k), h)
+                moved, fine = advance_gently(plan, body, state, time_of(clock, k), h)
                 if not fine:
                     break
                 state = moved
                 k += 1
         if still and has_still(plan, h):
             while k < end:
-                time = origin + h * (first_step + k)
+                time = time_of(clock, k)
                 k += 1
                 state, record = advance_still(plan, body, state, record, k, time, h)
         while k < end:
-            time = origin + h * (first_step + k)
+            time = time_of(clock, k)
             k += 1
             state, record = advance(plan, body, state, record, k, time, h)
         fresh = True
     if stop < last:
         store_carried(plan, carried, first, state, record)
     else:
-        store_summary(plan, state, record, summary, first)
-        store_end(plan, state, ends, column)
+        store_summary(plan, record, summary, column)
+        store_end(plan, state, numbers_at(job.ends), column)
+
+
+@shared
+def pack(job, inputs, first, is_new):
+    """A block's numbers from where the user has them; past the last trajectory, its own again.
+
+    is_new : whether `inputs` lacks even what all trajectories share.
+    """
+    places = integers_at(job.places)
+    begin, last = job.first + first, job.stop - 1
+    for c in range(inputs.shape[0]):
+        address, stride = places[c, 0], places[c, 1]
+        if stride != 0 or is_new:
+            for lane in range(inputs.shape[1]):
+                inputs[c, lane] = number_at(address + stride * min(begin + lane, last))
 
 
 @cached(parallel=True)
-def integrate_blocks(
-    sources, integrate, counter, lanes, threads, inputs, carried, summary, errors, rotations,
-    places, omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
-    first_step, h, measure_every, save_every,
-):  # fmt: skip
+def integrate_blocks(sources, integrate, counter, threads, jobs):
     """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
 
     counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
     """
-    blocks = inputs.shape[1] // lanes
-    for _ in prange(threads):  # each takes what comes next: cores need not be equally fast
+    for thread in prange(threads):  # each takes what comes next: cores need not be equally fast
+        job = jobs[0]
+        inputs = histories_at(job.inputs)[thread]
+        lanes = inputs.shape[1]
+        blocks = (job.stop - job.first + lanes - 1) // lanes
+        is_new = True
         while True:
             block = take_turn(counter)
             if block >= blocks:
                 break
-            raised = call(
-                integrate, block * lanes, inputs, carried, summary, errors, rotations, places,
-                omegas, velocities, multipliers, reactions, ends, offset, begin, stop, last, origin,
-                first_step, h, measure_every, save_every,
-            )  # fmt: skip
+            pack(job, inputs, block * lanes, is_new)
+            is_new = False
+            raised = call(integrate, inputs, block * lanes, jobs)
             if raised != 0:
                 counter[1] = raised
     raise_again(counter[1])

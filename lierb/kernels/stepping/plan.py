@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -10,41 +10,7 @@ from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import Row, Rows
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
-from lierb.kernels.mechanics.subgroup import Slots, slots_of
-
-GENTLE_STAGES = 4  # of a saddle point, at most: more of them compile for long
-
-
-def holds_a_point(rows: Rows) -> bool:
-    """Whether the joint's rows hold a point of the body."""
-    return {str(row) for row in rows if isinstance(row, Row) and row.kind == "d"} == {
-        "d1", "d2", "d3"
-    }  # fmt: skip
-
-
-def is_light(solver: str, cspace: str, rows: Rows, stages: int) -> bool:
-    """Whether a step is little work: a rate for each of few stages and freedoms."""
-    outright = solver != "saddle" or (
-        cspace == "SE3"
-        and holds_a_point(rows)
-        and all(isinstance(row, Row) and row.kind in ("d", "Omega") for row in rows)
-    )
-    return outright and stages * (6 - len(rows)) <= 12
-
-
-def block_lanes(width: int, solver: str, cspace: str, rows: Rows, stages: int) -> int:
-    """Bodies in a block, for registers that hold `width` numbers.
-
-    Every operation of a step waits for the one before it. Two packs side by side hide that, as
-    long as what is alive fits the registers.
-    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 200, 297, 310; cylindrical 181,
-    280, 217; spherical 103, 107, 75; spherical by DOP853 21, 23, 18. On AVX2 with 4, 8 and 16:
-    revolute 121, 187, 176; cylindrical 115, 156, 160; spherical 57, 65, 43; spherical by DOP853
-    13, 11, 9. Saddle points, AVX-512 on another machine with 8 and 16: revolute 153, 163;
-    spherical 77, 80. A batch that fills no block pays for one all the same: one kernel serves every
-    batch.
-    """
-    return 2 * width if is_light(solver, cspace, rows, stages) and width > 1 else width
+from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation, holds_a_point
 
 
 @dataclass(frozen=True)
@@ -76,9 +42,8 @@ class Plan(Tag):
         return CSPACES[self.cspace]
 
     @cached_property
-    def slots(self) -> Slots | None:
-        """The joint's subalgebra, where velocities are held in its coordinates."""
-        return None if self.solver == "saddle" else slots_of(self.rows)
+    def formulation(self) -> Formulation:
+        return FORMULATIONS[self.solver](self)
 
     @cached_property
     def nodes(self) -> tuple[float, ...]:
@@ -91,28 +56,9 @@ class Plan(Tag):
         joint = [row for row in self.rows if isinstance(row, Row)]
         return len(joint) == 3 and holds_a_point(self.rows)
 
-    @cached_property
-    def slides_as_it_turns(self) -> bool:
-        """Whether H has turns about e₃ and slides normal to it. Any point of the body will do then
-        for the joint's, but for its height: the centre of mass, beside which nothing is small.
-        """
-        if self.slots is None:
-            return False
-        return self.slots[0] < 0 <= self.slots[2] and min(self.slots[3:5]) >= 0
-
     @property
     def is_local(self) -> bool:
         return self.update == "local"
-
-    @cached_property
-    def still(self) -> tuple[int, ...]:
-        """Components of V that a saddle point keeps at zero, once they are: rows that are constant
-        in body axes ask for nothing else, and nothing else moves them.
-        """
-        if self.solver != "saddle":
-            return ()
-        fixed = tuple(row.i for row in self.rows if row.kind == "Omega")
-        return (*fixed, 3, 4, 5) if self.cspace == "SE3" and holds_a_point(self.rows) else fixed
 
     @cached_property
     def does_work(self) -> bool:
@@ -129,14 +75,24 @@ class Plan(Tag):
         """Whether steps are so little work that it pays to try them without branches. What is but
         tried asks no function that may raise.
         """
-        if not self.is_local or self.calls_functions:
-            return False
-        if self.solver == "saddle":
-            return bool(self.still) and len(self.stages) <= GENTLE_STAGES
-        return is_light(self.solver, self.cspace, self.rows, len(self.stages))
+        asks = self.is_local and not self.calls_functions
+        return asks and self.formulation.takes_gentle_steps
 
 
 @lru_cache(256)
-def plan_of(**described: Any) -> Plan:
-    """The plan, always the same object: found again at once wherever code is kept by plan."""
-    return Plan(**described)
+def plan_of(width: int, **described: Any) -> Plan:
+    """The plan for registers that hold `width` numbers, always the same object: found again at once
+    wherever code is kept by plan.
+
+    Every operation of a step waits for the one before it. Two packs side by side hide that, as
+    long as what is alive fits the registers.
+    Measured, M body-steps/s on AVX-512 with 8, 16 and 32: revolute 200, 297, 310; cylindrical 181,
+    280, 217; spherical 103, 107, 75; spherical by DOP853 21, 23, 18. On AVX2 with 4, 8 and 16:
+    revolute 121, 187, 176; cylindrical 115, 156, 160; spherical 57, 65, 43; spherical by DOP853
+    13, 11, 9. Saddle points, AVX-512 on another machine with 8 and 16: revolute 153, 163;
+    spherical 77, 80. A batch that fills no block pays for one all the same: one kernel serves every
+    batch.
+    """
+    plan = Plan(lanes=width, **described)
+    doubles = width > 1 and plan.formulation.is_light
+    return replace(plan, lanes=2 * width) if doubles else plan

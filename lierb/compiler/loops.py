@@ -1,0 +1,77 @@
+"""What @njit loops use beside formulas: functions of their own, and memory by its address."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import c_char, c_double
+from math import prod
+from typing import Any, TypeVar
+
+import numpy as np
+from llvmlite import ir
+from numba import config, types
+from numba.extending import intrinsic, register_jitable
+
+from lierb.compiler.code import OPTIONS
+from lierb.compiler.internals import populate_array
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def shared(function: F) -> F:
+    """Decorator: a function of numbers for Python and for @njit code alike."""
+    registered: F = register_jitable(**OPTIONS)(function)
+    return registered
+
+
+def _number_at(address: int) -> float:
+    """The float64 at an address, which need not be aligned."""
+    return c_double.from_address(address).value
+
+
+@intrinsic
+def _load(context: Any, address: Any) -> Any:
+    def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+        place = builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+        return builder.load(place, align=1)
+
+    return types.float64(address), generate
+
+
+def _array_at(axes: int, item: types.Type) -> Any:
+    """A function of an address and extents, int64 in this order: the C-contiguous array there.
+
+    Whoever asks keeps its memory.
+    """
+    dtype = np.dtype(item.name)
+
+    def array(place: Any) -> Any:
+        address, *shape = (int(x) for x in place[: axes + 1])
+        size = prod(shape) * dtype.itemsize
+        return np.ndarray(shape, dtype, (c_char * size).from_address(address))
+
+    @intrinsic
+    def compiled(context: Any, place: Any) -> Any:
+        made = types.Array(item, axes, "C")
+
+        def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
+            numbers = context.make_array(place)(context, builder, args[0]).data
+            cells = (builder.gep(numbers, [ir.IntType(32)(i)]) for i in range(axes + 1))
+            address, *shape = map(builder.load, cells)
+            strides = [context.get_constant(types.intp, dtype.itemsize)]
+            for extent in reversed(shape[1:]):
+                strides.insert(0, builder.mul(extent, strides[0]))
+            found = context.make_array(made)(context, builder)
+            data = builder.inttoptr(address, context.get_data_type(item).as_pointer())
+            populate_array(found, data, shape, strides, strides[-1], meminfo=None)
+            return found._getvalue()
+
+        return made(place), generate
+
+    return array if config.DISABLE_JIT else compiled
+
+
+number_at = _number_at if config.DISABLE_JIT else _load
+numbers_at = _array_at(2, types.float64)
+histories_at = _array_at(3, types.float64)
+integers_at = _array_at(2, types.int64)

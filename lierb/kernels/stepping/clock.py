@@ -1,0 +1,67 @@
+"""When the steps of a run are, when it is observed, and when it ends."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.compiler.loops import shared
+
+TIDY_EVERY = 30  # steps; 16 to 64 do as well, but with measure_every=10 this one is measured too
+
+
+class Clock(NamedTuple):
+    """`steps` steps of `dt` s, measured and saved every so many (0: never).
+
+    origin, first_step : the start is `first_step` steps after `origin`, s: a run that goes on
+        counts on, and so has its times, and its rounding tidied, as if there had been no break.
+    """
+
+    dt: float
+    steps: int
+    measure_every: int
+    save_every: int
+    origin: float = 0.0
+    first_step: int = 0
+
+    @property
+    def saved_rows(self) -> int:
+        return -(-self.steps // self.save_every) + 1 if self.save_every else 0
+
+    def saved_steps(self) -> NDArray[np.int64]:
+        return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
+
+    @property
+    def end(self) -> float:
+        """s."""
+        return float(time_of(self, self.steps))
+
+
+@shared
+def time_of(clock: Any, step: Any) -> Any:
+    """Of a step, or of an array of steps, s."""
+    return clock.origin + clock.dt * (clock.first_step + step)
+
+
+@shared
+def seen_at(clock: Any, step: Any) -> Any:
+    """Whether a step is measured, whether it is saved, and in which row of the history."""
+    is_last, every = step == clock.steps, clock.save_every
+    is_measured = is_last or step % clock.measure_every == 0
+    if every == 0:
+        return is_measured, False, 0
+    return is_measured, is_last or step % every == 0, (step + every - 1) // every
+
+
+@shared
+def ahead_of(clock: Any, step: Any, stop: Any) -> Any:
+    """The next step that is measured, saved or tidied, or `stop` if that is earlier; and whether
+    this one is tidied: rounding is taken off before it, unless a run just starts with it.
+    """
+    counted = clock.first_step + step
+    ahead = min(clock.measure_every - step % clock.measure_every, TIDY_EVERY - counted % TIDY_EVERY)
+    if clock.save_every > 0:
+        ahead = min(ahead, clock.save_every - step % clock.save_every)
+    return min(step + ahead, stop), counted % TIDY_EVERY == 0

@@ -1,0 +1,100 @@
+"""What is known of a trajectory, as columns of numbers: each field once, with shape and unit.
+
+Packing, loading and storing, the tables of results and their units follow from these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import accumulate, pairwise
+from math import prod
+from typing import Any, NamedTuple
+
+from lierb.kernels.mechanics.elements import Element
+
+POSE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11)  # of a 4×4 matrix: R, then r
+
+
+class Field(NamedTuple):
+    """A quantity of a trajectory.
+
+    shape : of the array that has it.   unit : of its numbers.
+    entries : places in that array, row by row, if not all of them are wanted, in this order.
+    """
+
+    name: str
+    shape: tuple[int, ...] = ()
+    unit: str = "1"
+    entries: tuple[int, ...] | None = None
+
+    @property
+    def width(self) -> int:
+        return prod(self.shape) if self.entries is None else len(self.entries)
+
+
+class Columns:
+    """Fields side by side, a column for each number."""
+
+    def __init__(self, *fields: Field) -> None:
+        ends = tuple(accumulate((field.width for field in fields), initial=0))
+        self.fields = fields
+        self.count = ends[-1]
+        self._slices = dict(
+            zip((f.name for f in fields), (slice(*e) for e in pairwise(ends)), strict=True)
+        )
+
+    def __getitem__(self, name: str) -> slice:
+        return self._slices[name]
+
+    def __iter__(self) -> Iterator[tuple[Field, slice]]:
+        return zip(self.fields, self._slices.values(), strict=True)
+
+    def index(self, name: str) -> int:
+        """Of a field of one number."""
+        first: int = self._slices[name].start
+        return first
+
+    def parts(self, numbers: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
+        """The numbers of each field."""
+        return {name: tuple(numbers[columns]) for name, columns in self._slices.items()}
+
+
+INPUTS = Columns(
+    Field("mass", (), "kg"),
+    Field("inertia", (3, 3), "kg m²"),
+    Field("com", (3,), "m"),
+    Field("gravity", (3,), "m/s²"),
+    Field("ground_frame", (4, 4), "1, m", POSE),
+    Field("body_frame", (4, 4), "1, m", POSE),
+    Field("pitch", (), "m/rad"),
+    Field("length", (), "m"),
+    Field("pose", (4, 4), "1, m", POSE),
+    Field("twist", (6,), "rad/s, m/s"),
+)
+
+STATE = Columns(
+    Field("p", (4,)),  # of C₀, a unit quaternion
+    Field("d", (3,), "m"),
+    Field("x", (6,), "rad, m"),
+    Field("v_or_mu", (6,)),
+    Field("work", (), "J"),
+)
+
+POSE_AND_TWIST = Columns(
+    Field("rotation", (9,)),
+    Field("position", (3,), "m"),
+    Field("omega", (3,), "rad/s"),
+    Field("v", (3,), "m/s"),
+)
+
+
+@lru_cache(64)
+def inputs_of(elements: tuple[Element, ...]) -> Columns:
+    """INPUTS, then the elements' parameters, then a state to go on from."""
+    parameters = (
+        Field(f"{number}.{name}", shape)
+        for number, element in enumerate(elements)
+        for name, shape in element.shapes.items()
+    )
+    return Columns(*INPUTS.fields, *parameters, Field("state", (STATE.count,)))
