@@ -26,6 +26,7 @@ from lierb.joints import JOINTS
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.formulations import FORMULATIONS
 from lierb.kernels.stepping.plan import Plan, plan_of
 from lierb.model import Problem
 from lierb.result import Result
@@ -40,7 +41,7 @@ from lierb.tableaus import ButcherTableau, tableau_of
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
-SOLVER_NAMES = ("auto", "saddle")
+SOLVER_NAMES = ("auto", *FORMULATIONS)
 RECORDS = ("state", "energy", "multipliers", "reaction")
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 CHECKS = ("raise", "warn", "off")
@@ -83,10 +84,10 @@ def integrate(
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
         the body's joint frame and in its axes, whatever rows describe the joint.
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
-    solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "auto" does
-        so too, unless the joint's motions are a subgroup of SE(3): then the solution is a constant
-        gain, found once (with check="raise" only: a start that is off by less than the tolerance is
-        put on the subgroup). "reduced" has no choice of solver.
+    solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup",
+        for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
+        constant gain, found once (with check="raise" only: a start that is off by less than the
+        tolerance is put on the subgroup). Default: "subgroup" where it can be, else "saddle".
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
         False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
@@ -125,7 +126,6 @@ def integrate(
     )
     count = problem.batch_size(**start) or 1
     rows = problem.rows
-    kernel = "saddle" if found_by == "saddle" else "subgroup"
     space = "SO3xR3" if cspace == "SO3xR3" else "SE3"
     plan = plan_of(
         DEFAULT_LANES,
@@ -137,7 +137,7 @@ def integrate(
         multipliers="multipliers" in recorded,
         reaction="reaction" in recorded,
         elements=problem.kinds,
-        solver=kernel,
+        solver=found_by,
     )
     measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
     if known is not None and not known.fits(problem, plan, twist0, float(t0)):
@@ -224,25 +224,32 @@ def check_names(**given: str) -> None:
 
 
 def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
-    """How accelerations are found: "saddle", or on a subgroup "gain" (SE(3)) or "reduced"."""
-    subgroup = problem.joint.subgroup
+    """What finds accelerations, "saddle" or "subgroup"."""
+    joint = problem.joint
     added = [element.name for element in problem.elements if element.kind.rows]
-    if cspace == "reduced":
-        if added:
-            raise ArgumentError(
-                f'cspace="reduced" has no constraints, but {added[0]} is one; use "SE3"'
-            )
-        if solver == "saddle":
-            raise ArgumentError('cspace="reduced" has no saddle point to solve; leave solver out')
-        if subgroup is None or not problem.joint.rows:
-            kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
-            raise ArgumentError(
-                'cspace="reduced" needs a joint whose motions are a proper subgroup of SE(3) '
-                f"({kept}), not a {problem.joint.name} joint"
-            )
-        return "reduced"
-    fits = cspace == "SE3" and subgroup is not None and bool(problem.joint.rows) and not added
-    return "gain" if fits and solver == "auto" and check == "raise" else "saddle"
+    is_proper = joint.subgroup is not None and bool(joint.rows)
+    has_subgroup = cspace == "reduced" or (cspace == "SE3" and check == "raise")
+    if has_subgroup and is_proper and not added and solver == "auto":
+        return "subgroup"
+    if cspace != "reduced" and solver != "subgroup":
+        return "saddle"
+    asked = 'cspace="reduced"' if cspace == "reduced" else 'solver="subgroup"'
+    if solver == "saddle":
+        raise ArgumentError(f"{asked} has no saddle point to solve; leave solver out")
+    if added:
+        raise ArgumentError(f'{asked} has no constraints, but {added[0]} is one; use "saddle"')
+    if not is_proper:
+        kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
+        raise ArgumentError(
+            f"{asked} needs a joint whose motions are a proper subgroup of SE(3) ({kept}), not a "
+            f"{joint.name} joint"
+        )
+    if not has_subgroup:
+        raise ArgumentError(
+            f'{asked} needs cspace="SE3" or "reduced" and check="raise", got cspace="{cspace}" and '
+            f'check="{check}"; leave solver out'
+        )
+    return "subgroup"
 
 
 def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from lierb.errors import (
     TwistError,
     UnknownNameError,
 )
+from lierb.kernels.stepping.clock import time_of
 from lierb.kernels.stepping.driver import UNSEEN, store_start
 
 POINT = (-0.15, 0.0375, 0.0)
@@ -39,18 +40,19 @@ class DriverReached(Exception):
 def stop_before_running(monkeypatch):
     """Nothing in this file shall run a step, or compile: a stub checks starts in plain Python."""
 
-    def stub(sources, plan, counter, lanes, threads, inputs, carried, summary, *others):
-        *_, begin, stop, _last, origin, first_step, h, _measure_every, _save_every = others
+    def stub(run, chunk, begin, end):
         if begin == UNSEEN:
-            for body in range(inputs.shape[1]):
-                store_start(plan, inputs, summary, body, origin + h * first_step)
-        if stop > 0 and (begin != UNSEEN or summary[-1].all()):
+            for body in range(chunk.start, chunk.stop):
+                numbers = np.array(run.inputs.numbers(body))[:, None]
+                with np.errstate(all="ignore"):
+                    store_start(run.plan, numbers, run.output.summary, body, time_of(run.clock, 0))
+        if end > 0 and (begin != UNSEEN or run.output.starts(chunk.start, chunk.stop).all()):
             raise DriverReached
+        return 1.0
 
-    monkeypatch.setattr(lierb.runs.engine, "integrate_blocks", stub)
+    monkeypatch.setattr(lierb.runs.engine.Run, "call", stub)
     monkeypatch.setattr(lierb.runs.engine, "_pace", lambda plan, dt: lierb.runs.engine._Pace())
     monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
-    monkeypatch.setattr(lierb.runs.engine, "entry_of", lambda function, plan, *args: plan)
 
 
 def spherical_top(body=None, joint=None, gravity=(0.0, 0.0, 0.0)):

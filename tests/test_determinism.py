@@ -9,6 +9,7 @@ from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_bu
 import lierb
 from lierb import api
 from lierb.errors import FailedTrajectoryWarning
+from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
 from lierb.kernels.stepping.plan import Plan
 from lierb.runs import engine
@@ -147,7 +148,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
         api.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
         lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
     )  # fmt: skip
-    output = engine.integrate(plan, inputs, engine.Grid(1e-2, STEPS, 1, 0))
+    output = engine.integrate(plan, inputs, Clock(1e-2, STEPS, 1, 0))
     others = np.arange(17) != victim
     state = np.concatenate(output.state, axis=1)
     undisturbed = expected[:17, len(SUMMARY) :]

@@ -18,8 +18,8 @@ from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.stepping.formulations import accelerate
 from lierb.kernels.stepping.plan import Plan
-from lierb.kernels.stepping.stepper import accelerate
 from lierb.tableaus import TABLEAUS
 
 

@@ -167,11 +167,11 @@ def test_rotation_matrices_stay_orthogonal_on_every_path():
 @pytest.mark.parametrize(
     ("name", "options", "expected"),
     [
-        ("spherical", {}, "gain"),
+        ("spherical", {}, "subgroup"),
         ("spherical", {"solver": "saddle"}, "saddle"),
         ("spherical", {"check": "off"}, "saddle"),
         ("spherical", {"cspace": "SO3xR3"}, "saddle"),
-        ("spherical", {"cspace": "reduced"}, "reduced"),
+        ("spherical", {"cspace": "reduced"}, "subgroup"),
         ("universal", {}, "saddle"),
         ("free", {}, "saddle"),
     ],
@@ -181,6 +181,24 @@ def test_solver_is_chosen_by_joint_cspace_and_check(name, options, expected):
     result = integrate(problem, twist0=twist0, dt=1e-2, t_end=1e-2, **options)
     metadata = json.loads(result.summary.schema.metadata[b"lierb"])
     assert metadata["options"]["solver"] == expected
+    again = integrate(
+        problem, twist0=twist0, dt=1e-2, t_end=1e-2, **(options | {"solver": expected})
+    )
+    assert again.summary.equals(result.summary)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "told"),
+    [
+        ("universal", {}, r'solver="subgroup" needs a joint.*not a universal joint'),
+        ("spherical", {"cspace": "SO3xR3"}, r'solver="subgroup" needs cspace="SE3" or "reduced"'),
+        ("spherical", {"check": "off"}, r'and check="raise", got .* check="off"'),
+    ],
+)
+def test_subgroup_is_refused_where_there_is_none(name, options, told):
+    problem, twist0 = tilted(name)
+    with pytest.raises(lierb.errors.ArgumentError, match=told):
+        lierb.integrate(problem, twist0=twist0, dt=1e-2, t_end=1e-2, solver="subgroup", **options)
 
 
 @pytest.mark.parametrize("name", ["universal", "pin_in_slot", "free"])

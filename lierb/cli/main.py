@@ -168,7 +168,7 @@ def cache(clear: bool) -> None:
 @click.option(
     "--update", multiple=True, default=["local"], show_default=True, help="local or global."
 )
-@click.option("--solver", default="auto", show_default=True, help="auto or saddle.")
+@click.option("--solver", default="auto", show_default=True, help="auto, saddle or subgroup.")
 @click.option("--multipliers", is_flag=True, help="The kernels of runs that record them.")
 @study_cli.SET
 def warmup(

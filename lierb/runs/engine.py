@@ -257,27 +257,27 @@ class Chunk(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Run:
-    """What all calls of the driver have in common.
-
-    spare : memory for what is carried of a chunk, from one to the next.
-    """
+class Run:
+    """What all calls of the driver have in common."""
 
     plan: Plan
+    inputs: Inputs
     clock: Clock
     output: Output
-    places: Places
     threads: int
 
     @cached_property
-    def inputs(self) -> Array:
-        return np.empty((self.threads, len(self.places), self.plan.lanes))
+    def _arrays(self) -> dict[str, NDArray]:
+        """As the driver takes them; `inputs` is where its threads bring numbers together."""
+        places = self.inputs.places(self.plan)
+        blocks = np.empty((self.threads, len(places), self.plan.lanes))
+        return {"places": places, "inputs": blocks, **self.output.arrays}
 
     def call(self, chunk: Chunk, begin: int, end: int) -> float:
         """Steps begin … end of a chunk; returns the seconds they took, compilation apart."""
-        arrays = {"places": self.places, "inputs": self.inputs, "carried": chunk.carried}
-        jobs = job_of(arrays | self.output.arrays, chunk.start, chunk.stop, begin, end, self.clock)
-        entry = entry_of(integrate_block, self.plan, self.inputs[0], 0, jobs)
+        arrays = self._arrays | {"carried": chunk.carried}
+        jobs = job_of(arrays, chunk.start, chunk.stop, begin, end, self.clock)
+        entry = entry_of(integrate_block, self.plan, arrays["inputs"][0], 0, jobs)
         loop = (SOURCES, entry, np.zeros(2, dtype=np.int64), self.threads, jobs)
         run = compiled(integrate_blocks, *loop)
         with _driver_lock, _thread_mask(self.threads), np.errstate(all="ignore"):
@@ -304,7 +304,7 @@ def integrate(
     check_threads()
     output = Output.empty(plan, inputs.count, clock, with_state)
     used = _threads(threads, -(-inputs.count // plan.lanes))
-    run = _Run(plan, clock, output, inputs.places(plan), used)
+    run = Run(plan, inputs, clock, output, used)
     chunks = list(_chunks(run, inputs.count))
     if check is not None and len(chunks) > 1:
         for chunk in chunks:
@@ -323,7 +323,7 @@ def integrate(
     return output
 
 
-def _chunks(run: _Run, count: int) -> Iterator[Chunk]:
+def _chunks(run: Run, count: int) -> Iterator[Chunk]:
     """As many bodies as one call can take to the end, or CHUNK_BODIES of them."""
     lanes = run.plan.lanes
     in_one_call = lanes * int(_pace(run.plan, run.clock.dt).ahead() / run.clock.steps)
@@ -335,7 +335,7 @@ def _chunks(run: _Run, count: int) -> Iterator[Chunk]:
         yield Chunk(start, min(start + size, count), carried)
 
 
-def _run_chunk(run: _Run, chunk: Chunk, begin: int) -> Iterator[int]:
+def _run_chunk(run: Run, chunk: Chunk, begin: int) -> Iterator[int]:
     """Run a chunk to the end; yields the steps done after each call of the driver.
 
     begin : 0, UNSEEN or RESUMED.

@@ -7,14 +7,14 @@ from collections import Counter
 from types import SimpleNamespace
 
 import numba
+import numpy as np
 import pytest
-from numba import float64, int64, types
 
 from lierb.compiler.code import OPTIONS
 from lierb.joints import JOINTS
 from lierb.kernels.numbers.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
-from lierb.kernels.stepping.driver import integrate_block
-from lierb.kernels.stepping.plan import Plan, block_lanes
+from lierb.kernels.stepping.driver import JOB, integrate_block
+from lierb.kernels.stepping.plan import plan_of
 from lierb.tableaus import TABLEAUS
 
 pytestmark = pytest.mark.skipif(
@@ -54,21 +54,12 @@ def hot_loop(request) -> SimpleNamespace:
     """How often each operation occurs in the loop over steps, and the FMAs to expect there."""
     joint, cspace, solver, expected = PLANS[request.param]
     method = TABLEAUS["RK4"]
-    plan = Plan(
-        block_lanes(DEFAULT_LANES, solver, cspace, JOINTS[joint].rows, method.stages),
-        JOINTS[joint].rows, cspace, "local", method.A, method.b, multipliers=False, solver=solver,
+    plan = plan_of(
+        DEFAULT_LANES, rows=JOINTS[joint].rows, cspace=cspace, update="local", stages=method.A,
+        weights=method.b, multipliers=False, solver=solver,
     )  # fmt: skip
-    arrays = [types.Array(float64, n, "C") for n in (2, 2, 2, 3, 3, 3, 3, 3, 3, 3, 2)]
-    signature = (
-        numba.typeof(plan),
-        int64,
-        *arrays,
-        *[int64] * 4,
-        float64,
-        int64,
-        float64,
-        *[int64] * 2,
-    )
+    jobs = np.zeros(1, JOB)
+    signature = tuple(map(numba.typeof, (plan, np.zeros((2, 2)), 0, jobs)))
     fresh = numba.njit(**OPTIONS)(integrate_block.py_func)  # Numba shows no code from its cache
     fresh.compile(signature)
     assembly = fresh.inspect_asm(signature)
