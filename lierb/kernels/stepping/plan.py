@@ -7,27 +7,19 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 from lierb.compiler._jit import Tag
-from lierb.kernels.mechanics.constraints import Row, Rows
+from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
+from lierb.kernels.mechanics.rows import Rows, fixed_axes
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 
 GENTLE_STAGES = 4  # of a saddle point, at most: more of them compile for long
 
 
-def holds_a_point(rows: Rows) -> bool:
-    """Whether the joint's rows hold a point of the body."""
-    return {str(row) for row in rows if isinstance(row, Row) and row.kind == "d"} == {
-        "d1", "d2", "d3"
-    }  # fmt: skip
-
-
 def is_light(solver: str, cspace: str, rows: Rows, stages: int) -> bool:
     """Whether a step is little work: a rate for each of few stages and freedoms."""
     outright = solver != "saddle" or (
-        cspace == "SE3"
-        and holds_a_point(rows)
-        and all(isinstance(row, Row) and row.kind in ("d", "Omega") for row in rows)
+        cspace == "SE3" and holds_a_point(rows) and len(rows) == 3 + len(fixed_axes(rows))
     )
     return outright and stages * (6 - len(rows)) <= 12
 
@@ -88,7 +80,7 @@ class Plan(Tag):
     @cached_property
     def turns_about_a_point(self) -> bool:
         """Whether the joint is spherical: any axes on the body will do, also its inertia's."""
-        joint = [row for row in self.rows if isinstance(row, Row)]
+        joint = [row for row in self.rows if row.is_of_joint]
         return len(joint) == 3 and holds_a_point(self.rows)
 
     @cached_property
@@ -111,7 +103,7 @@ class Plan(Tag):
         """
         if self.solver != "saddle":
             return ()
-        fixed = tuple(row.i for row in self.rows if row.kind == "Omega")
+        fixed = fixed_axes(self.rows)
         return (*fixed, 3, 4, 5) if self.cspace == "SE3" and holds_a_point(self.rows) else fixed
 
     @cached_property

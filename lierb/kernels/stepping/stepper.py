@@ -9,14 +9,15 @@ is the same method's quadrature of its power.
 from __future__ import annotations
 
 from functools import partial
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import quaternion
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.constraints import acceleration, jacobian, prescribed_rate, value
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Turn, spinning
+from lierb.kernels.mechanics.rows import PITCHED
 from lierb.kernels.mechanics.saddle import Load, has_others, solve
 from lierb.kernels.numbers.arithmetic import PI, any_lanes, branch, fma, maximum, where
 from lierb.kernels.numbers.vec import (
@@ -118,8 +119,8 @@ def accelerate(
         body,
         x.q,
         rows,
-        lambda r: jacobian(r, seen, body),
-        tuple(acceleration(r, seen, body) for r in rows),
+        methodcaller("jacobian", seen, body),
+        tuple(r.acceleration(seen, body) for r in rows),
         _load(body, x.omega, fall, applied.wrench),
         x.omega + x.point_rate,
         turning,
@@ -127,7 +128,7 @@ def accelerate(
     torque, force = found.wrench[:3], found.wrench[3:]
     aside = cross(body.shift, force)  # about the user's joint point
     multipliers = tuple(
-        x - aside[r.i] if r.kind == "Omega" else x
+        x if r.fixed_axis is None else x - aside[r.fixed_axis]
         for r, x in zip(rows, found.multipliers, strict=True)
     )
     return Acceleration(
@@ -167,7 +168,7 @@ def _driving_power(
     """
     total: Any = ZERO
     for r, multiplier in zip(plan.rows, multipliers, strict=True):
-        total = fma(-multiplier, prescribed_rate(r, x, body), total)
+        total = fma(-multiplier, r.prescribed_rate(x, body), total)
     return total
 
 
@@ -261,9 +262,9 @@ def tidied(plan: Plan, body: BodyConstants, state: State) -> State:
     """
     p, d = quaternion.normalised(state.chart[0]), state.chart[1]
     for r in plan.rows:
-        if r.kind == "screw" and plan.slots is not None:
+        if plan.slots is not None and r.slot == (5, PITCHED):
             x = plan.space.kinematics(body, quaternion.pose((p, d)), ZERO6)
-            d = (d[0], d[1], d[2] - value(r, x, body))
+            d = (d[0], d[1], d[2] - r.value(x, body))
     return state._replace(chart=(p, d))
 
 
