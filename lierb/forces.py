@@ -55,6 +55,7 @@ class Parameter(NamedTuple):
 
 
 POINT = Parameter("m", (3,))
+UNITS: dict[str, dict[str, str]] = {}  # of the parameters of every force, by its name
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,10 @@ class BuiltIn(Element):
 
     name: ClassVar[str]
     parameters: ClassVar[dict[str, Parameter]]
+
+    def __init_subclass__(cls) -> None:
+        units = UNITS.setdefault(cls.name, {})
+        units |= {name: parameter.unit for name, parameter in cls.parameters.items()}
 
     @property
     def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
@@ -426,10 +431,5 @@ def _time_function(
         )
     return user_function(function, ("t",), shapes, ((),), differentiated)
 
-
-KINDS = (BodyWrench, GroundWrench, SpringDamper, TorsionalSpring, Drag, Motor, SpeedMotor)
-UNITS: dict[str, dict[str, str]] = {kind.name: {} for kind in KINDS}  # of each force's parameters
-for _kind in KINDS:
-    UNITS[_kind.name] |= {name: parameter.unit for name, parameter in _kind.parameters.items()}
 
 __all__ = [*UNITS]

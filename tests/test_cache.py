@@ -2,6 +2,7 @@
 
 import errno
 import hashlib
+import inspect
 import io
 import json
 import os
@@ -20,6 +21,7 @@ from numba.core.caching import InTreeCacheLocator
 
 import lierb
 from lierb.compiler import _jit, disk_cache
+from lierb.kernels.mechanics.elements import Element
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -129,6 +131,14 @@ EDITS = {
         "stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
     ),
 }  # fmt: skip
+
+
+def test_formulas_of_every_element_are_among_the_sources():
+    kinds = [Element]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    assert {Path(inspect.getfile(kind)) for kind in kinds} <= {*disk_cache.sources()}
+    assert len(kinds) > 8
 
 
 @pytest.mark.slow  # four processes that compile

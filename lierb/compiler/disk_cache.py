@@ -41,14 +41,18 @@ MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels: what was used last st
 DIGEST_SIZE = hashlib.sha256().digest_size
 
 
+def sources() -> list[Path]:
+    """Every source that compiled code depends on; formulas of forces are beside the kernels."""
+    package = Path(__file__).parents[1]
+    formulas = (package / "kernels").rglob("*.py")
+    return sorted([*formulas, *(package / "compiler").glob("*.py"), package / "forces.py"])
+
+
 @cache
 def source_stamp() -> str:
-    """Digest of every source that compiled code depends on, and of the compilers."""
+    """Digest of the sources, and of the compilers."""
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    package = Path(__file__).parents[1]
-    for path in sorted(
-        [*(package / "kernels").rglob("*.py"), *(package / "compiler").glob("*.py")]
-    ):
+    for path in sources():
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -114,20 +114,27 @@ def parameters_of(rows: Rows) -> dict[str, str]:
 # ---- rows of joints ----------------------------------------------------------------------------
 
 
+JOINT_ROWS: dict[str, JointRow] = {}  # all there are, by name
+
+
 @dataclass(frozen=True)
 class JointRow(Row):
     """A primitive row, named by its symbol and its axes, from 1; here they count from 0."""
 
     i: int = -1
     j: int = -1
-    symbol = ""
-    axis_count = 1
+    symbol: ClassVar[str]
+    axis_count: ClassVar[int] = 1
+
+    def __init_subclass__(cls) -> None:
+        for made in starmap(cls, product(range(3), repeat=cls.axis_count)):
+            JOINT_ROWS[str(made)] = made
 
     def __str__(self) -> str:
         return self.symbol + "".join(str(axis + 1) for axis in (self.i, self.j) if axis >= 0)
 
     def objection(self, rows: Rows) -> str | None:
-        """Why it cannot be one of these rows of a joint, if so: "they have …"."""
+        """What is wrong with it among these rows of a joint, if anything, as in "it has …"."""
         return None
 
 
@@ -277,14 +284,6 @@ class ConstantVelocity(JointRow):
 
     def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
         return 0.25 * dot(x.omega, x.omega) * self.value(x, body)
-
-
-KINDS = (Point, GroundPoint, Turning, Cosine, Screw, Rod, ConstantVelocity)
-JOINT_ROWS: dict[str, JointRow] = {
-    str(made): made
-    for kind in KINDS
-    for made in starmap(kind, product(range(3), repeat=kind.axis_count))
-}
 
 
 # ---- rows of elements --------------------------------------------------------------------------
