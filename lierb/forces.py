@@ -19,7 +19,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import as_numbers
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
 from lierb.kernels.groups.coefficients import atan2
@@ -47,15 +46,17 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 
 class Parameter(NamedTuple):
-    """Its unit, its shape for one body, and whether it may be negative."""
+    """Of a force: unit, shape for one body, whether it may be negative, the way to joint axes."""
 
     unit: str
     shape: Shape = ()
     is_signed: bool = True
+    to_joint_axes: Callable[[Frames, Any], Any] = lambda frames, given: given
 
 
-POINT = Parameter("m", (3,))
-UNITS: dict[str, dict[str, str]] = {}  # of the parameters of every force, by its name
+BODY_POINT = Parameter("m", (3,), to_joint_axes=Frames.body_point)
+GROUND_POINT = Parameter("m", (3,), to_joint_axes=Frames.ground_point)
+FORCE_UNITS: dict[str, dict[str, str]] = {}  # of the parameters of every force, by its name
 
 
 @dataclass(frozen=True)
@@ -69,25 +70,27 @@ class BuiltIn(Element):
     parameters: ClassVar[dict[str, Parameter]]
 
     def __init_subclass__(cls) -> None:
-        units = UNITS.setdefault(cls.name, {})
+        units = FORCE_UNITS.setdefault(cls.name, {})
         units |= {name: parameter.unit for name, parameter in cls.parameters.items()}
 
     @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return {name: parameter.shape for name, parameter in self.parameters.items()}
+    def shapes(self) -> dict[str, Shape]:
+        own = {name: parameter.shape for name, parameter in self.parameters.items()}
+        return super().shapes if self.functions else own
 
     def force(self, /, **given: ArrayLike) -> Force:
-        for name, value in given.items():
-            if name in self.parameters and not self.parameters[name].is_signed:
-                _require_not_negative(name, value)
-        return Force.of(self.name, self, **given)
+        """The force with these parameters."""
+        made = Force.of(self.name, self, **given)
+        for name in (n for n, p in self.parameters.items() if not p.is_signed):
+            array = np.atleast_1d(made.parameters[name])
+            for body in np.flatnonzero(array < 0.0)[:1]:
+                label = body_label(name, int(body), array.size)
+                raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+        return made
 
-
-def _require_not_negative(name: str, value: ArrayLike) -> None:
-    array = np.atleast_1d(as_numbers(name, value, ()))
-    for body in np.flatnonzero(array < 0.0)[:1]:
-        label = body_label(name, int(body), array.size)
-        raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        ways = {name: parameter.to_joint_axes for name, parameter in self.parameters.items()}
+        return tuple(ways[n](frames, x) if n in ways else x for n, x in given.items())
 
 
 # ---- constant wrenches -------------------------------------------------------------------------
@@ -98,7 +101,7 @@ class BodyWrench(BuiltIn):
 
     name = "constant_wrench"
     parameters: ClassVar = {
-        "torque": Parameter("N m", (3,)), "force": Parameter("N", (3,)), "point": POINT,
+        "torque": Parameter("N m", (3,)), "force": Parameter("N", (3,)), "point": BODY_POINT,
     }  # fmt: skip
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
@@ -172,23 +175,14 @@ class SpringDamper(BuiltIn):
 
     name = "spring_damper"
     parameters: ClassVar = {
-        "body_point": POINT,
-        "ground_point": POINT,
+        "body_point": BODY_POINT,
+        "ground_point": GROUND_POINT,
         "stiffness": Parameter("N/m", is_signed=False),
         "damping": Parameter("N s/m", is_signed=False),
         "length": Parameter("m", is_signed=False),
     }
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return (
-            frames.body_point(given["body_point"]),
-            frames.ground_point(given["ground_point"]),
-            given["stiffness"],
-            given["damping"],
-            given["length"],
-        )
 
     def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
         """From anchor to point in body axes, 1/ℓ and ℓ̇."""
@@ -301,12 +295,8 @@ class Drag(BuiltIn):
         "linear": Parameter("N s/m", is_signed=False),
         "quadratic": Parameter("N s²/m²", is_signed=False),
         "angular": Parameter("N m s", is_signed=False),
-        "point": POINT,
+        "point": BODY_POINT,
     }
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        point = frames.body_point(given["point"])
-        return given["linear"], given["quadratic"], given["angular"], point
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         linear, quadratic, angular, point = placed
@@ -341,10 +331,6 @@ class Motor(BuiltIn):
     name = "motor"
     parameters: ClassVar = {"torque": Parameter("N m")}
     needs_axis: ClassVar = True
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return super().shapes if self.function is None else dict(self.function.shapes)
 
     def at(self, placed: Any, time: Any) -> Any:
         """The torque, or whatever else it gives."""
@@ -413,23 +399,16 @@ def motor(
     name, given = ("torque", torque) if speed is None else ("speed", speed)
     kind = Motor if speed is None else SpeedMotor
     if callable(given):
+        if not inspect.isfunction(given):
+            raise ForceError(
+                f"expected a number or a function of (t) or (t, params), got {told(given)}"
+            )
         shapes: dict[str, Shape] = dict.fromkeys(parameters, ())
-        function = _time_function(given, shapes, differentiated=speed is not None)
+        function = user_function(given, ("t",), shapes, ((),), differentiated=speed is not None)
         return kind(function).force(**parameters)
     if parameters:
         raise ArgumentError(f"{', '.join(parameters)}: only a function takes parameters")
     return kind(None).force(**{name: given})  # type: ignore[arg-type]
 
 
-def _time_function(
-    function: Callable[..., Any], shapes: dict[str, Shape], differentiated: bool
-) -> Function:
-    """A user's function of (t) or (t, params) that returns one number."""
-    if not inspect.isfunction(function):
-        raise ForceError(
-            f"expected a number or a function of (t) or (t, params), got {told(function)}"
-        )
-    return user_function(function, ("t",), shapes, ((),), differentiated)
-
-
-__all__ = [*UNITS]
+__all__ = [*FORCE_UNITS]

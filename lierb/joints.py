@@ -168,7 +168,7 @@ class Joint(Shown):
 
     def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
         slots, rates = self._slots(), self._numbers("velocities", velocities)
-        frames = {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
+        frames = self._frames
         if coordinates is None:
             placed = self._placed(pose)
             batch_size(velocities=(rates, 1), pose=(placed, 2), pitch=(self.pitch, 0), **frames)
@@ -283,17 +283,11 @@ class Joint(Shown):
                     f"{', '.join(self.coordinate_names)}; give those"
                 )
             turns = as_rotations("rotation", rotation)
-            batch_size(
-                rotation=(turns, 2), ground_frame=(self.ground_frame, 2),
-                body_frame=(self.body_frame, 2),
-            )  # fmt: skip
+            batch_size(rotation=(turns, 2), **self._frames)
             relative = components(turns, 2), ZERO3
         else:
             numbers = self._numbers("coordinates", coordinates)
-            batch_size(
-                coordinates=(numbers, 1), ground_frame=(self.ground_frame, 2),
-                body_frame=(self.body_frame, 2), pitch=self.pitch,
-            )  # fmt: skip
+            batch_size(coordinates=(numbers, 1), **self._frames, pitch=self.pitch)
             turning, places = self._lifted(numbers)
             relative = so3.exp(turning), places
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
@@ -334,14 +328,17 @@ class Joint(Shown):
         )
         return turning, places
 
+    @property
+    def _frames(self) -> dict[str, tuple[Array, int]]:
+        """As `batch_size` takes them."""
+        return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
+
     def _placed(self, pose: Any) -> Array:
         return self.closed_pose if pose is None else as_poses("pose", pose)
 
     def _relative(self, placed: Array) -> Pose:
         """D = G⁻¹CB: the body's joint frame seen from the ground's."""
-        batch_size(
-            pose=(placed, 2), ground_frame=(self.ground_frame, 2), body_frame=(self.body_frame, 2)
-        )
+        batch_size(pose=(placed, 2), **self._frames)
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)
 
@@ -581,9 +578,7 @@ pin_in_slot_body = _entry(
 point_on_line = _entry("point_on_line", "d1 d2", "keeps a point on a line along e₃ of the ground")
 point_on_plane = _entry("point_on_plane", "d3", "keeps a point in a plane normal to e₃")
 point_on_sphere = _entry(
-    "point_on_sphere",
-    "rod",
-    "a massless rod with a ball at each end holds a point at a distance",
+    "point_on_sphere", "rod", "a massless rod with a ball at each end holds a point at a distance"
 )
 constant_velocity = _entry(
     "constant_velocity",
@@ -643,16 +638,9 @@ def from_rows(
     options = frozenset({"slot", "second_axis", *parameters_of(parsed)})
     made = JointType(name, parsed, "built from rows", None, options)
     return made(
-        body_point,
-        ground_point,
-        axis=axis,
-        slot=slot,
-        second_axis=second_axis,
-        pitch=pitch,
-        length=length,
-        body_frame=body_frame,
-        ground_frame=ground_frame,
-    )
+        body_point, ground_point, axis=axis, slot=slot, second_axis=second_axis, pitch=pitch,
+        length=length, body_frame=body_frame, ground_frame=ground_frame,
+    )  # fmt: skip
 
 
 def _row(name: str | Row) -> JointRow:

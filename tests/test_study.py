@@ -525,7 +525,7 @@ def test_units_are_those_of_the_joint_and_of_the_force():
 def test_whatever_can_be_sampled_has_a_unit():
     for keys in KEYS.values():
         assert set(keys) <= {*UNITS, "coordinates", "velocities", "body_frame", "ground_frame"}
-    for name, units in lierb.forces.UNITS.items():
+    for name, units in lierb.forces.FORCE_UNITS.items():
         force = getattr(lierb.forces, name)
         parameters = inspect.signature(force).parameters.values()
         names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD} - {"frame"}

@@ -170,7 +170,7 @@ class ForceSection(BaseModel):
 
     model_config = SECTION | ConfigDict(extra="allow")
 
-    type: Literal[tuple(forces.UNITS)]  # type: ignore[valid-type]
+    type: Literal[tuple(forces.FORCE_UNITS)]  # type: ignore[valid-type]
     name: str | None = None
 
     @property

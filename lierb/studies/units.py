@@ -24,7 +24,7 @@ def unit_of(quantity: str, study: Study, joint: Joint) -> str:
     section, _, key = quantity.rpartition(".")
     if section.startswith("forces."):
         types = {f"forces.{force.label}": force.type for force in study.problem.forces}
-        return forces.UNITS[types[section]][key]
+        return forces.FORCE_UNITS[types[section]][key]
     if key in ("coordinates", "velocities"):
         of_each = ["m" if name.startswith("d") else "rad" for name in joint.coordinate_names]
         return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)

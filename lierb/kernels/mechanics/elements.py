@@ -55,12 +55,11 @@ Shape = tuple[int, ...]
 class Element:
     """What all kinds have; by itself, one that does nothing.
 
-    shapes: of the parameters, by name.   needs_axis: whether it acts about e₃ of the joint, which
-    must then be the body's and the ground's at once.   rows: how many constraints it adds.
-    does_work: whether it can change E = T + U, U being the `energy` of all elements.
+    needs_axis: whether it acts about e₃ of the joint, which must then be the body's and the
+    ground's at once.   rows: how many constraints it adds.   does_work: whether it can change
+    E = T + U, U being the `energy` of all elements.
     """
 
-    shapes: ClassVar[dict[str, Shape]]
     needs_axis: ClassVar[bool] = False
     is_conservative: ClassVar[bool] = False  # but for what is `working`
     is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
@@ -73,6 +72,11 @@ class Element:
         """Those of the user's that it is made of."""
         found = (getattr(self, name, None) for name in ("function", "potential"))
         return tuple(f for f in found if isinstance(f, Function))
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        """Of the parameters, by name; those of a user's function are its own."""
+        return dict(self.functions[0].shapes)
 
     @property
     def sees_body(self) -> bool:
@@ -105,10 +109,6 @@ class UserWrench(Element):
     function: Function
     potential: Function | None = None
     is_users: ClassVar = True
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return dict(self.function.shapes)
 
     @property
     def is_conservative(self) -> bool:  # type: ignore[override]
@@ -177,10 +177,6 @@ class UserConstraint(Element):
     function: Function
     is_translational: bool
     rows: int
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return dict(self.function.shapes)
 
     def row(self, place: int, i: int) -> AddedRow:
         return UserRow(self, place, i)
