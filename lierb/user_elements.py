@@ -170,7 +170,7 @@ class ConstraintFunction(_Decorated):
         function = user_function(self.function, POSE, shapes, (ANY,), differentiated=True)
         rows = trial(function)
         function = replace(function, results=((rows,),))
-        kind = kinds.UserConstraint(function, self.is_translational, rows)
+        kind = kinds.UserConstraint(function, rows, self.is_translational)
         return Constraint.of(function.name, kind, **self.defaults | parameters)
 
 

@@ -175,8 +175,8 @@ class UserConstraint(Element):
 
     does_work: ClassVar = False
     function: Function
-    is_translational: bool
-    rows: int
+    rows: int = 1
+    is_translational: bool = True
 
     def row(self, place: int, i: int) -> AddedRow:
         return UserRow(self, place, i)
