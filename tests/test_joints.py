@@ -13,7 +13,7 @@ import lierb
 from lierb.joints import JOINTS, from_rows
 from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
 from lierb.kernels.mechanics.newton_euler import CSPACES, Parameters
-from lierb.kernels.mechanics.rows import JOINT_ROWS
+from lierb.kernels.mechanics.rows import JOINT_ROWS, parameters_of
 
 mp = mpmath.mp.clone()
 mp.dps = 50
@@ -144,8 +144,8 @@ def row_by_definition(r, D, pitch=0.0, length=0.0):
     return slip - 2 * np.pi * pitch * np.round(slip / (2 * np.pi * pitch or 1.0))
 
 
-PRIMITIVES = [f"{kind}{i}" for kind in ("d", "Qtd") for i in "123"]
-PRIMITIVES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["rod", "cv"]
+# All rows that can be looked at alone.
+PRIMITIVES = [n for n, row in JOINT_ROWS.items() if row.has_value and not row.objection((row,))]
 EVERY_CSPACE = pytest.mark.parametrize("cspace", CSPACES)
 
 # Rounding of a handful of products of numbers of size 1 to 20; a wrong sign or a missing term is
@@ -434,7 +434,8 @@ def random_case(names, seed):
     """A joint between tilted frames, a pose far from closed and a twist."""
     rng = np.random.default_rng(seed)
     frames = {"body_frame": random_pose(rng), "ground_frame": random_pose(rng)}
-    options = {"length": 1.3} if "rod" in names else {}
+    needed = parameters_of([JOINT_ROWS[name] for name in names])
+    options = {n: x for n, x in {"length": 1.3, "pitch": 0.13}.items() if n in needed}
     return from_rows(names, **frames, **options), random_pose(rng), rng.normal(size=6)
 
 
@@ -784,7 +785,7 @@ def test_screw_without_pitch_is_a_revolute(cspace):
 # ---------------------------------------------------------------- rows: names
 
 
-@pytest.mark.parametrize("name", [*PRIMITIVES, "Omega1", "Omega2", "Omega3", "screw"])
+@pytest.mark.parametrize("name", JOINT_ROWS)
 def test_row_name_survives_parsing(name):
     assert str(JOINT_ROWS[name]) == name
 
