@@ -4,33 +4,143 @@
 
 Every parameter is one for all bodies or one for each: (n,), (n, 3). Points and directions are in
 the frame that the argument's name says, in m; by default points are the frame's origin.
+
+A force is a class with its name, its parameters and its formulas, and the function of that name
+that makes it. Studies know it by the same name.
 """
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import as_numbers
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
-from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.groups.coefficients import atan2
+from lierb.kernels.mechanics.elements import Element, Wrench
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Frames, Kinematics, Motion
+from lierb.kernels.mechanics.rows import AddedRow
+from lierb.kernels.numbers.arithmetic import PI, fma, plain, rint, sqrt, where
+from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.vec import (
+    UNIT,
+    ZERO3,
+    Vec,
+    cross,
+    cross_add,
+    dot,
+    mat_t_vec,
+    norm,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
 from lierb.user_elements import Force, user_function
 
-FRAMES = ("ground", "body")
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-def _not_negative(**given: ArrayLike) -> None:
-    for name, value in given.items():
-        array = np.atleast_1d(as_numbers(name, value, ()))
-        for body in np.flatnonzero(array < 0.0)[:1]:
-            label = body_label(name, int(body), array.size)
-            raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+class Parameter(NamedTuple):
+    """Of a force: unit, shape for one body, whether it may be negative, the way to joint axes."""
+
+    unit: str
+    shape: Shape = ()
+    is_signed: bool = True
+    to_joint_axes: Callable[[Frames, Any], Any] = lambda frames, given: given
+
+
+BODY_POINT = Parameter("m", (3,), to_joint_axes=Frames.body_point)
+GROUND_POINT = Parameter("m", (3,), to_joint_axes=Frames.ground_point)
+FORCE_UNITS: dict[str, dict[str, str]] = {}  # of the parameters of every force, by its name
+
+
+@dataclass(frozen=True)
+class BuiltIn(Element):
+    """A force of lierb's own.
+
+    name : of the function that makes it, and of its type in a study.
+    """
+
+    name: ClassVar[str]
+    parameters: ClassVar[dict[str, Parameter]]
+
+    def __init_subclass__(cls) -> None:
+        units = FORCE_UNITS.setdefault(cls.name, {})
+        units |= {name: parameter.unit for name, parameter in cls.parameters.items()}
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        own = {name: parameter.shape for name, parameter in self.parameters.items()}
+        return super().shapes if self.functions else own
+
+    def force(self, /, **given: ArrayLike) -> Force:
+        """The force with these parameters."""
+        made = Force.of(self.name, self, **given)
+        for name in (n for n, p in self.parameters.items() if not p.is_signed):
+            array = np.atleast_1d(made.parameters[name])
+            for body in np.flatnonzero(array < 0.0)[:1]:
+                label = body_label(name, int(body), array.size)
+                raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+        return made
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        ways = {name: parameter.to_joint_axes for name, parameter in self.parameters.items()}
+        return tuple(ways[n](frames, x) if n in ways else x for n, x in given.items())
+
+
+# ---- constant wrenches -------------------------------------------------------------------------
+
+
+class BodyWrench(BuiltIn):
+    """Constant in body axes: a thruster."""
+
+    name = "constant_wrench"
+    parameters: ClassVar = {
+        "torque": Parameter("N m", (3,)), "force": Parameter("N", (3,)), "point": BODY_POINT,
+    }  # fmt: skip
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        force = frames.body_direction(given["force"])
+        torque = frames.body_direction(given["torque"])
+        return cross_add(frames.body_point(given["point"]), force, torque), force
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        torque, force = placed
+        return torque, force
+
+
+class GroundWrench(BuiltIn):
+    """Constant in ground axes; the force has a potential, the torque has none."""
+
+    name = BodyWrench.name
+    parameters: ClassVar = BodyWrench.parameters
+    is_conservative: ClassVar = True
+    working: ClassVar = ("torque",)
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return (
+            frames.ground_direction(given["torque"]),
+            frames.ground_direction(given["force"]),
+            frames.body_point(given["point"]),
+            -dot(given["force"], frames.ground[1]),
+        )
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        torque, force, point, _ = placed
+        pull = mat_t_vec(x.q, force)
+        return cross_add(point, pull, mat_t_vec(x.q, torque)), pull
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        _, force, point, at_origin = placed
+        return at_origin - dot(force, x.place_of(point))
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return dot(mat_t_vec(x.q, placed[0]), x.omega)
 
 
 def constant_wrench(
@@ -52,9 +162,58 @@ def constant_wrench(
     >>> lierb.forces.constant_wrench(force=(0.0, 0.0, 2.0), frame="body")
     <constant_wrench: torque, force, point>
     """
-    require_name("frame", frame, FRAMES)
-    kind = kinds.BodyWrench() if frame == "body" else kinds.GroundWrench()
-    return Force.of("constant_wrench", kind, torque=torque, force=force, point=point)
+    require_name("frame", frame, ("ground", "body"))
+    kind = BodyWrench() if frame == "body" else GroundWrench()
+    return kind.force(torque=torque, force=force, point=point)
+
+
+# ---- springs and dampers -----------------------------------------------------------------------
+
+
+class SpringDamper(BuiltIn):
+    """Along the line from a point of the ground to a point of the body."""
+
+    name = "spring_damper"
+    parameters: ClassVar = {
+        "body_point": BODY_POINT,
+        "ground_point": GROUND_POINT,
+        "stiffness": Parameter("N/m", is_signed=False),
+        "damping": Parameter("N s/m", is_signed=False),
+        "length": Parameter("m", is_signed=False),
+    }
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
+        """From anchor to point in body axes, 1/ℓ and ℓ̇."""
+        point, anchor = placed[:2]
+        line = mat_t_vec(x.q, sub(x.place_of(point), anchor))
+        inverse = _inverse_norm(line)
+        return line, inverse, dot(line, x.velocity_of(point)) * inverse
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        point, _, stiffness, damping, length = placed
+        line, inverse, rate = self._line(placed, x)
+        # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: no direction is needed where ℓ = 0
+        tension = fma(inverse, fma(damping, rate, -(stiffness * length)), stiffness)
+        force = scale(-tension, line)
+        return cross(point, force), force
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        point, anchor, stiffness, _, length = placed
+        stretch = norm(sub(x.place_of(point), anchor)) - length
+        return 0.5 * stiffness * (stretch * stretch)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        _, _, rate = self._line(placed, x)
+        return -placed[3] * (rate * rate)
+
+
+def _inverse_norm(a: Vec) -> Any:
+    """1/‖a‖; 0 for the zero vector."""
+    square = dot(a, a)
+    some = square > 0.0
+    return where(some, 1.0, 0.0) / sqrt(where(some, square, 1.0))
 
 
 def spring_damper(
@@ -72,11 +231,43 @@ def spring_damper(
     Its force on the body is −(k (ℓ − length) + c ℓ̇) along the line; nothing where ℓ = 0. The
     spring's ½k(ℓ − length)² counts in the energy, what the damper takes in the work.
     """
-    _not_negative(stiffness=stiffness, damping=damping, length=length)
-    return Force.of(
-        "spring_damper", kinds.SpringDamper(), body_point=body_point, ground_point=ground_point,
-        stiffness=stiffness, damping=damping, length=length,
+    return SpringDamper().force(
+        body_point=body_point, ground_point=ground_point, stiffness=stiffness, damping=damping,
+        length=length,
     )  # fmt: skip
+
+
+class TorsionalSpring(BuiltIn):
+    """About the joint axis, back to a turn that is at most half a turn away."""
+
+    name = "torsional_spring"
+    parameters: ClassVar = {
+        "stiffness": Parameter("N m/rad", is_signed=False),
+        "damping": Parameter("N m s/rad", is_signed=False),
+        "angle": Parameter("rad"),
+    }
+    needs_axis: ClassVar = True
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        stiffness, damping, angle = placed
+        torque = -fma(stiffness, _turn(x, angle), damping * x.omega[2])
+        return (ZERO, ZERO, torque), ZERO3
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        stiffness, _, angle = placed
+        turn = _turn(x, angle)
+        return 0.5 * stiffness * (turn * turn)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return -placed[1] * (x.omega[2] * x.omega[2])
+
+
+def _turn(x: Motion, angle: Any) -> Any:
+    """How far the body is turned about e₃ from that angle, in [−π, π]."""
+    turn = atan2(x.q[3], x.q[0]) - angle
+    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)
 
 
 def torsional_spring(
@@ -90,11 +281,28 @@ def torsional_spring(
     that its torque jumps half a turn from there. It counts in the energy, ½kφ². For joints that
     keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
     """
-    _not_negative(stiffness=stiffness, damping=damping)
-    return Force.of(
-        "torsional_spring", kinds.TorsionalSpring(), stiffness=stiffness, damping=damping,
-        angle=angle,
-    )  # fmt: skip
+    return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
+
+
+# ---- drag --------------------------------------------------------------------------------------
+
+
+class Drag(BuiltIn):
+    """Against the velocity of a body point, linear and quadratic, and against the turning."""
+
+    name = "drag"
+    parameters: ClassVar = {
+        "linear": Parameter("N s/m", is_signed=False),
+        "quadratic": Parameter("N s²/m²", is_signed=False),
+        "angular": Parameter("N m s", is_signed=False),
+        "point": BODY_POINT,
+    }
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        linear, quadratic, angular, point = placed
+        moving = x.velocity_of(point)
+        force = scale(-fma(quadratic, norm(moving), linear), moving)
+        return cross_add(point, force, scale(-angular, x.omega)), force
 
 
 def drag(
@@ -109,10 +317,62 @@ def drag(
     linear : N s/m.   quadratic : N s²/m².   angular : N m s, for a torque −angular·ω.
     point : (3,) or (n, 3), m, in the body frame.
     """
-    _not_negative(linear=linear, quadratic=quadratic, angular=angular)
-    return Force.of(
-        "drag", kinds.Drag(), linear=linear, quadratic=quadratic, angular=angular, point=point
-    )
+    return Drag().force(linear=linear, quadratic=quadratic, angular=angular, point=point)
+
+
+# ---- motors ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Motor(BuiltIn):
+    """A torque about the joint axis: constant, or a function of time."""
+
+    function: Function | None
+    name = "motor"
+    parameters: ClassVar = {"torque": Parameter("N m")}
+    needs_axis: ClassVar = True
+
+    def at(self, placed: Any, time: Any) -> Any:
+        """The torque, or whatever else it gives."""
+        return placed[0] if self.function is None else self.function(placed, time)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        return (ZERO, ZERO, self.at(placed, x.time)), ZERO3
+
+
+@dataclass(frozen=True)
+class SpeedMotor(Motor):
+    """The turn about the joint axis at a given rate, rad/s: a row, and no force."""
+
+    parameters: ClassVar = {"speed": Parameter("rad/s")}
+    rows: int = 1
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        return ZERO3, ZERO3
+
+    def row(self, place: int, i: int) -> AddedRow:
+        return SpeedRow(self, place, i)
+
+
+class SpeedRow(AddedRow):
+    """Ω₃ = w(t)."""
+
+    is_holonomic = False
+    fixed_axis = 2
+
+    def __str__(self) -> str:
+        return "motor"
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        return UNIT[2] + ZERO3
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        """ẇ, exactly."""
+        rate = self.element.at(self.placed(body), Dual(plain(x.time), (1.0,)))
+        return rate.parts[0] if isinstance(rate, Dual) else ZERO
+
+    def prescribed_rate(self, x: Kinematics, body: BodyConstants) -> Any:
+        return self.element.at(self.placed(body), x.time)
 
 
 def motor(
@@ -137,22 +397,18 @@ def motor(
     if (torque is None) == (speed is None):
         raise ArgumentError("give torque= or speed=, one of the two")
     name, given = ("torque", torque) if speed is None else ("speed", speed)
-    kind = kinds.Motor if speed is None else kinds.SpeedMotor
+    kind = Motor if speed is None else SpeedMotor
     if callable(given):
+        if not inspect.isfunction(given):
+            raise ForceError(
+                f"expected a number or a function of (t) or (t, params), got {told(given)}"
+            )
         shapes: dict[str, Shape] = dict.fromkeys(parameters, ())
-        function = _time_function(given, shapes, differentiated=speed is not None)
-        return Force.of("motor", kind(function), **parameters)
+        function = user_function(given, ("t",), shapes, ((),), differentiated=speed is not None)
+        return kind(function).force(**parameters)
     if parameters:
         raise ArgumentError(f"{', '.join(parameters)}: only a function takes parameters")
-    return Force.of("motor", kind(None), **{name: given})  # type: ignore[arg-type]
+    return kind(None).force(**{name: given})  # type: ignore[arg-type]
 
 
-def _time_function(
-    function: Callable[..., Any], shapes: dict[str, Shape], differentiated: bool
-) -> Function:
-    """A user's function of (t) or (t, params) that returns one number."""
-    if not inspect.isfunction(function):
-        raise ForceError(
-            f"expected a number or a function of (t) or (t, params), got {told(function)}"
-        )
-    return user_function(function, ("t",), shapes, ((),), differentiated)
+__all__ = [*FORCE_UNITS]

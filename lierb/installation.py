@@ -19,8 +19,9 @@ from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.compiler.entries import kernels_loaded
 from lierb.compiler.internals import cache_of
 from lierb.errors import ArgumentError, items_of, require_name, told
-from lierb.joints import JOINTS, REQUIRED, Joint
+from lierb.joints import JOINTS, Joint
 from lierb.kernels.groups.lie_functions import apply
+from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.numbers.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.kernels.stepping.driver import integrate_block
 from lierb.model import Body, Problem
@@ -164,4 +165,4 @@ def _several(argument: str, given: Any, *single: type) -> tuple[Any, ...]:
 def _named(name: str) -> Joint:
     require_name("joint", name, JOINTS)
     entry = JOINTS[name]
-    return entry(**{option: 1.0 for option in REQUIRED if option in entry.options})
+    return entry(**dict.fromkeys(parameters_of(entry.rows), 1.0))

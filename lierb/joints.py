@@ -1,6 +1,6 @@
 """The joint catalogue, as data: each joint is a list of primitive rows, acting between two frames.
 
-Rows are of `lierb.kernels.mechanics.constraints`, in the order in which λ has them, and act on
+Rows are of `lierb.kernels.mechanics.rows`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
 Q turns about an axis ⊥ e₃.
@@ -41,9 +41,9 @@ from lierb.errors import (
 )
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.groups.coefficients import atan2
-from lierb.kernels.mechanics.constraints import WHOLE_ROWS, Row
 from lierb.kernels.mechanics.newton_euler import closed_pose
-from lierb.kernels.mechanics.subgroup import PITCHED, Slots, slots_of
+from lierb.kernels.mechanics.rows import JOINT_ROWS, PITCHED, JointRow, Row, parameters_of
+from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.numbers.vec import (
     ZERO3,
     Vec,
@@ -78,7 +78,7 @@ class Joint(Shown):
     """
 
     name: str
-    rows: tuple[Row, ...]
+    rows: tuple[JointRow, ...]
     ground_frame: Array
     body_frame: Array
     pitch: Array
@@ -93,17 +93,14 @@ class Joint(Shown):
             rows.append(("motions", f"{self.subgroup}, a subgroup of SE(3)"))
         rows.append(("on the body", _shown_frame(self.body_frame)))
         rows.append(("on the ground", _shown_frame(self.ground_frame)))
-        if any(row.kind == "screw" for row in self.rows):
-            rows.append(("pitch", quantity(self.pitch, "m/rad")))
-        if any(row.kind == "rod" for row in self.rows):
-            rows.append(("length", quantity(self.length, "m")))
+        for parameter, unit in parameters_of(self.rows).items():
+            rows.append((parameter, quantity(getattr(self, parameter), unit)))
         return title, rows
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
         """Which constraint errors the joint has rows for: "position", "rotation", both or none."""
-        of_row = {"position" if row.is_translational else "rotation" for row in self.rows}
-        return tuple(sorted(of_row))
+        return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property
     def closed_pose(self) -> Array:
@@ -171,7 +168,7 @@ class Joint(Shown):
 
     def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
         slots, rates = self._slots(), self._numbers("velocities", velocities)
-        frames = {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
+        frames = self._frames
         if coordinates is None:
             placed = self._placed(pose)
             batch_size(velocities=(rates, 1), pose=(placed, 2), pitch=(self.pitch, 0), **frames)
@@ -286,17 +283,11 @@ class Joint(Shown):
                     f"{', '.join(self.coordinate_names)}; give those"
                 )
             turns = as_rotations("rotation", rotation)
-            batch_size(
-                rotation=(turns, 2), ground_frame=(self.ground_frame, 2),
-                body_frame=(self.body_frame, 2),
-            )  # fmt: skip
+            batch_size(rotation=(turns, 2), **self._frames)
             relative = components(turns, 2), ZERO3
         else:
             numbers = self._numbers("coordinates", coordinates)
-            batch_size(
-                coordinates=(numbers, 1), ground_frame=(self.ground_frame, 2),
-                body_frame=(self.body_frame, 2), pitch=self.pitch,
-            )  # fmt: skip
+            batch_size(coordinates=(numbers, 1), **self._frames, pitch=self.pitch)
             turning, places = self._lifted(numbers)
             relative = so3.exp(turning), places
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
@@ -337,14 +328,17 @@ class Joint(Shown):
         )
         return turning, places
 
+    @property
+    def _frames(self) -> dict[str, tuple[Array, int]]:
+        """As `batch_size` takes them."""
+        return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
+
     def _placed(self, pose: Any) -> Array:
         return self.closed_pose if pose is None else as_poses("pose", pose)
 
     def _relative(self, placed: Array) -> Pose:
         """D = G⁻¹CB: the body's joint frame seen from the ground's."""
-        batch_size(
-            pose=(placed, 2), ground_frame=(self.ground_frame, 2), body_frame=(self.body_frame, 2)
-        )
+        batch_size(pose=(placed, 2), **self._frames)
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)
 
@@ -372,9 +366,6 @@ def _shown_frame(frame: Array) -> str:
     return ", ".join(parts) if frame.size == 16 else quantity(frame, item_axes=2)
 
 
-REQUIRED = {"pitch": "m/rad", "length": "m"}  # options without which an entry cannot be made
-
-
 @dataclass(frozen=True)
 class JointType:
     """An entry of the catalogue; calling it makes the joint.
@@ -384,7 +375,7 @@ class JointType:
     """
 
     name: str
-    rows: tuple[Row, ...]
+    rows: tuple[JointRow, ...]
     summary: str
     subgroup: str | None = None
     options: frozenset[str] = frozenset()
@@ -420,9 +411,9 @@ class JointType:
         for option, value in given.items():
             if value is not None and option not in self.options:
                 raise ArgumentError(f"a {self.name} joint takes no {option}")
-        for option, unit in REQUIRED.items():
-            if given[option] is None and option in self.options:
-                raise ArgumentError(f"a {self.name} joint needs {option}=, in {unit}")
+        for parameter, unit in parameters_of(self.rows).items():
+            if given[parameter] is None:
+                raise ArgumentError(f"a {self.name} joint needs {parameter}=, in {unit}")
         body = _body_frame(body_frame, body_point, axis, slot, second_axis)
         ground = _ground_frame(ground_frame, ground_point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
@@ -532,8 +523,9 @@ JOINTS: dict[str, JointType] = {}
 def _entry(
     name: str, rows: str, summary: str, subgroup: str | None = None, options: tuple[str, ...] = ()
 ) -> JointType:
-    parsed = tuple(Row.parse(row) for row in rows.split())
-    JOINTS[name] = JointType(name, parsed, summary, subgroup, frozenset(options))
+    parsed = tuple(JOINT_ROWS[row] for row in rows.split())
+    taken = frozenset((*options, *parameters_of(parsed)))
+    JOINTS[name] = JointType(name, parsed, summary, subgroup, taken)
     return JOINTS[name]
 
 
@@ -543,9 +535,7 @@ cylindrical = _entry(
     "cylindrical", "d1 d2 Omega1 Omega2", "turns about an axis and slides along it", "SO(2)×R"
 )
 prismatic = _entry("prismatic", "d1 d2 Omega1 Omega2 Omega3", "slides along an axis", "R")
-screw = _entry(
-    "screw", "d1 d2 screw Omega1 Omega2", "turns and slides in proportion", "H_p", ("pitch",)
-)
+screw = _entry("screw", "d1 d2 screw Omega1 Omega2", "turns and slides in proportion", "H_p")
 planar = _entry("planar", "d3 Omega1 Omega2", "moves in a plane and turns in it", "SE(2)")
 universal = _entry(
     "universal",
@@ -569,7 +559,6 @@ helical_planar = _entry(
     "screw Omega1 Omega2",
     "moves in a plane, turns in it and rises in proportion",
     "H_p⋉R²",
-    ("pitch",),
 )
 schoenflies = _entry(
     "schoenflies", "Omega1 Omega2", "moves freely, turns about one direction", "SO(2)⋉R³"
@@ -589,10 +578,7 @@ pin_in_slot_body = _entry(
 point_on_line = _entry("point_on_line", "d1 d2", "keeps a point on a line along e₃ of the ground")
 point_on_plane = _entry("point_on_plane", "d3", "keeps a point in a plane normal to e₃")
 point_on_sphere = _entry(
-    "point_on_sphere",
-    "rod",
-    "a massless rod with a ball at each end holds a point at a distance",
-    options=("length",),
+    "point_on_sphere", "rod", "a massless rod with a ball at each end holds a point at a distance"
 )
 constant_velocity = _entry(
     "constant_velocity",
@@ -643,48 +629,25 @@ def from_rows(
     if not isinstance(name, str):
         raise ArgumentError(f"name={told(name)}; expected a text")
     parsed = tuple(dict.fromkeys(_row(row) for row in rows))
-    if Row("screw", 2) in parsed and not {Row("Omega", 0), Row("Omega", 1)} <= set(parsed):
-        raise ArgumentError(
-            f"rows={told(rows)} has a screw row whose axis may tilt; add Omega1 and Omega2"
-        )
     if len(parsed) > MOST_ROWS:
         raise ArgumentError(
             f"rows={told(rows)} are {len(parsed)} rows; expected {MOST_ROWS} at most"
         )
-    if sum(row.kind == "Omega" for row in parsed) == 1:
-        raise ArgumentError(
-            f"rows={told(rows)} has one Omega row alone; expected two, three or none"
-        )
-    kinds = {row.kind for row in parsed}
-    if "rod" in kinds and kinds & {"d", "Qtd", "screw"}:
-        raise ArgumentError(
-            f"rows={told(rows)} has a rod beside rows that hold its end in another way"
-        )
-    needed = {"screw": "pitch", "rod": "length"}
-    options = {"slot", "second_axis"} | {needed[r.kind] for r in parsed if r.kind in needed}
-    made = JointType(name, parsed, "built from rows", None, frozenset(options))
+    for objection in filter(None, (row.objection(parsed) for row in parsed)):
+        raise ArgumentError(f"rows={told(rows)} {objection}")
+    options = frozenset({"slot", "second_axis", *parameters_of(parsed)})
+    made = JointType(name, parsed, "built from rows", None, options)
     return made(
-        body_point,
-        ground_point,
-        axis=axis,
-        slot=slot,
-        second_axis=second_axis,
-        pitch=pitch,
-        length=length,
-        body_frame=body_frame,
-        ground_frame=ground_frame,
-    )
+        body_point, ground_point, axis=axis, slot=slot, second_axis=second_axis, pitch=pitch,
+        length=length, body_frame=body_frame, ground_frame=ground_frame,
+    )  # fmt: skip
 
 
-_ROW_NAMES = [f"{kind}{i}" for kind in ("d", "Qtd", "Omega") for i in "123"]
-_ROW_NAMES += [f"Q{i}{j}" for i in "123" for j in "123"] + [*WHOLE_ROWS]
-
-
-def _row(name: str | Row) -> Row:
+def _row(name: str | Row) -> JointRow:
     try:
-        return Row.parse(str(name) if isinstance(name, Row) else name.replace("Ω", "Omega"))
+        return JOINT_ROWS[str(name) if isinstance(name, Row) else name.replace("Ω", "Omega")]
     except Exception:  # of what is neither a name nor a row, any
-        raise unknown_name("row", name, _ROW_NAMES) from None
+        raise unknown_name("row", name, JOINT_ROWS) from None
 
 
 __all__ = ["JOINTS", "Joint", "JointType", "from_rows", *JOINTS]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
@@ -38,14 +39,7 @@ from lierb.errors import (
 from lierb.joints import MOST_ROWS, Joint
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics import elements as kinds
-from lierb.kernels.mechanics.constraints import (
-    AddedRow,
-    Row,
-    Rows,
-    jacobian,
-    prescribed_rate,
-    residuals,
-)
+from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -53,6 +47,7 @@ from lierb.kernels.mechanics.newton_euler import (
     SO3xR3,
     unit_inertia,
 )
+from lierb.kernels.mechanics.rows import Rows, keeps_axis
 from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
@@ -206,7 +201,7 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
         reject_functions(label, element)
         _require(label, element, kind, f"a {kind.__name__.lower()} made by lierb")
         element.require_unchanged()
-        if element.kind.needs_axis and not {Row("Omega", 0), Row("Omega", 1)} <= set(joint.rows):
+        if element.kind.needs_axis and not keeps_axis(joint.rows):
             raise ForceError(
                 f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
                 "keep: its body turns about others too; take a joint such as revolute, or a "
@@ -328,7 +323,7 @@ class Problem(Shown):
     def rows(self) -> Rows:
         """Every constraint row: the joint's, those of motors, and further ones."""
         added = (
-            AddedRow(element.kind, place, i, element.kind.is_translational)
+            element.kind.row(place, i)
             for place, element in enumerate(self.elements)
             for i in range(element.kind.rows)
         )
@@ -422,7 +417,7 @@ class Problem(Shown):
             here = ROUNDING * norm((0.0, *placed[1]))
             closed = np.isfinite(small)  # or any distance passes for rounding
             for r, h in zip(rows, off, strict=True):
-                near = small + (rounding if isinstance(r, AddedRow) else here)
+                near = small + (here if r.is_of_joint else rounding)
                 closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
             if np.all(closed):
                 break
@@ -430,7 +425,7 @@ class Problem(Shown):
                 body,
                 x.q,
                 rows,
-                partial(jacobian, x=x, body=body),
+                methodcaller("jacobian", x, body),
                 tuple(-h for h in off),
                 AT_REST,
             )
@@ -473,10 +468,10 @@ class Problem(Shown):
         parameters, body = self.parameters(), self.in_joint_axes(SE3)
         placed, velocity = SE3.to_joint_axes(parameters, pose, given)
         x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
-        wanted = [prescribed_rate(r, x, body) for r in self.rows]
+        wanted = [r.prescribed_rate(x, body) for r in self.rows]
         if error := unfit_rate(self.rows, wanted, t0):
             raise error
-        along = partial(jacobian, x=x, body=body)
+        along = methodcaller("jacobian", x, body)
         for _ in range(2):  # the second time, for what rounding has left of a large part
             rates = [dot(along(r), velocity) for r in self.rows]
             lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))

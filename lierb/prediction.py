@@ -16,7 +16,7 @@ import numpy as np
 
 from lierb.arrays import Array, as_poses, pose_components
 from lierb.errors import ArgumentError, PoseError, told
-from lierb.kernels.mechanics.constraints import AddedRow, jacobian, residuals
+from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, BodyConstants, Pose, SO3xR3
 from lierb.kernels.mechanics.scale import (
     ROUNDING,
@@ -133,9 +133,7 @@ class _Explorer:
     def __init__(self, cspace: str, problem: Problem, pose: Array) -> None:
         self.cspace = cspace
         # A motor's speed says nothing of the pose, and every motion is one of the joint's.
-        self.rows = tuple(
-            r for r in problem.rows if not (isinstance(r, AddedRow) and r.is_of_velocity)
-        )
+        self.rows = tuple(r for r in problem.rows if r.is_holonomic)
         self.space: type[SE3] | type[SO3xR3] = CSPACES[cspace]
         parameters = problem.parameters()
         self.body: BodyConstants = problem.in_joint_axes(self.space)
@@ -147,7 +145,7 @@ class _Explorer:
         self.row_units = np.array([self.length if r.is_translational else 1.0 for r in self.rows])
         # Of the user's places, which only functions of the user's see: joint rows see d alone.
         rounding = float(rounding_of(parameters, pose_components(pose))) / self.length
-        self.rounding = np.array([rounding * isinstance(r, AddedRow) for r in self.rows])
+        self.rounding = np.array([rounding * (not r.is_of_joint) for r in self.rows])
         values, _ = self._at(self.start)
         off = np.abs(values).max(initial=0.0) > START_TOLERANCE + rounding
         if off or any(bearing <= 0.0 for bearing in bearings(self.rows, self.start[0])):
@@ -177,7 +175,7 @@ class _Explorer:
         """h and J at a configuration, lengths in units of the problem's own."""
         x = self.space.kinematics(self.body, pose, (0.0,) * 6)
         values = np.array([_float(h) for h in residuals(self.rows, x, self.body)])
-        jac = np.array([list(map(_float, jacobian(r, x, self.body))) for r in self.rows])
+        jac = np.array([list(map(_float, r.jacobian(x, self.body))) for r in self.rows])
         units = self.units / self.row_units[:, None]
         return values / self.row_units, jac.reshape(-1, 6) * units
 

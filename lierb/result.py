@@ -15,7 +15,7 @@ from lierb.arrays import Array, assembled, components
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.constraints import Row
+from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.numbers.vec import norm, scale
 from lierb.runs.columns import as_array, numbers
 from lierb.runs.continuation import End
@@ -251,10 +251,8 @@ def _kinds_of(told: dict[str, Any]) -> list[str]:
     """Those of LARGEST that there are rows for; an added row may be of either kind."""
     kinds = {"energy_drift"}
     for name in told.get("problem", {}).get("rows", [""]):
-        try:
-            kinds.add("position_error" if Row.parse(name).is_translational else "rotation_error")
-        except ValueError:
-            kinds.update(LARGEST)
+        row = JOINT_ROWS.get(name)
+        kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
     return [name for name in LARGEST if name in kinds]
 
 

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
 
 import numba
@@ -24,6 +24,7 @@ from lierb.compiler import disk_cache, entries, sealed
 from lierb.compiler.code import cached, compiled
 from lierb.compiler.tags import Tag
 from lierb.compiler.trace import kernel
+from lierb.kernels.mechanics.elements import Element
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"
@@ -144,6 +145,14 @@ EDITS = {
         "stepping/stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
     ),
 }  # fmt: skip
+
+
+def test_formulas_of_every_element_are_among_the_sources():
+    kinds = [Element]
+    for kind in kinds:
+        kinds += kind.__subclasses__()
+    assert all(map(is_dataclass, kinds))  # by which their modules are in a tag's stamp
+    assert len(kinds) > 8
 
 
 @pytest.mark.slow  # four processes that compile

@@ -11,15 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.joints import JOINTS, from_rows
-from lierb.kernels.mechanics.constraints import (
-    Row,
-    acceleration,
-    jacobian,
-    position_error_squared,
-    rotation_error_squared,
-    value,
-)
+from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
 from lierb.kernels.mechanics.newton_euler import CSPACES, Parameters
+from lierb.kernels.mechanics.rows import JOINT_ROWS, parameters_of
 
 mp = mpmath.mp.clone()
 mp.dps = 50
@@ -124,7 +118,7 @@ def numbers(row):
 
 
 def jacobian_of(joint, x):
-    rows = [numbers(jacobian(r, x, parameters(joint))) for r in joint.rows]
+    rows = [numbers(r.jacobian(x, parameters(joint))) for r in joint.rows]
     return np.array(rows).reshape(-1, 6)
 
 
@@ -136,22 +130,22 @@ def relative_pose(joint, C):
 def row_by_definition(r, D, pitch=0.0, length=0.0):
     """h of a row, as the catalogue describes it."""
     Q, d = D[:3, :3], D[:3, 3]
-    if r.kind == "rod":
+    if r.symbol == "rod":
         return (d @ d - length**2) / (2 * length)
-    if r.kind == "cv":
+    if r.symbol == "cv":
         return 2 * Rotation.from_matrix(Q).as_quat(canonical=True)[2]
-    if r.kind == "d":
+    if r.symbol == "d":
         return d[r.i]
-    if r.kind == "Qtd":
+    if r.symbol == "Qtd":
         return (Q.T @ d)[r.i]
-    if r.kind == "Q":
+    if r.symbol == "Q":
         return Q[r.i, r.j]
     slip = d[2] - pitch * np.arctan2(Q[1, 0], Q[0, 0])
     return slip - 2 * np.pi * pitch * np.round(slip / (2 * np.pi * pitch or 1.0))
 
 
-PRIMITIVES = [f"{kind}{i}" for kind in ("d", "Qtd") for i in "123"]
-PRIMITIVES += [f"Q{i}{j}" for i in "123" for j in "123"] + ["rod", "cv"]
+# All rows that can be looked at alone.
+PRIMITIVES = [n for n, row in JOINT_ROWS.items() if row.has_value and not row.objection((row,))]
 EVERY_CSPACE = pytest.mark.parametrize("cspace", CSPACES)
 
 # Rounding of a handful of products of numbers of size 1 to 20; a wrong sign or a missing term is
@@ -354,7 +348,7 @@ def test_value_is_that_of_the_definition(cspace, name):
     for _ in range(20):
         C = random_pose(rng)
         x, _ = kinematics(cspace, joint, C, np.zeros(6))
-        got = value(joint.rows[0], x, parameters(joint))
+        got = joint.rows[0].value(x, parameters(joint))
         expected = row_by_definition(joint.rows[0], relative_pose(joint, C), **options)
         assert got == pytest.approx(expected, rel=0, abs=ROUNDING)
 
@@ -364,7 +358,7 @@ def test_screw_value_forgets_whole_turns():
     for angle in np.linspace(-20.0, 20.0, 81):
         x, _ = kinematics("SE3", joint, pose_of(turn_z(angle), (0, 0, 0.25 * angle)), np.zeros(6))
         # |d₃| ≤ 5 m and its reduction modulo 2π·pitch: a few roundings of 5
-        assert abs(value(joint.rows[2], x, parameters(joint))) <= 1e-14
+        assert abs(joint.rows[2].value(x, parameters(joint))) <= 1e-14
 
 
 @pytest.mark.parametrize("pitch", [0.25, -0.25])
@@ -374,7 +368,7 @@ def test_screw_value_is_the_nearest_slip(pitch):
     for slip in (-0.9 * half_turn, -1e-3, 1e-3, 0.9 * half_turn):
         C = pose_of(turn_z(7.0), (0, 0, pitch * 7.0 + slip))
         x, _ = kinematics("SE3", joint, C, np.zeros(6))
-        assert value(joint.rows[2], x, parameters(joint)) == pytest.approx(slip, rel=0, abs=1e-14)
+        assert joint.rows[2].value(x, parameters(joint)) == pytest.approx(slip, rel=0, abs=1e-14)
 
 
 # ---------------------------------------------------------------- rows: J and η
@@ -404,16 +398,16 @@ def _moved(cspace, C, twist, t):
 
 
 def _exact_value(row, Q, d, pitch, length):
-    if row.kind == "rod":
+    if row.symbol == "rod":
         length = mp.mpf(length)
         return ((d.T * d)[0] - length**2) / (2 * length)
-    if row.kind == "cv":
+    if row.symbol == "cv":
         return (Q[1, 0] - Q[0, 1]) / mp.sqrt(1 + Q[0, 0] + Q[1, 1] + Q[2, 2])
-    if row.kind == "d":
+    if row.symbol == "d":
         return d[row.i]
-    if row.kind == "Qtd":
+    if row.symbol == "Qtd":
         return (Q.T * d)[row.i]
-    if row.kind == "Q":
+    if row.symbol == "Q":
         return Q[row.i, row.j]
     return d[2] - mp.mpf(pitch) * mp.atan2(Q[1, 0], Q[0, 0])
 
@@ -424,7 +418,7 @@ def _values_at(joint, cspace, C, twist, t):
     G, B = (mp.matrix(X.tolist()) for X in (joint.ground_frame, joint.body_frame))
     Q = G[0:3, 0:3].T * R * B[0:3, 0:3]
     d = G[0:3, 0:3].T * (R * B[0:3, 3] + r - G[0:3, 3])
-    rows = [row for row in joint.rows if row.kind != "Omega"]
+    rows = [row for row in joint.rows if row.symbol != "Omega"]
     return [_exact_value(row, Q, d, float(joint.pitch), float(joint.length)) for row in rows]
 
 
@@ -440,7 +434,8 @@ def random_case(names, seed):
     """A joint between tilted frames, a pose far from closed and a twist."""
     rng = np.random.default_rng(seed)
     frames = {"body_frame": random_pose(rng), "ground_frame": random_pose(rng)}
-    options = {"length": 1.3} if "rod" in names else {}
+    needed = parameters_of([JOINT_ROWS[name] for name in names])
+    options = {n: x for n, x in {"length": 1.3, "pitch": 0.13}.items() if n in needed}
     return from_rows(names, **frames, **options), random_pose(rng), rng.normal(size=6)
 
 
@@ -479,7 +474,7 @@ def test_acceleration_is_minus_the_second_derivative_at_rest_acceleration(cspace
     joint, C, twist = random_case([name], seed)
     x, _ = kinematics(cspace, joint, C, twist)
     _, bends = rates_and_accelerations(joint, cspace, C, twist)
-    eta = numbers([acceleration(r, x, parameters(joint)) for r in joint.rows])
+    eta = numbers([r.acceleration(x, parameters(joint)) for r in joint.rows])
     np.testing.assert_allclose(eta, -bends, rtol=0, atol=ROUNDING)
 
 
@@ -496,7 +491,7 @@ def test_screw_row_has_the_rate_and_acceleration_of_the_slip(cspace, angle):
     rates, bends = rates_and_accelerations(joint, cspace, C, twist)
     J = jacobian_of(joint, x)[:3]
     np.testing.assert_allclose(J @ velocity, rates, rtol=0, atol=ROUNDING)
-    eta = numbers([acceleration(r, x, parameters(joint)) for r in joint.rows[:3]])
+    eta = numbers([r.acceleration(x, parameters(joint)) for r in joint.rows[:3]])
     np.testing.assert_allclose(eta, -bends, rtol=0, atol=ROUNDING)
 
 
@@ -506,7 +501,7 @@ def test_omega_rows_are_the_relative_angular_velocity_in_the_bodys_joint_frame(c
     x, velocity = kinematics(cspace, joint, C, twist)
     expected = joint.body_frame[:3, :3].T @ twist[:3]
     np.testing.assert_allclose(jacobian_of(joint, x) @ velocity, expected, rtol=0, atol=ROUNDING)
-    assert numbers([acceleration(r, x, parameters(joint)) for r in joint.rows]).tolist() == [
+    assert numbers([r.acceleration(x, parameters(joint)) for r in joint.rows]).tolist() == [
         0.0,
         0.0,
         0.0,
@@ -568,9 +563,9 @@ def test_constant_velocity_row_is_regular_at_any_bend(bend, twist):
     C = pose_of(np.array(Q.tolist(), dtype=float), (0.0, 0.0, 0.0))
     x, velocity = kinematics("SE3", joint, C, (*omega, 0.0, 0.0, 0.0))
     found = [
-        value(row, x, parameters(joint)),
+        row.value(x, parameters(joint)),
         float(jacobian_of(joint, x)[0] @ velocity),
-        acceleration(row, x, parameters(joint)),
+        row.acceleration(x, parameters(joint)),
     ]
     rate, bending = mp.diff(at, 0), mp.diff(at, 0, 2)
     expected = np.array([at(0), rate, -bending], dtype=float)
@@ -591,7 +586,7 @@ def test_constant_velocity_row_is_the_twist_where_shafts_are_in_line():
     small = pose_of(turn_z(1e-5), (0.0, 0.0, 0.0))
     x, _ = kinematics("SE3", joint, small, np.zeros(6))
     # 2 sin(φ/2) is φ but for φ³/24
-    assert value(joint.rows[0], x, parameters(joint)) == pytest.approx(1e-5, abs=1e-15)
+    assert joint.rows[0].value(x, parameters(joint)) == pytest.approx(1e-5, abs=1e-15)
 
 
 # ---------------------------------------------------------------- the catalogue
@@ -781,18 +776,18 @@ def test_screw_without_pitch_is_a_revolute(cspace):
     (x, _), (y, _) = (kinematics(cspace, joint, C, twist) for joint in pair)
     np.testing.assert_array_equal(jacobian_of(pair[0], x), jacobian_of(pair[1], y))
     p = parameters(pair[0])
-    assert value(pair[0].rows[2], x, p) == value(pair[1].rows[2], y, p)
-    assert [numbers([acceleration(r, x, p)]) for r in pair[0].rows] == [
-        numbers([acceleration(r, y, p)]) for r in pair[1].rows
+    assert pair[0].rows[2].value(x, p) == pair[1].rows[2].value(y, p)
+    assert [numbers([r.acceleration(x, p)]) for r in pair[0].rows] == [
+        numbers([r.acceleration(y, p)]) for r in pair[1].rows
     ]
 
 
 # ---------------------------------------------------------------- rows: names
 
 
-@pytest.mark.parametrize("name", [*PRIMITIVES, "Omega1", "Omega2", "Omega3", "screw"])
+@pytest.mark.parametrize("name", JOINT_ROWS)
 def test_row_name_survives_parsing(name):
-    assert str(Row.parse(name)) == name
+    assert str(JOINT_ROWS[name]) == name
 
 
 def test_from_rows_takes_greek():
@@ -807,7 +802,7 @@ def test_from_rows_equals_the_catalogue():
 
 
 def test_row_units_are_those_of_the_wrench():
-    units = [Row.parse(name).unit for name in ("d1", "Qtd2", "screw", "Omega1", "Q32")]
+    units = [JOINT_ROWS[name].unit for name in ("d1", "Qtd2", "screw", "Omega1", "Q32")]
     assert units == ["N", "N", "N", "N m", "N m"]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import methodcaller
 
 import numpy as np
 import oracle
@@ -13,8 +14,8 @@ from mpmath import mp
 import lierb
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.groups import quaternion
-from lierb.kernels.mechanics.constraints import Row, acceleration, jacobian
 from lierb.kernels.mechanics.newton_euler import CSPACES
+from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.numbers.zero import is_zero
@@ -100,13 +101,13 @@ def _compare_with_lu(plan, body, pose, velocity, rows, cspace):
     found = accelerate(plan, body, chart, velocity)
     numbers = np.vectorize(_number)
     x = plan.space.kinematics(body, pose, velocity)
-    if all(r.kind != "cv" for r in rows):  # whose root is of a float
+    if all(r.symbol != "cv" for r in rows):  # whose root is of a float
         body, x = _exact(body), plan.space.kinematics(*map(_exact, (body, pose, velocity)))
     jac, eta = (
         np.vectorize(lambda entry: mp.mpf(0) if is_zero(entry) else mp.mpf(entry), [object])(
-            np.array([formula(r, x, body) for r in rows], dtype=object)
+            np.array([formula(r) for r in rows], dtype=object)
         )
-        for formula in (jacobian, acceleration)
+        for formula in (methodcaller(name, x, body) for name in ("jacobian", "acceleration"))
     )
     mass = _mass_matrix(body, cspace)
     omega, v = exactly(velocity[:3]), exactly(velocity[3:])
@@ -247,7 +248,7 @@ def _held_at_its_point(rows):
 def test_a_row_that_says_the_same_changes_nothing():
     rows = ROWS["spherical"]
     once = accelerate(*_held_at_its_point(rows))
-    twice = accelerate(*_held_at_its_point((*rows, Row.parse("Qtd1"))))
+    twice = accelerate(*_held_at_its_point((*rows, JOINT_ROWS["Qtd1"])))
     assert (_number(once.dropped), twice.dropped) == (0.0, 1.0)
     # the dropped row's λ is zero: the arithmetic is the same
     np.testing.assert_array_equal(
@@ -258,11 +259,13 @@ def test_a_row_that_says_the_same_changes_nothing():
 
 
 def test_contradicting_rows_are_marked():
-    rows = (*ROWS["spherical"], Row.parse("Qtd1"))
+    rows = (*ROWS["spherical"], JOINT_ROWS["Qtd1"])
     plan, body, (_, d), velocity = _held_at_its_point(rows)
     x = plan.space.kinematics(body, (IDENTITY, d), velocity).at_point()
     load = Load((0.1, 0.2, 0.3), (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
-    found = solve(body, IDENTITY, rows, lambda r: jacobian(r, x, body), (0.0, 0.0, 0.0, 1.0), load)
+    found = solve(
+        body, IDENTITY, rows, methodcaller("jacobian", x, body), (0.0, 0.0, 0.0, 1.0), load
+    )
     assert found.singular == 1.0
 
 

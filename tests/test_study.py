@@ -50,7 +50,7 @@ from lierb.studies.manifest import sealed
 from lierb.studies.parts import _with_draws
 from lierb.studies.running import parts_of, replay
 from lierb.studies.study import KEYS, Study, line_of
-from lierb.studies.units import FORCE_UNITS, UNITS
+from lierb.studies.units import UNITS
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
 
@@ -525,7 +525,7 @@ def test_units_are_those_of_the_joint_and_of_the_force():
 def test_whatever_can_be_sampled_has_a_unit():
     for keys in KEYS.values():
         assert set(keys) <= {*UNITS, "coordinates", "velocities", "body_frame", "ground_frame"}
-    for name, units in FORCE_UNITS.items():
+    for name, units in lierb.forces.FORCE_UNITS.items():
         force = getattr(lierb.forces, name)
         parameters = inspect.signature(force).parameters.values()
         names = {p.name for p in parameters if p.kind is not p.VAR_KEYWORD} - {"frame"}

@@ -342,14 +342,14 @@ def row_errors(row, D, twist_at_point, omega, pitch):
     twist_at_point: ḋ in ground joint axes.   omega: Ω in the body's joint axes.
     """
     Q, d = D[:3, :3], D[:3, 3]
-    if row.kind == "Omega":
+    if row.symbol == "Omega":
         return None, omega[row.i]
-    if row.kind == "Q":
+    if row.symbol == "Q":
         return Q[row.i, row.j], (Q @ hat(omega))[row.i, row.j]
-    if row.kind == "Qtd":
+    if row.symbol == "Qtd":
         b = Q.T @ d
         return b[row.i], (Q.T @ twist_at_point - np.cross(omega, b))[row.i]
-    if row.kind == "d":
+    if row.symbol == "d":
         return d[row.i], twist_at_point[row.i]
     slip = d[2] - pitch * np.arctan2(Q[1, 0], Q[0, 0])
     turn = 2 * np.pi * pitch
@@ -358,7 +358,7 @@ def row_errors(row, D, twist_at_point, omega, pitch):
 
 def axis_error(rows, Q):
     """Square of the rotation error of the `Omega` rows: about the axis left free, or about none."""
-    fixed = [row.i for row in rows if row.kind == "Omega"]
+    fixed = [row.i for row in rows if row.symbol == "Omega"]
     if len(fixed) == 3:
         return 0.5 * ((Q**2).sum() - (np.diag(Q) ** 2).sum())
     if len(fixed) == 2:
@@ -378,7 +378,7 @@ def measures_of(problem, i, state):
     turning = B[:3, :3].T @ omega
     found = [(row, *row_errors(row, D, at_point, turning, pitch)) for row in joint.rows]
     position = [h for row, h, _ in found if row.is_translational]
-    turned = [h for row, h, _ in found if row.kind == "Q"]
+    turned = [h for row, h, _ in found if row.symbol == "Q"]
     turning_rates = [x for row, _, x in found if not row.is_translational]
     m, inertia, c, g = body.mass[i], body.inertia[i], body.com[i], problem.gravity[i]
     kinetic = 0.5 * omega @ inertia @ omega + m * omega @ np.cross(c, v) + 0.5 * m * v @ v
@@ -457,7 +457,7 @@ def kkt(problem, i, state):
     J = [np.hstack([-turn @ hat(p), turn])]
     eta = [-turn @ np.cross(omega, v + np.cross(omega, p))]
     for row in joint.rows[3:]:
-        assert row.kind == "Omega"
+        assert row.symbol == "Omega"
         J.append(np.hstack([B[:3, row.i], np.zeros(3)])[None])
         eta.append(np.zeros(1))
     J, eta = np.vstack(J), np.concatenate(eta)

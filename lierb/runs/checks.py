@@ -9,12 +9,9 @@ import numpy as np
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.mechanics.constraints import (
-    jacobian,
     position_error_squared,
-    prescribed_rate,
     rate_errors_squared,
     rotation_error_squared,
-    value,
 )
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics
 from lierb.kernels.mechanics.scale import Tolerances, bearings, start_tolerances
@@ -91,9 +88,9 @@ def _pose_violation(
         if not max(error, most) < np.inf:
             return PoseError(_overflow(label, f"{what} error"))
         values = [
-            f"{r} = {_plain(value(r, x, body)):.3g}"
+            f"{r} = {_plain(r.value(x, body)):.3g}"
             for r in rows
-            if r.kind != "Omega" and r.is_translational == (what == "position")
+            if r.has_value and r.error_kind == what
         ]
         detail = f" ({', '.join(values)})" if values else ""
         remedy = (
@@ -117,7 +114,7 @@ def _twist_violation(
     allowed: Tolerances,
     label: str,
 ) -> TwistError | None:
-    rates = [prescribed_rate(r, x, body) for r in problem.rows]
+    rates = [r.prescribed_rate(x, body) for r in problem.rows]
     if unfit := unfit_rate(problem.rows, rates, x.time):
         return unfit
     squares = rate_errors_squared(problem.rows, x, body, velocity)
@@ -130,7 +127,7 @@ def _twist_violation(
         if not max(error, most) < np.inf:
             return TwistError(_overflow(label, what))
         rows = ", ".join(
-            f"{r}: {dot(jacobian(r, x, body), velocity) - prescribed_rate(r, x, body):.3g}"
+            f"{r}: {dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body):.3g}"
             for r in problem.rows
             if r.is_translational == (what == "velocity")
         )

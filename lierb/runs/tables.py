@@ -82,8 +82,8 @@ def _work_of(force: Force) -> str:
         return force.name
     if force.kind.is_users:
         return f"{force.name} beyond its potential"
-    for part in ("damping", "torque"):
-        if part in force.parameters and np.any(force.parameters[part] != 0.0):
+    for part in force.kind.working:
+        if np.any(force.parameters[part] != 0.0):
             return f"{force.name}'s {part}"
     return ""
 

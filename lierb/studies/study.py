@@ -53,6 +53,7 @@ from lierb.arrays import (
 from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
 from lierb.joints import Joint
 from lierb.kernels.groups import se3
+from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.model import Body, Problem
 from lierb.runs import checks
 from lierb.sampling import Design, inertia_of
@@ -169,7 +170,7 @@ class ForceSection(BaseModel):
 
     model_config = SECTION | ConfigDict(extra="allow")
 
-    type: Literal["constant_wrench", "spring_damper", "torsional_spring", "drag", "motor"]
+    type: Literal[tuple(forces.FORCE_UNITS)]  # type: ignore[valid-type]
     name: str | None = None
 
     @property
@@ -536,10 +537,8 @@ def _started(problem: Problem, initial: dict[str, Any], t0: float) -> tuple[Arra
         return problem.project(initial["twist"], pose, t0=t0), pose
     turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
     twist = joint.twist(pose=pose, **turning)
-    held = {row.kind for row in problem.rows}
-    allowed = not held or (
-        held == {"d"} and len(problem.rows) == 3 and "point_velocity" not in turning
-    )
+    about_a_point = holds_a_point(problem.rows) and len(problem.rows) == 3
+    allowed = not problem.rows or (about_a_point and "point_velocity" not in turning)
     return twist if allowed else problem.project(twist, pose, t0=t0), pose
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lierb import forces
 from lierb.joints import Joint
 from lierb.studies.study import Study
 
@@ -13,16 +14,6 @@ UNITS = {
     "omega": "rad/s", "point_velocity": "m/s", "twist": "rad/s, rad/s, rad/s, m/s, m/s, m/s",
     "rotation": "1", "place": "m",
 }  # fmt: skip
-FORCE_UNITS = {
-    "constant_wrench": {"torque": "N m", "force": "N", "point": "m"},
-    "spring_damper": {
-        "body_point": "m", "ground_point": "m", "stiffness": "N/m", "damping": "N s/m",
-        "length": "m",
-    },
-    "torsional_spring": {"stiffness": "N m/rad", "damping": "N m s/rad", "angle": "rad"},
-    "drag": {"linear": "N s/m", "quadratic": "N s²/m²", "angular": "N m s", "point": "m"},
-    "motor": {"torque": "N m", "speed": "rad/s"},
-}  # fmt: skip
 
 
 def unit_of(quantity: str, study: Study, joint: Joint) -> str:
@@ -33,7 +24,7 @@ def unit_of(quantity: str, study: Study, joint: Joint) -> str:
     section, _, key = quantity.rpartition(".")
     if section.startswith("forces."):
         types = {f"forces.{force.label}": force.type for force in study.problem.forces}
-        return FORCE_UNITS[types[section]][key]
+        return forces.FORCE_UNITS[types[section]][key]
     if key in ("coordinates", "velocities"):
         of_each = ["m" if name.startswith("d") else "rad" for name in joint.coordinate_names]
         return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)

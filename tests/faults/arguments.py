@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb import errors, tableaus
-from lierb.kernels.mechanics.constraints import Row
+from lierb.kernels.mechanics.rows import JOINT_ROWS, Point
 from lierb.studies import convergence
 
 SECONDS = 5.0  # that a call may take
@@ -140,7 +140,7 @@ SCALARS: list[Any] = [
     Given(np.ones(6)), Given("x"), Given(np.ma.masked_all(3)), Given(np.ones((4, 4))),
     Matrix([[1, 0, 0], [0, 1, 0], [0, 0, 1]]), Matrix("x"), Matrix(None), Matrix(np.eye(4)),
     Matrix(np.ones((2, 3, 3))), Matrix(Raising()), Rotation.identity(), Rotation.identity(2),
-    Rotation, Row("d", 0), Row("x", 9),
+    Rotation, JOINT_ROWS["d1"], Point(9),
 ]  # fmt: skip
 NUMPY: list[Any] = [
     np.float16(1.0), np.float32(1e30), np.float64("nan"), np.longdouble(1.0),

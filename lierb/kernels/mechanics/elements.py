@@ -1,9 +1,10 @@
 """What acts on a body beside gravity and its joint: applied forces, and further constraints.
 
-Each kind of element is a tag with formulas. `placed` takes its parameters from the user's frames to
-joint axes, once a run. A force has its `wrench`, evaluated in every stage, its `energy`, where it
-has a potential, and its `power`, where it does work beyond that; a constraint has rows, which the
-saddle point solves for with the joint's own.
+Each kind of element is a tag with formulas: those of `lierb.forces`, and functions of the user's
+here. `placed` takes its parameters from the user's frames to joint axes, once a run. A force has
+its `wrench`, evaluated in every stage, its `energy`, where it has a potential, and its `power`,
+where it does work beyond that; a constraint has rows, which the saddle point solves for with the
+joint's own.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
 from lierb.kernels.functions.function import BODY, Function
-from lierb.kernels.groups.coefficients import atan2
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -27,10 +27,10 @@ from lierb.kernels.mechanics.newton_euler import (
     frames_of,
     inertia_about_com,
 )
-from lierb.kernels.numbers.arithmetic import PI, fma, plain, rint, sqrt, where
+from lierb.kernels.mechanics.rows import AddedRow
+from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import (
-    UNIT,
     ZERO3,
     ZERO6,
     Mat,
@@ -44,10 +44,7 @@ from lierb.kernels.numbers.vec import (
     mat_t_vec,
     mat_vec,
     mat_vec_add,
-    norm,
     row,
-    scale,
-    sub,
 )
 from lierb.kernels.numbers.zero import ZERO
 
@@ -58,19 +55,16 @@ Shape = tuple[int, ...]
 class Element:
     """What all kinds have; by itself, one that does nothing.
 
-    shapes: of the parameters, by name.   needs_axis: whether it acts about e₃ of the joint, which
-    must then be the body's and the ground's at once.   rows: how many constraints it adds.
-    does_work: whether it can change E = T + U, U being the `energy` of all elements.
+    needs_axis: whether it acts about e₃ of the joint, which must then be the body's and the
+    ground's at once.   rows: how many constraints it adds.   does_work: whether it can change
+    E = T + U, U being the `energy` of all elements.
     """
 
-    shapes: ClassVar[dict[str, Shape]]
     needs_axis: ClassVar[bool] = False
-    is_conservative: ClassVar[bool] = False  # but for its damping, or its torque
+    is_conservative: ClassVar[bool] = False  # but for what is `working`
     is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
     does_work: ClassVar[bool] = True
-    is_translational: ClassVar[bool] = True
-    is_holonomic: ClassVar[bool] = True  # of rows: whether they are of the pose
-    fixed_axis: ClassVar[int | None] = None  # of a row that says the turning about a body axis
+    working: ClassVar[tuple[str, ...]] = ()  # parameters that do work beside its potential
     rows: int = 0
 
     @property
@@ -80,9 +74,18 @@ class Element:
         return tuple(f for f in found if isinstance(f, Function))
 
     @property
+    def shapes(self) -> dict[str, Shape]:
+        """Of the parameters, by name; those of a user's function are its own."""
+        return dict(self.functions[0].shapes)
+
+    @property
     def sees_body(self) -> bool:
         """Whether one of them asks for mass, inertia and centre of mass."""
         return any(f.sees_body for f in self.functions)
+
+    def row(self, place: int, i: int) -> AddedRow:
+        """Its constraint number i, where it is the problem's element number `place`."""
+        raise NotImplementedError
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return tuple(given.values())
@@ -100,158 +103,12 @@ class Element:
 
 
 @dataclass(frozen=True)
-class BodyWrench(Element):
-    """Constant in body axes: a thruster."""
-
-    shapes: ClassVar = {"torque": (3,), "force": (3,), "point": (3,)}
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        force = frames.body_direction(given["force"])
-        torque = frames.body_direction(given["torque"])
-        return cross_add(frames.body_point(given["point"]), force, torque), force
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        torque, force = placed
-        return torque, force
-
-
-@dataclass(frozen=True)
-class GroundWrench(Element):
-    """Constant in ground axes; the force has a potential, the torque has none."""
-
-    shapes: ClassVar = BodyWrench.shapes
-    is_conservative: ClassVar = True
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return (
-            frames.ground_direction(given["torque"]),
-            frames.ground_direction(given["force"]),
-            frames.body_point(given["point"]),
-            -dot(given["force"], frames.ground[1]),
-        )
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        torque, force, point, _ = placed
-        pull = mat_t_vec(x.q, force)
-        return cross_add(point, pull, mat_t_vec(x.q, torque)), pull
-
-    def energy(self, placed: Any, x: Motion) -> Any:
-        _, force, point, at_origin = placed
-        return at_origin - dot(force, x.place_of(point))
-
-    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        return dot(mat_t_vec(x.q, placed[0]), x.omega)
-
-
-@dataclass(frozen=True)
-class SpringDamper(Element):
-    """Along the line from a point of the ground to a point of the body."""
-
-    shapes: ClassVar = {
-        "body_point": (3,), "ground_point": (3,), "stiffness": (), "damping": (), "length": (),
-    }  # fmt: skip
-    is_conservative: ClassVar = True
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        return (
-            frames.body_point(given["body_point"]),
-            frames.ground_point(given["ground_point"]),
-            given["stiffness"],
-            given["damping"],
-            given["length"],
-        )
-
-    def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
-        """From anchor to point in body axes, 1/ℓ and ℓ̇."""
-        point, anchor = placed[:2]
-        line = mat_t_vec(x.q, sub(x.place_of(point), anchor))
-        inverse = _inverse_norm(line)
-        return line, inverse, dot(line, x.velocity_of(point)) * inverse
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        point, _, stiffness, damping, length = placed
-        line, inverse, rate = self._line(placed, x)
-        # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: no direction is needed where ℓ = 0
-        tension = fma(inverse, fma(damping, rate, -(stiffness * length)), stiffness)
-        force = scale(-tension, line)
-        return cross(point, force), force
-
-    def energy(self, placed: Any, x: Motion) -> Any:
-        point, anchor, stiffness, _, length = placed
-        stretch = norm(sub(x.place_of(point), anchor)) - length
-        return 0.5 * stiffness * (stretch * stretch)
-
-    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        _, _, rate = self._line(placed, x)
-        return -placed[3] * (rate * rate)
-
-
-@dataclass(frozen=True)
-class TorsionalSpring(Element):
-    """About the joint axis, back to a turn that is at most half a turn away."""
-
-    shapes: ClassVar = {"stiffness": (), "damping": (), "angle": ()}
-    needs_axis: ClassVar = True
-    is_conservative: ClassVar = True
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        stiffness, damping, angle = placed
-        torque = -fma(stiffness, _turn(x, angle), damping * x.omega[2])
-        return (ZERO, ZERO, torque), ZERO3
-
-    def energy(self, placed: Any, x: Motion) -> Any:
-        stiffness, _, angle = placed
-        turn = _turn(x, angle)
-        return 0.5 * stiffness * (turn * turn)
-
-    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        return -placed[1] * (x.omega[2] * x.omega[2])
-
-
-@dataclass(frozen=True)
-class Drag(Element):
-    """Against the velocity of a body point, linear and quadratic, and against the turning."""
-
-    shapes: ClassVar = {"linear": (), "quadratic": (), "angular": (), "point": (3,)}
-
-    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        point = frames.body_point(given["point"])
-        return given["linear"], given["quadratic"], given["angular"], point
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        linear, quadratic, angular, point = placed
-        moving = x.velocity_of(point)
-        force = scale(-fma(quadratic, norm(moving), linear), moving)
-        return cross_add(point, force, scale(-angular, x.omega)), force
-
-
-@dataclass(frozen=True)
-class Motor(Element):
-    """A torque about the joint axis: constant, or a function of time."""
-
-    function: Function | None
-    needs_axis: ClassVar = True
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return {"torque": ()} if self.function is None else dict(self.function.shapes)
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        torque = placed[0] if self.function is None else self.function(placed, x.time)
-        return (ZERO, ZERO, torque), ZERO3
-
-
-@dataclass(frozen=True)
 class UserWrench(Element):
     """A function of the user's, of (t, R, r, ω, v) in the user's own frames."""
 
     function: Function
     potential: Function | None = None
     is_users: ClassVar = True
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return dict(self.function.shapes)
 
     @property
     def is_conservative(self) -> bool:  # type: ignore[override]
@@ -313,70 +170,41 @@ class UserFrame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SpeedMotor(Element):
-    """The turn about the joint axis at a given rate, rad/s: Ω₃ = w(t)."""
-
-    function: Function | None
-    needs_axis: ClassVar = True
-    is_translational: ClassVar = False
-    is_holonomic: ClassVar = False
-    fixed_axis: ClassVar = 2
-    rows: int = 1
-
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return {"speed": ()} if self.function is None else dict(self.function.shapes)
-
-    def row_name(self, i: int) -> str:
-        return "motor"
-
-    def jacobian(self, placed: Any, x: Kinematics, i: int) -> Vec:
-        return UNIT[2] + ZERO3
-
-    def acceleration(self, placed: Any, x: Kinematics, i: int) -> Any:
-        """ẇ, exactly."""
-        if self.function is None:
-            return ZERO
-        rate = self.function(placed, Dual(plain(x.time), (1.0,)))
-        return rate.parts[0] if isinstance(rate, Dual) else ZERO
-
-    def rate(self, placed: Any, x: Kinematics) -> Any:
-        return placed[0] if self.function is None else self.function(placed, x.time)
-
-    def value(self, placed: Any, x: Kinematics, i: int) -> Any:
-        return ZERO  # of no pose is it known whether it is on time
-
-
-@dataclass(frozen=True)
 class UserConstraint(Element):
-    """A function h(R, r) of the user's that shall stay zero; J and η by running it on duals."""
+    """A function h(R, r) of the user's that shall stay zero."""
 
     does_work: ClassVar = False
     function: Function
-    rows: int
-    is_translational: bool  # type: ignore[misc]
+    rows: int = 1
+    is_translational: bool = True
 
-    @property
-    def shapes(self) -> dict[str, Shape]:  # type: ignore[override]
-        return dict(self.function.shapes)
-
-    def row_name(self, i: int) -> str:
-        return self.function.name + (str(i + 1) if self.rows > 1 else "")
+    def row(self, place: int, i: int) -> AddedRow:
+        return UserRow(self, place, i)
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
         return UserFrame.of(frames), tuple(given.values())
 
-    def value(self, placed: Any, x: Kinematics, i: int) -> Any:
-        frame = UserFrame(*placed[0])
-        found = self.function(placed[1], *frame.pose(x.q, x.d))[i]
+
+class UserRow(AddedRow):
+    """One of its numbers; J and η by running it on duals."""
+
+    @property
+    def is_translational(self) -> bool:  # type: ignore[override]
+        return bool(self.element.is_translational)
+
+    def __str__(self) -> str:
+        return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
+
+    def _of(self, body: BodyConstants, r: Any, place: Any) -> Any:
+        return self.element.function(self.placed(body)[1], r, place)[self.i]
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        found = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
         return found.value if isinstance(found, Dual) else found
 
-    def rate(self, placed: Any, x: Kinematics) -> Any:
-        return ZERO
-
-    def jacobian(self, placed: Any, x: Kinematics, i: int) -> Vec:
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
         """Along the six unit twists: Ṙ = R ω̂ and ṙ = R v, in the user's body axes."""
-        frame = UserFrame(*placed[0])
+        frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
         entries = []
         for axis in range(3):
@@ -384,14 +212,14 @@ class UserConstraint(Element):
             for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
                 entries.append(Dual(entry, turning + ZERO3))
         places = [Dual(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
-        found = self.function(placed[1], tuple(entries), tuple(places))[i]
+        found = self._of(body, tuple(entries), tuple(places))
         slope = found.parts if isinstance(found, Dual) else ZERO6
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
-    def acceleration(self, placed: Any, x: Kinematics, i: int) -> Any:
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
         """−ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
-        frame = UserFrame(*placed[0])
+        frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
         omega, v = frame.twist(x.omega, x.point_rate)
         swing = cross(x.omega, cross(x.omega, frame.origin))
@@ -402,7 +230,7 @@ class UserConstraint(Element):
             entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        found = self.function(placed[1], tuple(entries), tuple(places))[i]
+        found = self._of(body, tuple(entries), tuple(places))
         slope = found.parts[0] if isinstance(found, Dual) else ZERO
         return -slope.parts[0] if isinstance(slope, Dual) and slope.parts else ZERO
 
@@ -415,22 +243,6 @@ def _moving(values: Vec, rates: Vec) -> Vec:
 def _second(value: Any, rate: Any, bend: Any) -> Dual:
     """A number with its first and second derivative."""
     return Dual(Dual(plain(value), (rate,)), (Dual(plain(rate), (bend,)),))
-
-
-# ---- formulas ----------------------------------------------------------------------------------
-
-
-def _turn(x: Motion, angle: Any) -> Any:
-    """How far the body is turned about e₃ from that angle, in [−π, π]."""
-    turn = atan2(x.q[3], x.q[0]) - angle
-    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)
-
-
-def _inverse_norm(a: Vec) -> Any:
-    """1/‖a‖; 0 for the zero vector."""
-    square = dot(a, a)
-    some = square > 0.0
-    return where(some, 1.0, 0.0) / sqrt(where(some, square, 1.0))
 
 
 # ---- all elements of a body -------------------------------------------------------------------

@@ -23,8 +23,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups.coefficients import taken_for_granted
-from lierb.kernels.mechanics.constraints import Rows
 from lierb.kernels.mechanics.newton_euler import BodyConstants, kinetic_energy
+from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.arithmetic import absolute, any_lanes, branch, fma, sqrt, where
 from lierb.kernels.numbers.vec import (
     UNIT,
@@ -304,12 +304,12 @@ def _kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
     fixed: dict[int, Any] = {}
     others = []
     for r in rows:
-        of_kind = held if r.kind == "d" else fixed
-        axis = r.i if r.kind == "d" else r.fixed_axis
-        if axis is None or axis in of_kind:
-            others.append(r)
+        if r.held_axis is not None and r.held_axis not in held:
+            held[r.held_axis] = r
+        elif r.fixed_axis is not None and r.fixed_axis not in fixed:
+            fixed[r.fixed_axis] = r
         else:
-            of_kind[axis] = r
+            others.append(r)
     return held, fixed, others
 
 

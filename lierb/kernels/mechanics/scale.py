@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.mechanics.constraints import AddedRow, Rows, acceleration, held_axes
+from lierb.kernels.mechanics.constraints import held_axes
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Parameters, Pose
+from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, sqrt
 from lierb.kernels.numbers.vec import Mat, Vec, cross_add, dot, norm, sub
 
@@ -59,8 +60,8 @@ def start_tolerances(
     speed = norm(cross_add(omega, p.com, twist[3:])) + length * norm(omega)
     ahead = sqrt(norm(p.gravity) / length)  # rad/s
     for r in rows:
-        if isinstance(r, AddedRow) and r.is_of_velocity:
-            ahead = ahead + sqrt(absolute(acceleration(r, x, body)))
+        if not r.is_holonomic:
+            ahead = ahead + sqrt(absolute(r.acceleration(x, body)))
     brought = ROUNDING * ahead
     return Tolerances(
         position,

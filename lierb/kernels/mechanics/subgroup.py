@@ -11,36 +11,24 @@ formulas, fed V with its zeros, fold down to those of H, with no code for any H.
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 from lierb.kernels.groups.quaternion import Chart
-from lierb.kernels.mechanics.constraints import Rows
 from lierb.kernels.mechanics.newton_euler import BodyConstants
+from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import Vec, add, dot
 from lierb.kernels.numbers.zero import ZERO
-
-FIXED = -1  # slot of a component that is zero
-PITCHED = -2  # slot of v₃ = pitch·ω₃
 
 Slots = tuple[int, ...]
 
 
 def slots_of(rows: Rows) -> Slots:
     """For each of (ω, v) its coordinate's number, or FIXED or PITCHED."""
-    constrained = {r.i + (3 if r.kind == "d" else 0) for r in rows if r.kind in ("d", "Omega")}
-    pitched = any(r.kind == "screw" for r in rows)
-    slots = []
-    count = 0
-    for component in range(6):
-        if component in constrained:
-            slots.append(FIXED)
-        elif component == 5 and pitched:
-            slots.append(PITCHED)
-        else:
-            slots.append(count)
-            count += 1
-    return tuple(slots)
+    bound = dict(r.slot for r in rows if r.slot)
+    free = itertools.count()
+    return tuple(bound[i] if i in bound else next(free) for i in range(6))
 
 
 def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:

@@ -8,19 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, partial
+from operator import methodcaller
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lierb.kernels.groups import quaternion
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.constraints import (
-    Row,
-    Rows,
-    acceleration,
-    jacobian,
-    prescribed_rate,
-    value,
-)
+from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.mechanics.newton_euler import (
     BodyConstants,
@@ -29,6 +23,7 @@ from lierb.kernels.mechanics.newton_euler import (
     Turn,
     spinning,
 )
+from lierb.kernels.mechanics.rows import PITCHED, fixed_axes
 from lierb.kernels.mechanics.saddle import Load, has_others, solve
 from lierb.kernels.numbers.arithmetic import absolute, fma, where
 from lierb.kernels.numbers.vec import (
@@ -90,7 +85,7 @@ class SaddlePoint:
         outright = (
             self.plan.cspace == "SE3"
             and holds_a_point(rows)
-            and all(isinstance(row, Row) and row.kind in ("d", "Omega") for row in rows)
+            and len(rows) == 3 + len(fixed_axes(rows))
         )
         return outright and is_short(self.plan)
 
@@ -103,7 +98,7 @@ class SaddlePoint:
         """Components of V that stay at zero, once they are: rows that are constant in body axes ask
         for nothing else, and nothing else moves them.
         """
-        fixed = tuple(row.i for row in self.plan.rows if row.kind == "Omega")
+        fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
 
@@ -254,21 +249,14 @@ class Subgroup:
         """A screw put back on H."""
         p, d = chart
         for r in self.plan.rows:
-            if r.kind == "screw":
+            if r.slot == (5, PITCHED):
                 x = self.plan.space.kinematics(body, quaternion.pose(chart), ZERO6)
-                d = (d[0], d[1], d[2] - value(r, x, body))
+                d = (d[0], d[1], d[2] - r.value(x, body))
         return p, d
 
 
 Formulation = SaddlePoint | Subgroup
 FORMULATIONS: dict[str, type[Formulation]] = {"saddle": SaddlePoint, "subgroup": Subgroup}
-
-
-def holds_a_point(rows: Rows) -> bool:
-    """Whether the joint's rows hold a point of the body."""
-    return {str(row) for row in rows if isinstance(row, Row) and row.kind == "d"} == {
-        "d1", "d2", "d3"
-    }  # fmt: skip
 
 
 def is_short(plan: Plan) -> bool:
@@ -306,8 +294,8 @@ def accelerate(
         body,
         x.q,
         rows,
-        lambda r: jacobian(r, seen, body),
-        tuple(acceleration(r, seen, body) for r in rows),
+        methodcaller("jacobian", seen, body),
+        tuple(r.acceleration(seen, body) for r in rows),
         _load(body, x.omega, fall, applied.wrench),
         x.omega + x.point_rate,
         turning,
@@ -315,7 +303,7 @@ def accelerate(
     torque, force = found.wrench[:3], found.wrench[3:]
     aside = cross(body.shift, force)  # about the user's joint point
     multipliers = tuple(
-        x - aside[r.i] if r.kind == "Omega" else x
+        x if r.fixed_axis is None else x - aside[r.fixed_axis]
         for r, x in zip(rows, found.multipliers, strict=True)
     )
     return Acceleration(
@@ -355,5 +343,5 @@ def _driving_power(
     """
     total: Any = ZERO
     for r, multiplier in zip(plan.rows, multipliers, strict=True):
-        total = fma(-multiplier, prescribed_rate(r, x, body), total)
+        total = fma(-multiplier, r.prescribed_rate(x, body), total)
     return total

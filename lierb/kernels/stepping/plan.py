@@ -7,10 +7,11 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 from lierb.compiler.tags import Tag
-from lierb.kernels.mechanics.constraints import Row, Rows
+from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
-from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation, holds_a_point
+from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Plan(Tag):
     @cached_property
     def turns_about_a_point(self) -> bool:
         """Whether the joint is spherical: any axes on the body will do, also its inertia's."""
-        joint = [row for row in self.rows if isinstance(row, Row)]
+        joint = [row for row in self.rows if row.is_of_joint]
         return len(joint) == 3 and holds_a_point(self.rows)
 
     @property

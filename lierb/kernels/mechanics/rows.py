@@ -1,0 +1,303 @@
+"""The rows of the constraint Jacobian: a class for each kind, with all that is known about it.
+
+The primitive rows of a joint act on D = (Q, d), the body's joint frame seen from the ground's.
+Every row has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the acceleration
+constraint J V̇ = η, so that η = −(ḧ at V̇ = 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product, starmap
+from typing import Any, ClassVar
+
+from lierb.kernels.groups import quaternion
+from lierb.kernels.groups.coefficients import atan2
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
+from lierb.kernels.numbers.arithmetic import PI, fma, rint, where
+from lierb.kernels.numbers.vec import (
+    UNIT,
+    ZERO3,
+    Vec,
+    axpy,
+    column,
+    cross,
+    dot,
+    mat_t_vec,
+    row,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
+
+FIXED = -1  # slot of a component of V that is zero
+PITCHED = -2  # slot of v₃ = pitch·ω₃
+
+
+class Row:
+    """One scalar constraint.
+
+    is_translational: whether h is a length: an error of position, with a force for λ.
+    is_holonomic: whether it says anything of the pose.
+    has_value: whether h can be told of it alone.
+    is_of_joint: whether it is one of the joint's, which see nothing but D.
+    parameters: those of the joint that it takes, with their units.
+    """
+
+    is_translational: bool = False
+    is_holonomic: bool = True
+    has_value: bool = True
+    is_of_joint: bool = True
+    parameters: ClassVar[dict[str, str]] = {}
+
+    @property
+    def unit(self) -> str:
+        """Of its multiplier."""
+        return "N" if self.is_translational else "N m"
+
+    @property
+    def error_kind(self) -> str:
+        return "position" if self.is_translational else "rotation"
+
+    @property
+    def held_axis(self) -> int | None:
+        """The ground's axis along which the row alone says how the joint's point moves, if any."""
+        return None
+
+    @property
+    def fixed_axis(self) -> int | None:
+        """The body's axis about which the row alone says how the body turns, if any."""
+        return None
+
+    @property
+    def slot(self) -> tuple[int, int] | None:
+        """A component of (ω, v), and what it is in the algebra of a joint that is a subgroup."""
+        axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
+        return None if axis is None else (axis, FIXED)
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        """h."""
+        return ZERO
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        """The row of J, 6 numbers: angular, translational."""
+        raise NotImplementedError
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        """η."""
+        return ZERO
+
+    def prescribed_rate(self, x: Kinematics, body: BodyConstants) -> Any:
+        """What J V has to be."""
+        return ZERO
+
+
+Rows = tuple[Row, ...]
+
+
+def fixed_axes(rows: Rows) -> tuple[int, ...]:
+    """The body's axes about which rows forbid to turn, in order."""
+    axes = {r.fixed_axis for r in rows if r.is_holonomic and r.fixed_axis is not None}
+    return tuple(sorted(axes))
+
+
+def keeps_axis(rows: Rows) -> bool:
+    """Whether e₃ of the body stays e₃ of the ground."""
+    return {0, 1} <= {*fixed_axes(rows)}
+
+
+def parameters_of(rows: Rows) -> dict[str, str]:
+    """The parameters that rows of a joint take, with their units."""
+    return {name: unit for row in rows for name, unit in row.parameters.items()}
+
+
+# ---- rows of joints ----------------------------------------------------------------------------
+
+
+JOINT_ROWS: dict[str, JointRow] = {}  # all there are, by name
+
+
+@dataclass(frozen=True)
+class JointRow(Row):
+    """A primitive row, named by its symbol and its axes, from 1; here they count from 0."""
+
+    i: int = -1
+    j: int = -1
+    symbol: ClassVar[str]
+    axis_count: ClassVar[int] = 1
+
+    def __init_subclass__(cls) -> None:
+        for made in starmap(cls, product(range(3), repeat=cls.axis_count)):
+            JOINT_ROWS[str(made)] = made
+
+    def __str__(self) -> str:
+        return self.symbol + "".join(str(axis + 1) for axis in (self.i, self.j) if axis >= 0)
+
+    def objection(self, rows: Rows) -> str | None:
+        """What is wrong with it among these rows of a joint, if anything, as in "it has …"."""
+        return None
+
+
+class Point(JointRow):
+    """d_i = 0: the body's point stays in a plane of the ground."""
+
+    symbol = "d"
+    is_translational = True
+
+    @property
+    def held_axis(self) -> int:
+        return self.i
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        return x.d[self.i]
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        direction = row(x.q, self.i)
+        return cross(x.arm, direction) + x.translation(UNIT[self.i], direction)
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        return -dot(row(x.q, self.i), x.point_bias)
+
+
+class GroundPoint(JointRow):
+    """(Qᵀd)_i = 0: the ground's point stays in a plane of the body."""
+
+    symbol = "Qtd"
+    is_translational = True
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        return mat_t_vec(x.q, x.d)[self.i]
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        direction = UNIT[self.i]
+        arm = sub(x.arm, mat_t_vec(x.q, x.d))
+        return cross(arm, direction) + x.translation(column(x.q, self.i), direction)
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        b = mat_t_vec(x.q, x.d)
+        swing = cross(x.omega, b)
+        rate = sub(x.point_rate, swing)
+        bend = sub(x.point_bias, cross(x.omega, axpy(2.0, rate, swing)))
+        return -dot(UNIT[self.i], bend)
+
+
+class Turning(JointRow):
+    """Ω_i = 0, a fixed axis, as a condition on velocity."""
+
+    symbol = "Omega"
+    has_value = False
+
+    @property
+    def fixed_axis(self) -> int:
+        return self.i
+
+    def objection(self, rows: Rows) -> str | None:
+        alone = len(fixed_axes(rows)) == 1
+        return "has one Omega row alone; expected two, three or none" if alone else None
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        return UNIT[self.i] + ZERO3
+
+
+class Cosine(JointRow):
+    """Q_ij = 0: an axis of the body stays perpendicular to one of the ground."""
+
+    symbol = "Q"
+    axis_count = 2
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        return x.q[3 * self.i + self.j]
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        return cross(UNIT[self.j], row(x.q, self.i)) + ZERO3
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        return -dot(row(x.q, self.i), cross(x.omega, cross(x.omega, UNIT[self.j])))
+
+
+class Screw(JointRow):
+    """d₃ − pitch·φ = 0, where e₃ is kept."""
+
+    symbol = "screw"
+    axis_count = 0
+    is_translational = True
+    parameters: ClassVar = {"pitch": "m/rad"}
+    slot = (5, PITCHED)
+
+    def objection(self, rows: Rows) -> str | None:
+        kept = keeps_axis(rows)
+        return None if kept else "has a screw row whose axis may tilt; add Omega1 and Omega2"
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        turn = 2.0 * PI * body.pitch
+        slip = fma(-body.pitch, atan2(x.q[3], x.q[0]), x.d[2])
+        turns = rint(slip / where(turn == 0.0, 1.0, turn))
+        return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        sliding = Point(2).jacobian(x, body)
+        # φ̇ = Ω₃, because Ω₁ = Ω₂ = 0
+        return (*sliding[:2], sliding[2] - body.pitch, *sliding[3:])
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        return Point(2).acceleration(x, body)
+
+
+class Rod(JointRow):
+    """(d·d − length²)/(2 length) = 0: ‖d‖ − length, to first order."""
+
+    symbol = "rod"
+    axis_count = 0
+    is_translational = True
+    parameters: ClassVar = {"length": "m"}
+
+    def objection(self, rows: Rows) -> str | None:
+        held = any(r.is_translational and r != self for r in rows)
+        return "has a rod beside rows that hold its end in another way" if held else None
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        return 0.5 * (dot(x.d, x.d) / body.length - body.length)
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        direction = scale(1.0 / body.length, x.d)
+        in_body = mat_t_vec(x.q, direction)
+        return cross(x.arm, in_body) + x.translation(direction, in_body)
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        bend = dot(x.point_rate, x.point_rate) + dot(mat_t_vec(x.q, x.d), x.point_bias)
+        return -bend / body.length
+
+
+class ConstantVelocity(JointRow):
+    """2z = 0: Q = R(w, x, y, z) has its axis ⊥ e₃."""
+
+    symbol = "cv"
+    axis_count = 0
+
+    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+        # not (Q₂₁ − Q₁₂)/2 = 2wz, which has no gradient at a half turn; of this J is a unit vector
+        return 2.0 * quaternion.of_matrix(x.q)[3]
+
+    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+        p = quaternion.of_matrix(x.q)
+        return (-p[2], p[1], p[0]) + ZERO3
+
+    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+        return 0.25 * dot(x.omega, x.omega) * self.value(x, body)
+
+
+# ---- rows of elements --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AddedRow(Row):
+    """Row `i` of element number `place`: a motor's speed, or a function of the user's."""
+
+    element: Any
+    place: int
+    i: int
+    is_of_joint = False
+
+    def placed(self, body: BodyConstants) -> Any:
+        """What the element is made of."""
+        return body.elements[self.place]
