@@ -151,7 +151,7 @@ def test_formulas_of_every_element_are_among_the_sources():
     kinds = [Element]
     for kind in kinds:
         kinds += kind.__subclasses__()
-    assert all(map(is_dataclass, kinds))  # by which their modules are in a tag's stamp
+    assert all(map(is_dataclass, kinds[1:]))  # by which their modules are in a tag's stamp
     assert len(kinds) > 8
 
 

@@ -42,8 +42,10 @@ d = np.linalg.inv(problem.joint.ground_frame) @ pose @ problem.joint.body_frame
 np.testing.assert_allclose(np.hypot(d[..., 1, 3], d[..., 2, 3]), 0.5, rtol=1e-12)
 rate = problem.project([1.0, 2.0, 3.0, 0.3, 0.4, 0.5], pose)
 
+assert lierb.tableaus.TABLEAUS["Ralston"].stages == 2
 for cspace in ("SE3", "SO3xR3"):
     run = lierb.integrate(problem, twist0=rate, pose0=pose, dt=1e-3, t_end=0.5, cspace=cspace)
+    assert run.summary["spin_max"].to_numpy().min() > 1.0, run.summary["spin_max"]
     # of RK4; a wrong Jacobian, acceleration term or potential leaves 1e-3
     for name in ("position_error_max", "velocity_error_max", "energy_drift_max"):
         assert run.summary[name].to_numpy().max() < 1e-9, (cspace, name, run.summary[name])
@@ -61,7 +63,7 @@ def hunks(page: str):
 
 
 @pytest.mark.slow  # compiles two kernels
-def test_diffs_add_a_joint_a_row_kind_and_a_force(tmp_path):
+def test_diffs_add_what_they_say(tmp_path):
     shutil.copytree(PACKAGE, tmp_path / "lierb", ignore=shutil.ignore_patterns("__pycache__"))
     files = []
     for file, before, after in hunks(PAGE.read_text(encoding="utf-8")):

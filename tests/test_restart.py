@@ -18,7 +18,7 @@ from lierb.errors import (
     TimeGridError,
     TwistError,
 )
-from lierb.kernels.stepping.stepper import TIDY_EVERY
+from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.runs import engine
 
 DT = 1e-2

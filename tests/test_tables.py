@@ -741,7 +741,7 @@ def test_history_columns_are_views_of_the_kernels_arrays(top, kept_output):
     (output,) = kept_output
     scalars = [name for name in table.column_names if name.endswith(("error", "drift", "energy"))]
     assert len(scalars) == 7
-    places = {array.ctypes.data for array in output.errors}
+    places = {array.ctypes.data for array in output.history}
     assert {address(table[name].chunk(0)) for name in scalars} == places
     for name, array in zip(VECTOR, output.states, strict=True):
         assert address(table[name].chunk(0).values) == array.ctypes.data
