@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from lierb.kernels.groups.coefficients import Coefficients, atan2, coefficients
+from lierb.kernels.groups.coefficients import Coefficients, coefficients
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     Mat,

@@ -17,9 +17,9 @@ import re
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import quaternion, so3
-from lierb.kernels.groups.coefficients import atan2
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
 from lierb.kernels.numbers.arithmetic import PI, fma, rint, where
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,

@@ -14,7 +14,7 @@ from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
 from lierb.kernels.functions.function import BODY, Function
-from lierb.kernels.groups.coefficients import atan2
+from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -28,7 +28,7 @@ from lierb.kernels.mechanics.newton_euler import (
     inertia_about_com,
 )
 from lierb.kernels.numbers.arithmetic import PI, fma, plain, rint, sqrt, where
-from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,
@@ -280,7 +280,7 @@ class UserWrench(Element):
         (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
         found = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
-        return total + found.parts[0] if isinstance(found, Dual) else total
+        return total + found.parts[0] if isinstance(found, UserNumber) else total
 
 
 class UserFrame(NamedTuple):
@@ -337,8 +337,8 @@ class SpeedMotor(Element):
         """ẇ, exactly."""
         if self.function is None:
             return ZERO
-        rate = self.function(placed, Dual(plain(x.time), (1.0,)))
-        return rate.parts[0] if isinstance(rate, Dual) else ZERO
+        rate = self.function(placed, UserNumber(plain(x.time), (1.0,)))
+        return rate.parts[0] if isinstance(rate, UserNumber) else ZERO
 
     def rate(self, placed: Any, x: Kinematics) -> Any:
         return placed[0] if self.function is None else self.function(placed, x.time)
@@ -369,7 +369,7 @@ class UserConstraint(Element):
     def value(self, placed: Any, x: Kinematics, i: int) -> Any:
         frame = UserFrame(*placed[0])
         found = self.function(placed[1], *frame.pose(x.q, x.d))[i]
-        return found.value if isinstance(found, Dual) else found
+        return found.value if isinstance(found, UserNumber) else found
 
     def rate(self, placed: Any, x: Kinematics) -> Any:
         return ZERO
@@ -382,10 +382,10 @@ class UserConstraint(Element):
         for axis in range(3):
             a, b, c = row(r, axis)
             for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
-                entries.append(Dual(entry, turning + ZERO3))
-        places = [Dual(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
+                entries.append(UserNumber(entry, turning + ZERO3))
+        places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
         found = self.function(placed[1], tuple(entries), tuple(places))[i]
-        slope = found.parts if isinstance(found, Dual) else ZERO6
+        slope = found.parts if isinstance(found, UserNumber) else ZERO6
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
@@ -403,18 +403,18 @@ class UserConstraint(Element):
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
         found = self.function(placed[1], tuple(entries), tuple(places))[i]
-        slope = found.parts[0] if isinstance(found, Dual) else ZERO
-        return -slope.parts[0] if isinstance(slope, Dual) and slope.parts else ZERO
+        slope = found.parts[0] if isinstance(found, UserNumber) else ZERO
+        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
 
 def _moving(values: Vec, rates: Vec) -> Vec:
     """Numbers with their first derivatives."""
-    return tuple(Dual(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
+    return tuple(UserNumber(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 
 
-def _second(value: Any, rate: Any, bend: Any) -> Dual:
+def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
-    return Dual(Dual(plain(value), (rate,)), (Dual(plain(rate), (bend,)),))
+    return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
 # ---- formulas ----------------------------------------------------------------------------------

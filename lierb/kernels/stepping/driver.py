@@ -18,7 +18,7 @@ from numba import njit, prange
 from lierb.compiler import _jit
 from lierb.kernels.functions import calls
 from lierb.kernels.groups import quaternion, so3
-from lierb.kernels.groups.coefficients import TINY, angles_taken_for_tiny
+from lierb.kernels.groups.coefficients import TINY
 from lierb.kernels.mechanics.elements import Applied, Element, body_with, parameter_count
 from lierb.kernels.mechanics.measures import Measures, measure
 from lierb.kernels.mechanics.newton_euler import (
@@ -42,6 +42,7 @@ from lierb.kernels.mechanics.subgroup import (
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
+    assumptions,
     branch,
     load,
     maximum,
@@ -169,7 +170,7 @@ def parameters_of(
         length=parts["length"][0],
     )
     pose = _pose(parts["pose"])
-    with rounded_as_numpy():
+    with rounded_as_numpy(parameters.mass):
         closed = closed_pose(parameters.ground, parameters.body, parameters.length)
     axes, point = parameters.body
     return (
@@ -463,7 +464,7 @@ def advance_gently(
     """
     if not plan.takes_gentle_steps:
         return State(*state), all_lanes(h < h)  # never
-    with angles_taken_for_tiny() as conditions:
+    with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.still)
     fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
