@@ -23,7 +23,7 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.trigonometry import atan2, sincos
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Dual:
@@ -43,12 +43,16 @@ class Dual:
         return bearer(type(self.value)).trace_of(self.value)
 
     def __add__(self, other: Any) -> Any:
+        if is_zero(other):
+            return self
         parts = tuple(p + q for p, q in side_by_side(self, other))
         return Dual(self.value + value_of(other), parts)
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
+        if is_zero(other):
+            return self
         parts = tuple(p - q for p, q in side_by_side(self, other))
         return Dual(self.value - value_of(other), parts)
 
@@ -56,7 +60,7 @@ class Dual:
         return Dual(other - self.value, tuple(-p for p in self.parts))
 
     def __mul__(self, other: Any) -> Any:
-        return self.fma(self, other, ZERO)
+        return ZERO if is_zero(other) else self.fma(self, other, ZERO)
 
     __rmul__ = __mul__
 
@@ -106,7 +110,9 @@ class Dual:
     @staticmethod
     def sqrt(x: Any) -> Any:
         root = sqrt(x.value)
-        return x.along(0.5 / root, root)
+        # of a norm at zero it is a slope that does no harm: ‖v‖v has one there
+        is_zero_there = raw(root) == 0.0
+        return x.along(where(is_zero_there, 0.0, 0.5 / where(is_zero_there, 1.0, root)), root)
 
     @staticmethod
     def absolute(x: Any) -> Any:
