@@ -221,7 +221,7 @@ def _start(plan: Plan, body: BodyConstants, inputs: Any, first: Any) -> tuple[Pa
 
 
 def initial_state(plan: Plan, body: BodyConstants, inputs: Any, first: Any) -> State:
-    parameters, pose, twist = _start(plan, BodyConstants(*body), inputs, first)
+    parameters, pose, twist = _start(plan, body, inputs, first)
     placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     chart, still = quaternion.from_pose(placed), tuple(0.0 * v for v in velocity)
     none = 0.0 * parameters.mass
@@ -231,9 +231,9 @@ def initial_state(plan: Plan, body: BodyConstants, inputs: Any, first: Any) -> S
         chart = tuple(x + 0.0 for x in p), tuple(x + 0.0 for x in d)  # no −0
         return _structured(plan, State(chart, still, velocity, none), parameters.pitch)
     velocity = in_subalgebra(plan.slots, velocity, parameters.pitch)
-    momentum = momentum_of(plan.slots, BodyConstants(*body), velocity)
+    momentum = momentum_of(plan.slots, body, velocity)
     start = _structured(plan, State(chart, still, momentum, none), parameters.pitch)
-    return tidied(plan, BodyConstants(*body), start)
+    return tidied(plan, body, start)
 
 
 def _settled(plan: Plan, parameters: Parameters, twist: Any, velocity: Any) -> Any:
@@ -261,7 +261,6 @@ def _structured(plan: Plan, state: State, pitch: Any) -> State:
 
 def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
     """Maxima so far: nothing, as numbers of the state's own type."""
-    body, state = BodyConstants(*body), State(*state)
     nothing = 0.0 * body.mass
     start = _measured(plan, body, state, nothing)  # no constant: 1 / t of a motor is inf, no error
     dropped: Any = nothing
@@ -276,7 +275,7 @@ def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
 
 def load_state(plan: Plan, body: BodyConstants, carried: Any, first: Any) -> State:
     numbers = _columns(plan, carried, STATE_COLUMNS, first)
-    return _state_of(plan, tuple(numbers), BodyConstants(*body).pitch)
+    return _state_of(plan, tuple(numbers), body.pitch)
 
 
 def _state_of(plan: Plan, numbers: tuple[Any, ...], pitch: Any) -> State:
@@ -294,7 +293,7 @@ def load_record(plan: Plan, carried: Any, first: Any) -> Record:
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    numbers = (*record, *_raised_in_call(plan, Record(*record)))
+    numbers = (*record, *_raised_in_call(plan, record))
     for c, number in (*_placed(state), *enumerate(numbers, STATE_COLUMNS)):
         store(carried, (c, first), number, plan.lanes)
 
@@ -341,7 +340,7 @@ def advance_still(
 ) -> tuple[State, Record]:
     """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
     if not plan.still:
-        return State(*state), Record(*record)  # never
+        return state, record  # never
     return _advanced(plan, body, state, record, k, time, h, plan.still)
 
 
@@ -355,8 +354,7 @@ def _advanced(
     h: Any,
     still: tuple[int, ...],
 ) -> tuple[State, Record]:
-    record = Record(*record)
-    body = BodyConstants(*body)._replace(dropped=record.dropped)
+    body = body._replace(dropped=record.dropped)
     moved, singular = _stepped(plan, body, state, time, h, still)
     q, d = moved.chart
     # An angle that is not finite spoils all of Q.
@@ -394,7 +392,6 @@ def _advanced(
 
 def heard(plan: Plan, record: Record, k: Any) -> Record:
     """The record, where a function has raised since the last step: asked for λ or the reaction."""
-    record = Record(*record)
     if not plan.calls_functions:
         return record  # never
     fresh = (calls.marks(record.status) > calls.SILENT) & (record.status == OK)
@@ -417,10 +414,9 @@ def _stepped(
     plan: Plan, body: BodyConstants, state: State, time: Any, h: Any, still: tuple[int, ...]
 ) -> tuple[State, Any]:
     """A step, with V's components that are `still` as structural zeros."""
-    state = State(*state)
     before = state.v_or_mu
     moving = tuple(ZERO if i in still else v for i, v in enumerate(before))
-    moved, singular = step(plan, BodyConstants(*body), state._replace(v_or_mu=moving), time, h)
+    moved, singular = step(plan, body, state._replace(v_or_mu=moving), time, h)
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in still else x for i, (v, x) in enumerate(pairs))
     return moved._replace(v_or_mu=after), singular
@@ -438,7 +434,7 @@ def has_still(plan: Plan, h: Any) -> Any:
 
 def is_still(plan: Plan, state: State, h: Any) -> Any:
     """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
-    velocity = State(*state).v_or_mu
+    velocity = state.v_or_mu
     still = h == h
     for i in plan.still:
         still = still & (velocity[i] == 0.0)
@@ -449,9 +445,9 @@ def is_gentle(plan: Plan, body: BodyConstants, state: State, record: Record, h: 
     """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
     if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
-    omega = velocity_of(plan, BodyConstants(*body), State(*state))[:3]
+    omega = velocity_of(plan, body, state)[:3]
     gentle = h * h * plain(dot(omega, omega)) <= 0.8 * TINY
-    return all_lanes(gentle & (Record(*record).dropped == 0.0))
+    return all_lanes(gentle & (record.dropped == 0.0))
 
 
 def advance_gently(
@@ -463,7 +459,7 @@ def advance_gently(
     twentieth of its time.
     """
     if not plan.takes_gentle_steps:
-        return State(*state), all_lanes(h < h)  # never
+        return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.still)
     fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
@@ -473,7 +469,7 @@ def advance_gently(
 
 
 def tidy(plan: Plan, body: BodyConstants, state: State) -> State:
-    return tidied(plan, BodyConstants(*body), State(*state))
+    return tidied(plan, body, state)
 
 
 def _measured(plan: Plan, body: BodyConstants, state: State, time: Any) -> Measures:
@@ -495,8 +491,7 @@ def observe(
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    record, state = Record(*record), State(*state)
-    now = _measured(plan, BodyConstants(*body), state, time)
+    now = _measured(plan, body, state, time)
     *squares, _, _ = now
     drift = absolute(_drift(record, now))  # which energy and work make infinite, if they are
     fine, so_far = _are_finite(*squares, drift), (record.status, record.failed_step)
@@ -532,7 +527,6 @@ def store_errors(
     The next row is far from this one, where no hardware looks for it: fetched now, it is at hand
     when the steps to it are made. Otherwise its cache misses take as long as four steps.
     """
-    record, now = Record(*record), Measures(*now)
     alive = record.status == OK
     numbers = (
         sqrt(now.position), sqrt(now.rotation), sqrt(now.velocity), sqrt(now.rotation_rate),
@@ -549,11 +543,10 @@ def user_state(
     plan: Plan, body: BodyConstants, inputs: Any, state: State, record: Record, first: Any
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
-    body, state = BodyConstants(*body), State(*state)
     parameters, _, _ = _start(plan, body, inputs, first)
     velocity = velocity_of(plan, body, state)
     pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
-    return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
+    return where(record.status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
 
 
 def store_state(
@@ -590,10 +583,9 @@ def store_forces(
     """One row of the history's λ and reactions, [time][body][component]."""
     if not (plan.multipliers or plan.reaction):
         return
-    body, state = BodyConstants(*body), State(*state)
     velocity = velocity_of(plan, body, state)
     found = accelerate(plan, body, chart_of(plan, state), velocity, time)
-    alive = Record(*record).status == OK
+    alive = record.status == OK
     for recorded, array, numbers in (
         (plan.multipliers, multipliers, found.multipliers),
         (plan.reaction, reactions, found.reaction),
@@ -606,8 +598,8 @@ def store_forces(
 
 def store_summary(plan: Plan, state: State, record: Record, summary: Any, first: Any) -> None:
     """Maxima, final errors, W, status and the step of a failure."""
-    r = Record(*record)
-    work = where(r.status == OK, plain(State(*state).work), NAN)
+    r = record
+    work = where(r.status == OK, plain(state.work), NAN)
     numbers = (
         sqrt(r.position), sqrt(r.rotation), sqrt(r.velocity), sqrt(r.rotation_rate),
         sqrt(r.orthogonality), r.energy_drift, sqrt(r.last_position), sqrt(r.last_rotation), work,
