@@ -353,7 +353,8 @@ def _take_turn(counter):  # no annotations: Numba compares signatures
 def _floating(ty: types.Type) -> types.Type:
     """float64 for integers, also inside tuples: Numba then converts the arguments."""
     if isinstance(ty, types.BaseTuple):
-        return types.Tuple([_floating(t) for t in ty])
+        members = [_floating(t) for t in ty]
+        return ty if members == list(ty) else types.Tuple(members)
     return types.float64 if isinstance(ty, types.Integer) else types.unliteral(ty)
 
 
