@@ -7,7 +7,7 @@ from lierb import bodies, errors, forces, joints, lie, sampling
 from lierb.api import integrate
 from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
-from lierb.kernels.numbers.dual import where
+from lierb.kernels.functions.user_number import where
 from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
 from lierb.model import Body, Problem
 from lierb.prediction import predict

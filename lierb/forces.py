@@ -21,12 +21,12 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
-from lierb.kernels.groups.coefficients import atan2
+from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element, Wrench
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Frames, Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow
 from lierb.kernels.numbers.arithmetic import PI, fma, plain, rint, sqrt, where
-from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,
@@ -368,8 +368,8 @@ class SpeedRow(AddedRow):
 
     def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
         """ẇ, exactly."""
-        rate = self.element.at(self.placed(body), Dual(plain(x.time), (1.0,)))
-        return rate.parts[0] if isinstance(rate, Dual) else ZERO
+        rate = self.element.at(self.placed(body), UserNumber(plain(x.time), (1.0,)))
+        return rate.parts[0] if isinstance(rate, UserNumber) else ZERO
 
     def prescribed_rate(self, x: Kinematics, body: BodyConstants) -> Any:
         return self.element.at(self.placed(body), x.time)

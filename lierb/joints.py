@@ -40,10 +40,10 @@ from lierb.errors import (
     unknown_name,
 )
 from lierb.kernels.groups import se3, so3
-from lierb.kernels.groups.coefficients import atan2
 from lierb.kernels.mechanics.newton_euler import closed_pose
 from lierb.kernels.mechanics.rows import JOINT_ROWS, PITCHED, JointRow, Row, parameters_of
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     ZERO3,
     Vec,

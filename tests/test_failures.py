@@ -9,7 +9,7 @@ from cases import column, joint, tilted
 
 import lierb
 from lierb.errors import PoseError
-from lierb.kernels.groups.coefficients import SINCOS_RANGE
+from lierb.kernels.numbers.trigonometry import SINCOS_RANGE
 
 # The statuses are looked at one by one here; tests/test_result.py has what is said of them.
 pytestmark = pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")

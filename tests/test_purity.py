@@ -370,7 +370,7 @@ def test_no_message_has_words_of_the_machinery(body):
 
 
 def assert_plain(text: str) -> None:
-    for word in ("Dual", "Lane", "yield in a closure", "Mask", "Condition"):
+    for word in ("Dual", "UserNumber", "Lane", "yield in a closure", "Mask", "Condition"):
         assert word not in text
 
 

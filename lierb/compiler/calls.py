@@ -14,8 +14,8 @@ from numba import types
 from lierb.compiler.code import OPTIONS, undisturbed
 from lierb.compiler.entries import raise_again
 from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
-from lierb.compiler.trace import lowering
-from lierb.kernels.numbers.lanes import BIT, DOUBLE, INT32, Lane, Predicate, branch_on, select
+from lierb.kernels.numbers.arithmetic import branch, where
+from lierb.kernels.numbers.lanes import BIT, DOUBLE, INT32, Lane, Predicate, Trace
 
 
 def call_compiled(
@@ -29,36 +29,36 @@ def call_compiled(
     NaN where it raises, and where it is not called any more: see `Marks`.
     """
     lanes = [x for x in numbers if isinstance(x, Lane)]
-    builder, width = lanes[0].builder, max(x.lanes for x in lanes)
-    context = lowering.get()
+    trace, width = lanes[0].trace, max(x.lanes for x in lanes)
+    builder, context = trace.builder, trace.target
     if context is None:
         pack = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
-        return [Lane(builder, ir.Constant(pack, ir.Undefined))] * count
+        return [Lane(trace, ir.Constant(pack, ir.Undefined))] * count
     types_of = tuple(numba.typeof(sample) for sample in samples)
     dispatcher.compile(types_of)
     result = dispatcher.overloads[types_of]
     link(context, result)
 
-    marks = Marks.of(builder, width)
+    marks = Marks.of(trace, width)
     code = _Lanes(context, result, types_of, samples, len(numbers), count, width)
     traced = (x if isinstance(x, Lane) else lanes[0].constant(float(x)) for x in numbers)
     packs = [x.widened(width).value for x in traced]
 
-    def all_called() -> list[Lane]:
+    def all_called() -> tuple[Lane, ...]:
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         code.call_each(builder, inward, outward, marks)
-        return code.taken(builder, outward)
+        return code.taken(trace, outward)
 
-    def some_called() -> list[Lane]:
+    def some_called() -> tuple[Lane, ...]:
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         builder.call(code.apart(builder.module, marks.lanes), [inward, outward, marks.memory])
-        return code.taken(builder, outward)
+        return code.taken(trace, outward)
 
-    found = branch_on(marks.are_clear, all_called, some_called, likely=True)
+    found = branch(marks.are_clear, all_called, some_called)
     fine = marks.pack == float(CLEAR)
-    return [select(fine, x, math.nan) for x in found]
+    return [where(fine, x, math.nan) for x in found]
 
 
 class _Lanes:
@@ -97,9 +97,9 @@ class _Lanes:
         for n, value in enumerate(packs):
             builder.store(value, self._whole(builder, inward, n), align=8)
 
-    def taken(self, builder: ir.IRBuilder, outward: ir.Value) -> list[Lane]:
-        places = (self._whole(builder, outward, n) for n in range(self.count))
-        return [Lane(builder, builder.load(place, align=8)) for place in places]
+    def taken(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
+        places = (self._whole(trace.builder, outward, n) for n in range(self.count))
+        return tuple(Lane(trace, trace.builder.load(place, align=8)) for place in places)
 
     def call_each(
         self,
@@ -150,7 +150,8 @@ class _Lanes:
         function.attributes.add("noinline")
         builder = ir.IRBuilder(function.append_basic_block())
         inward, outward, memory = function.args
-        self.call_each(builder, inward, outward, Marks(builder, lanes, memory), only_clear=True)
+        marks = Marks(Trace(builder, self.context), lanes, memory)
+        self.call_each(builder, inward, outward, marks, only_clear=True)
         builder.ret_void()
         return function
 
@@ -176,19 +177,23 @@ class Marks:
     An address is exact as a double: it has at most 52 bits on the systems that there are.
     """
 
-    def __init__(self, builder: ir.IRBuilder, lanes: int, memory: ir.Value) -> None:
-        self.builder, self.lanes, self.memory = builder, lanes, memory
+    def __init__(self, trace: Trace, lanes: int, memory: ir.Value) -> None:
+        self.trace, self.lanes, self.memory = trace, lanes, memory
 
     @classmethod
-    def of(cls, builder: ir.IRBuilder, lanes: int) -> Marks:
+    def of(cls, trace: Trace, lanes: int) -> Marks:
         """Those of the function that is being emitted; whoever asks first says how many lanes."""
-        function = builder.function
+        function = trace.builder.function
         if not hasattr(function, "lierb_marks"):
-            memory = cgutils.alloca_once(builder, ir.ArrayType(DOUBLE, lanes))  # and cleared
-            function.lierb_marks = cls(builder, lanes, memory)
+            memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # and cleared
+            function.lierb_marks = cls(trace, lanes, memory)
         found: Marks = function.lierb_marks
-        found.builder = builder
+        found.trace = trace
         return found
+
+    @property
+    def builder(self) -> ir.IRBuilder:
+        return self.trace.builder
 
     @property
     def whole(self) -> ir.Value:
@@ -198,7 +203,7 @@ class Marks:
 
     @property
     def pack(self) -> Lane:
-        return Lane(self.builder, self.builder.load(self.whole, align=8))
+        return Lane(self.trace, self.builder.load(self.whole, align=8))
 
     @property
     def are_clear(self) -> Predicate:
@@ -218,7 +223,7 @@ class Marks:
             self.builder.store(mark, _place(self.builder, self.memory, lane))
             return
         before = self.pack
-        after = select(before == float(CLEAR), Lane(self.builder, mark), before)
+        after = where(before == float(CLEAR), Lane(self.trace, mark), before)
         self.builder.store(after.value, self.whole, align=8)
 
 
@@ -243,13 +248,13 @@ def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> 
 
 def marks(like: Any) -> Any:
     """The marks of a block, in formulas.   like : a pack of the block's."""
-    return Marks.of(like.builder, like.lanes).pack if isinstance(like, Lane) else _Python.mark
+    return Marks.of(like.trace, like.lanes).pack if isinstance(like, Lane) else _Python.mark
 
 
 def set_marks(numbers: Any) -> None:
     """Write the marks of a block."""
     if isinstance(numbers, Lane):
-        known = Marks.of(numbers.builder, numbers.lanes)
+        known = Marks.of(numbers.trace, numbers.lanes)
         numbers.builder.store(numbers.value, known.whole, align=8)
     else:
         _Python.mark = float(numbers)

@@ -9,7 +9,6 @@ time, and Numba's type inference never sees the inside of a formula.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextvars import ContextVar
 from typing import Any
 
 import numba
@@ -19,8 +18,9 @@ from numba.extending import lower_builtin, models, register_model
 
 from lierb.compiler.internals import AbstractTemplate, infer_global, signature, tracing_context
 from lierb.compiler.tags import TagType
-from lierb.kernels.numbers.arithmetic import flatten
-from lierb.kernels.numbers.lanes import ArrayRef, Index, Lane, LaneType, Predicate
+from lierb.kernels.numbers.arithmetic import alike, flatten
+from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.lanes import ArrayRef, Index, Lane, LaneType, Predicate, Trace
 from lierb.kernels.numbers.zero import is_zero
 
 
@@ -60,33 +60,27 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
         # 16 bytes only, unless told so before it knows what it will spill.
         builder.function.attributes.alignstack = 64
         builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
-        traced = [_to_trace(context, builder, t, v) for t, v in zip(sig.args, values, strict=True)]
-        token = lowering.set(context)
-        try:
-            return _from_trace(context, builder, sig.return_type, evaluated(*traced))
-        finally:
-            lowering.reset(token)
+        trace = Trace(builder, context)
+        traced = [_to_trace(context, trace, t, v) for t, v in zip(sig.args, values, strict=True)]
+        return _from_trace(context, builder, sig.return_type, evaluated(*traced))
 
     infer_global(formula)(Template)
     lower_builtin(formula, types.VarArg(types.Any))(lower)
     return formula
 
 
-# The context that code is being emitted for; None during a trace that is thrown away.
-lowering: ContextVar[Any] = ContextVar("lowering", default=None)
-
-
 def _floating(ty: types.Type) -> types.Type:
     """float64 for integers, also inside tuples: Numba then converts the arguments."""
     if isinstance(ty, types.BaseTuple):
-        return types.Tuple([_floating(t) for t in ty])
+        members = [_floating(t) for t in ty]
+        return ty if members == list(ty) else types.Tuple(members)
     return types.float64 if isinstance(ty, types.Integer) else types.unliteral(ty)
 
 
 def _as_numbers(operands: Any, result: Any) -> Any:
     """`result` with every constant as a traced number."""
     if isinstance(result, tuple):
-        return tuple(_as_numbers(operands, x) for x in result)
+        return alike(result, (_as_numbers(operands, x) for x in result))
     if isinstance(result, Lane):
         return result
     like = next(x for x in flatten(operands) if isinstance(x, Lane))
@@ -102,9 +96,9 @@ def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> 
     """formula(*args), and the function of its own that it was traced into."""
     context = tracing_context()
     function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
-    builder = ir.IRBuilder(function.append_basic_block())
+    trace = Trace(ir.IRBuilder(function.append_basic_block()))
     values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]
-    traced = [_to_trace(context, builder, t, v) for t, v in zip(args, values, strict=True)]
+    traced = [_to_trace(context, trace, t, v) for t, v in zip(args, values, strict=True)]
     return formula(*traced), function
 
 
@@ -116,32 +110,43 @@ def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
     return result, f"{function.module}\n{' '.join(numbers)}"
 
 
-def _to_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, value: Any) -> Any:
+def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
+    builder = trace.builder
     if isinstance(ty, TagType):
         return ty.tag
     if isinstance(ty, ConstantType):
         return ty.number
     if isinstance(ty, types.BaseTuple):
-        members = [builder.extract_value(value, i) for i in range(len(ty))]
-        return tuple(_to_trace(context, builder, t, v) for t, v in zip(ty, members, strict=True))
+        members = [
+            _to_trace(context, trace, t, builder.extract_value(value, i)) for i, t in enumerate(ty)
+        ]
+        is_named = isinstance(ty, types.BaseNamedTuple)
+        return ty.instance_class(*members) if is_named else tuple(members)
     if isinstance(ty, types.Integer):
-        return Index(builder, context.cast(builder, value, ty, types.intp))
+        return Index(trace, context.cast(builder, value, ty, types.intp))
     if isinstance(ty, types.Float):
-        return Lane(builder, context.cast(builder, value, ty, types.float64))
+        return Lane(trace, context.cast(builder, value, ty, types.float64))
     if isinstance(ty, LaneType):
-        return Lane(builder, value)
+        return Lane(trace, value)
     if isinstance(ty, types.Array) and ty.layout == "C" and ty.dtype == types.float64:
-        return ArrayRef(context, builder, ty, value)
+        return ArrayRef(trace, context, ty, value)
     raise numba.errors.TypingError(
         f"lierb's formulas take numbers, tuples of numbers and arrays, not {ty}"
     )
 
 
+def _members(result: Any) -> tuple[Any, ...]:
+    """Of a tuple; of a dual number, which goes from formula to formula as a named tuple does."""
+    return result if isinstance(result, tuple) else (result.value, result.parts)
+
+
 def _type_of_trace(result: Any) -> types.Type:
     if result is None:
         return types.none
-    if isinstance(result, tuple):
-        return types.Tuple([_type_of_trace(x) for x in result])
+    if isinstance(result, (tuple, Dual)):
+        kinds = [_type_of_trace(x) for x in _members(result)]
+        is_named = hasattr(result, "_fields")
+        return types.NamedTuple(kinds, type(result)) if is_named else types.Tuple(kinds)
     if isinstance(result, Predicate):
         return types.boolean
     if not isinstance(result, Lane):
@@ -152,7 +157,8 @@ def _type_of_trace(result: Any) -> types.Type:
 def _from_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, result: Any) -> Any:
     if result is None or isinstance(ty, ConstantType):
         return context.get_dummy_value()
-    if isinstance(result, tuple):
-        members = [_from_trace(context, builder, t, x) for t, x in zip(ty, result, strict=True)]
+    if isinstance(ty, types.BaseTuple):
+        pairs = zip(ty, _members(result), strict=True)
+        members = [_from_trace(context, builder, t, x) for t, x in pairs]
         return context.make_tuple(builder, ty, members)
     return result.value

@@ -12,8 +12,8 @@ from numba import config
 from oracle import mp
 
 from kernels.packs import FORMULAS, on_lanes
-from lierb.kernels.numbers import dual as module
-from lierb.kernels.numbers.dual import Condition, Dual, raw, where
+from lierb.kernels.functions import user_number as module
+from lierb.kernels.functions.user_number import Condition, UserNumber, raw, where
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.numbers.object_arrays import numbers
 from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
@@ -198,7 +198,7 @@ EVERY = pytest.mark.parametrize("name", FUNCTIONS)
 
 def second_order(x):
     """A number whose derivatives along itself are 1 and 0."""
-    return Dual(Dual(x, (1.0,)), (Dual(1.0, (0.0,)),))
+    return UserNumber(UserNumber(x, (1.0,)), (UserNumber(1.0, (0.0,)),))
 
 
 def taken_apart(found):
@@ -250,7 +250,7 @@ def test_bits_do_not_depend_on_lanes(lanes):
 
 
 def test_where_chooses_values_and_parts():
-    x = Dual(2.0, (1.0,))
+    x = UserNumber(2.0, (1.0,))
     assert where(x > 1.0, x * x, -x).parts == (4.0,)
     assert where(x < 1.0, x * x, -x).parts == (-1.0,)
     assert [y.value for y in where(x > 1.0, np.array([x, x]), 0.0)] == [2.0, 2.0]
@@ -261,13 +261,13 @@ def test_where_chooses_values_and_parts():
 @pytest.mark.parametrize("branching", [bool, float, int, lambda x: 1 if x else 2])
 def test_a_number_of_many_bodies_cannot_decide(branching):
     with pytest.raises(TypeError, match=r"lierb\.where|many bodies"):
-        branching(Dual(2.0))
+        branching(UserNumber(2.0))
 
 
 @pytest.mark.parametrize("compare", [operator.lt, operator.le, operator.gt, operator.ge])
 def test_comparison_is_that_of_values(compare):
-    for other in (1.0, 2.0, 3.0, Dual(2.0)):
-        found = compare(Dual(2.0), other)
+    for other in (1.0, 2.0, 3.0, UserNumber(2.0)):
+        found = compare(UserNumber(2.0), other)
         assert found.mask == compare(2.0, getattr(other, "value", other))
         assert (~found).mask == (not found.mask)
 
@@ -275,7 +275,7 @@ def test_comparison_is_that_of_values(compare):
 @pytest.mark.parametrize("function", [f for f in module.REPLACEMENTS if f not in OF_MANY])
 def test_replacement_stands_for_its_function(function):
     numbers = (1.4 if function is math.acosh else 0.4, 1.5)[: 2 if function in TWO_NUMBERS else 1]
-    found = module.REPLACEMENTS[function](*map(Dual, numbers))
+    found = module.REPLACEMENTS[function](*map(UserNumber, numbers))
     value = found.mask if isinstance(found, Condition) else found.value
     assert value == pytest.approx(function(*numbers), rel=1e-15)
 
@@ -294,14 +294,14 @@ def test_odd_numbers_are_numpys(function):
     odd = (math.nan, -0.0, 0.0, 1.0, -1.5, math.inf)
     with np.errstate(all="ignore"):
         for x, y in ((x, y) for x in odd for y in odd):
-            found = raw(function(Dual(x), Dual(y)))
+            found = raw(function(UserNumber(x), UserNumber(y)))
             # np.maximum may give either zero
             np.testing.assert_array_equal(found, function(x, y), err_msg=f"{x}, {y}")
-    assert math.copysign(1.0, raw(np.copysign(Dual(2.0), Dual(-0.0)))) == -1.0
+    assert math.copysign(1.0, raw(np.copysign(UserNumber(2.0), UserNumber(-0.0)))) == -1.0
 
 
 def odd_numbers(x, y):
-    x, y = Dual(x), Dual(y)
+    x, y = UserNumber(x), UserNumber(y)
     found = (
         np.maximum(x, y), np.minimum(x, y), np.fmax(x, y), np.copysign(x, y), np.heaviside(x, y),
         x % y, np.fmod(x, y), np.sign(x), np.where(np.isnan(x), 1.0, 0.0),

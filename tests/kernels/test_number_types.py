@@ -1,10 +1,12 @@
 """The same bits on every number of lanes, beside any neighbours, in the user's own @njit code."""
 
 import os
+import pickle
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,9 +16,12 @@ from numba import config, njit
 import lierb
 from kernels.packs import on_lanes
 from kernels.samples import GROUPS, dim, twists, unpacked
-from lierb.kernels.groups import se3, so3xr3
+from lierb.compiler.trace import kernel
+from lierb.kernels.groups import se3, so3, so3xr3
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
 from lierb.kernels.numbers.arithmetic import flatten
+from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.zero import ZERO
 
 ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 4, 8)
@@ -209,3 +214,51 @@ def test_sweeps_hold_with_the_jit_off(tmp_path):
     assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-1000:]
     assert " passed" in run.stdout
     assert " failed" not in run.stdout
+
+
+# ---------------------------------------------------------------- from formula to formula
+
+
+class Pair(NamedTuple):
+    first: object
+    second: object
+
+
+def squared(x):
+    return Pair(Dual(x, (1.0, ZERO)) * x, (x, 2.0))
+
+
+def second_square(pair, y):
+    """What the second formula sees of what the first one gave."""
+    kinds = type(pair) is Pair and type(pair.first) is Dual
+    found = pair.first * y + pair.second[0]
+    return (found.value, found.parts[0], 1.0 if kinds and found.parts[1] is ZERO else 0.0)
+
+
+kernel(squared)
+kernel(second_square, numbers_only=True)
+
+
+@needs_jit
+def test_named_tuples_and_duals_keep_their_class_between_formulas():
+    @njit
+    def both(x, y):
+        return second_square(squared(x), y)
+
+    assert both(3.0, 5.0) == (48.0, 15.0, 1.0)
+
+
+def test_structural_zero_is_the_number_zero():
+    assert ZERO == 0.0
+    assert ZERO == 0.0
+    assert ZERO != 1.0
+    assert hash(ZERO) == hash(0.0)
+    assert pickle.loads(pickle.dumps(ZERO)) is ZERO
+
+
+def test_log_has_its_derivative_at_the_identity():
+    rates = (0.3, -0.7, 0.2)
+    turning = tuple(Dual(0.0, (x,)) for x in rates)
+    found = so3.log(so3.exp(turning))
+    assert [x.value for x in found] == [0.0, 0.0, 0.0]
+    assert [x.parts[0] for x in found] == pytest.approx(rates, rel=1e-15)

@@ -10,7 +10,7 @@ import pytest
 import lierb
 from lierb.compiler.trace import trial
 from lierb.kernels.functions.function import traceable
-from lierb.kernels.numbers.dual import Dual, raw
+from lierb.kernels.functions.user_number import UserNumber, raw
 from lierb.kernels.numbers.object_arrays import UntraceableError, has_traced, numbers
 
 RNG = np.random.default_rng(1)
@@ -56,7 +56,7 @@ def of_expression(expression):
 def as_traced(values):
     """The arguments made of a sequence of numbers."""
     rest = iter(values)
-    made = [[Dual(next(rest)) for _ in range(np.size(x))] for x in GIVEN.values()]
+    made = [[UserNumber(next(rest)) for _ in range(np.size(x))] for x in GIVEN.values()]
     return [
         numbers(members).reshape(np.shape(x)) if np.ndim(x) else members[0]
         for members, x in zip(made, GIVEN.values(), strict=True)

@@ -9,7 +9,7 @@ from oracle import mp
 
 from kernels.packs import on_lanes
 from kernels.samples import NUMBER_TYPES
-from lierb.kernels.groups.coefficients import atan2, sincos
+from lierb.kernels.numbers.trigonometry import atan2, sincos
 
 every_number = pytest.mark.parametrize("number_type", NUMBER_TYPES)
 

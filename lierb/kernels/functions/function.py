@@ -36,8 +36,8 @@ from lierb.kernels.functions.fingerprint import (
     references,
 )
 from lierb.kernels.functions.purity import MARK, require_pure_code, require_repeatable
+from lierb.kernels.functions.user_number import REPLACEMENTS, Condition, UserNumber
 from lierb.kernels.numbers.arithmetic import flatten, plain
-from lierb.kernels.numbers.dual import REPLACEMENTS, Condition, Dual
 from lierb.kernels.numbers.lanes import Lane
 from lierb.kernels.numbers.object_arrays import (
     UntraceableError,
@@ -85,7 +85,7 @@ class Function:
         members = [plain(x) for x in flatten((*arguments, *own))]
         if not self.is_traced:
             return self._of_one_body(members)
-        duals = (x if isinstance(x, Dual) else Dual(x) for x in members)
+        duals = (x if isinstance(x, UserNumber) else UserNumber(x) for x in members)
         return self._taken_apart(self.python(*self._bundled(duals, numbers)))
 
     @property
@@ -191,7 +191,7 @@ def _number(name: str, x: Any) -> Any:
         x = x.item()
     if isinstance(x, Condition):
         x = x.number()
-    if isinstance(x, Dual):
+    if isinstance(x, UserNumber):
         return x if x.parts else x.value
     if isinstance(x, (int, float, np.integer, np.floating, np.bool_)):
         return float(x)

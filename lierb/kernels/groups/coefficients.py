@@ -1,4 +1,4 @@
-"""Scalar functions of θ², θ = ‖ξ‖, on which exp, dexp and dexp⁻¹ are built, and the angles' own.
+"""Scalar functions of θ², θ = ‖ξ‖, on which exp, dexp and dexp⁻¹ are built.
 
     sinc = sin θ/θ     a = (1 − cos θ)/θ²      b = (θ − sin θ)/θ³
     a₁ = a′/θ          b₁ = b′/θ
@@ -13,25 +13,23 @@ would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from fractions import Fraction
 from math import factorial
 from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.arithmetic import (
     PI,
+    Cuts,
     all_lanes,
     branch,
-    floor,
-    fma,
+    horner,
     minimum,
-    rint,
     sqrt,
+    taken_for_granted,
     where,
 )
-from lierb.kernels.numbers.arithmetic import absolute as abs_
+from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
 
 TINY = 0.0215**2  # θ² up to which a time step makes do with three terms, and four of sinc
 TINY_TERMS = 3
@@ -39,7 +37,6 @@ SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
 MEDIUM = 0.5**2  # and eight
 SERIES = PI**2  # θ² up to which the entire series is used
 NAN = float("nan")
-SINCOS_RANGE = 1e5  # rad, of `sincos`: beyond, reducing an angle loses digits, at 1e16 rad all
 
 
 class Coefficients(NamedTuple):
@@ -77,20 +74,6 @@ DOUBLE_ANGLE_TERMS = tuple(
         (2.0, SINC_TERMS), (4.0, A_TERMS), (8.0, B_TERMS), (4.0, C0_TERMS), (16.0, C1_TERMS)
     )
 )  # fmt: skip
-
-
-Cuts = tuple[tuple[Any, int], ...]  # a mask, and how many terms are taken where it holds
-
-
-def horner(z: Any, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
-    """Σ terms[k] zᵏ; where it is cut, to the bits of the shorter series."""
-    total: Any = terms[-1]
-    for k in range(len(terms) - 2, -1, -1):
-        for mask, count in cuts:
-            if count == k + 1:
-                total = where(mask, 0.0, total)
-        total = fma(z, total, terms[k])
-    return total
 
 
 def coefficients(z: Any) -> Coefficients:
@@ -133,32 +116,6 @@ def half_angle_coefficients(z: Any) -> HalfAngleCoefficients:
         lambda: _anywhere(z, 0.25, _half_taylor, within_range, ((tiny, TINY_TERMS),)),
     )
     return HalfAngleCoefficients(*found)
-
-
-_conditions: ContextVar[list[Any] | None] = ContextVar("conditions", default=None)
-
-
-@contextmanager
-def angles_taken_for_tiny() -> Iterator[list[Any]]:
-    """Here, a time step's angles are all as small as its short series ask for, with no branch.
-
-    Gives the conditions for that, a mask for each angle: where they hold, the bits are the same.
-    """
-    conditions: list[Any] = []
-    token = _conditions.set(conditions)
-    try:
-        yield conditions
-    finally:
-        _conditions.reset(token)
-
-
-def taken_for_granted(condition: Any) -> bool:
-    """Whether a formula may take it that a mask holds in all lanes: it is looked at afterwards."""
-    conditions = _conditions.get()
-    if conditions is None:
-        return False
-    conditions.append(condition)
-    return True
 
 
 Taylor = Callable[[Any, int, Cuts], tuple[Any, ...]]  # of z, so many terms or, where cut, fewer
@@ -239,72 +196,3 @@ def _closed(z: Any) -> tuple[Any, ...]:
     c0 = (a2 - sinc) / (a2 * z)
     c1 = (1.0 + sinc - 2.0 * a2) / (a2 * z * z)
     return (sinc, a, b, a1, b1, c0, c1)
-
-
-# ---- trigonometric functions on every number type ----------------------------------------------
-# Kernel and reduction constants as in FreeBSD msun (k_sin.c, k_cos.c, e_rem_pio2.c, s_atan.c).
-
-_SIN = (
-    -1.66666666666666324348e-01,
-    8.33333333332248946124e-03,
-    -1.98412698298579493134e-04,
-    2.75573137070700676789e-06,
-    -2.50507602534068634195e-08,
-    1.58969099521155010221e-10,
-)
-_COS = (
-    4.16666666666666019037e-02,
-    -1.38888888888741095749e-03,
-    2.48015872894767294178e-05,
-    -2.75573143513906633035e-07,
-    2.08757232129817482790e-09,
-    -1.13596475577881948265e-11,
-)
-_ATAN = (
-    3.33333333333329318027e-01,
-    -1.99999999998764832476e-01,
-    1.42857142725034663711e-01,
-    -1.11111104054623557880e-01,
-    9.09088713343650656196e-02,
-    -7.69187620504482999495e-02,
-    6.66107313738753120669e-02,
-    -5.83357013379057348645e-02,
-    4.97687799461593236017e-02,
-    -3.65315727442169155270e-02,
-    1.62858201153657823623e-02,
-)
-_HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-_TAN_PI_8 = 0.41421356237309503
-
-
-def sincos(x: Any) -> tuple[Any, Any]:
-    """sin x and cos x for |x| ≤ SINCOS_RANGE, by Cody–Waite reduction to [−π/4, π/4]."""
-    quarters = rint(x * (2.0 / PI))
-    y = x
-    for part in _HALF_PI:
-        y = fma(-quarters, part, y)
-    z = y * y
-    s = fma(y * z, horner(z, _SIN), y)
-    c = fma(z * z, horner(z, _COS), fma(-0.5, z, 1.0))
-    quadrant = quarters - 4.0 * floor(quarters * 0.25)
-    odd = (quadrant == 1.0) | (quadrant == 3.0)
-    sine, cosine = where(odd, (c, s), (s, c))
-    return (
-        where(quadrant >= 2.0, -sine, sine),
-        where((quadrant == 1.0) | (quadrant == 2.0), -cosine, cosine),
-    )
-
-
-def atan2(y: Any, x: Any) -> Any:
-    """Angle of (x, y) in [−π, π] rad; 0 at the origin."""
-    ax, ay = abs_(x), abs_(y)
-    steep = ay > ax
-    low, high = where(steep, (ax, ay), (ay, ax))
-    far = low > _TAN_PI_8 * high  # then atan t = π/4 + atan((t − 1)/(t + 1))
-    top, bottom = where(far, (low - high, low + high), (low, high))
-    t = top / where(bottom == 0.0, 1.0, bottom)
-    z = t * t
-    angle = fma(-(t * z), horner(z, _ATAN), t) + where(far, 0.25 * PI, 0.0)
-    angle = where(steep, 0.5 * PI - angle, angle)
-    angle = where(x < 0.0, PI - angle, angle)
-    return where(y < 0.0, -angle, angle)

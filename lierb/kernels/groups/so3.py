@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from lierb.kernels.groups.coefficients import Coefficients, atan2, coefficients
+from lierb.kernels.groups.coefficients import Coefficients, coefficients
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     Mat,
@@ -89,7 +90,9 @@ def log(r: Mat) -> Vec:
     """
     q = quaternion(r)
     n = norm(q[1:])
-    return scale(2.0 * atan2(n, q[0]) / where(n > 0.0, n, 1.0), q[1:])
+    turns = n > 0.0  # else the limit, which matters to derivatives
+    factor = where(turns, 2.0 * atan2(n, q[0]) / where(turns, n, 1.0), 2.0 / q[0])
+    return scale(factor, q[1:])
 
 
 def Ad(r: Mat, x: Vec) -> Vec:

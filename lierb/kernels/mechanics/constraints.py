@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups import so3
-from lierb.kernels.groups.coefficients import atan2
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
 from lierb.kernels.mechanics.rows import Rows, fixed_axes
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import Vec, dot, norm, row
 from lierb.kernels.numbers.zero import ZERO
 

@@ -15,6 +15,7 @@ from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
 from lierb.kernels.functions.function import BODY, Function
+from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -29,7 +30,6 @@ from lierb.kernels.mechanics.newton_euler import (
 )
 from lierb.kernels.mechanics.rows import AddedRow
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -137,7 +137,7 @@ class UserWrench(Element):
         (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
         found = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
-        return total + found.parts[0] if isinstance(found, Dual) else total
+        return total + found.parts[0] if isinstance(found, UserNumber) else total
 
 
 class UserFrame(NamedTuple):
@@ -200,7 +200,7 @@ class UserRow(AddedRow):
 
     def value(self, x: Kinematics, body: BodyConstants) -> Any:
         found = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
-        return found.value if isinstance(found, Dual) else found
+        return found.value if isinstance(found, UserNumber) else found
 
     def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
         """Along the six unit twists: Ṙ = R ω̂ and ṙ = R v, in the user's body axes."""
@@ -210,10 +210,10 @@ class UserRow(AddedRow):
         for axis in range(3):
             a, b, c = row(r, axis)
             for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
-                entries.append(Dual(entry, turning + ZERO3))
-        places = [Dual(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
+                entries.append(UserNumber(entry, turning + ZERO3))
+        places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
         found = self._of(body, tuple(entries), tuple(places))
-        slope = found.parts if isinstance(found, Dual) else ZERO6
+        slope = found.parts if isinstance(found, UserNumber) else ZERO6
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
@@ -231,18 +231,18 @@ class UserRow(AddedRow):
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
         found = self._of(body, tuple(entries), tuple(places))
-        slope = found.parts[0] if isinstance(found, Dual) else ZERO
-        return -slope.parts[0] if isinstance(slope, Dual) and slope.parts else ZERO
+        slope = found.parts[0] if isinstance(found, UserNumber) else ZERO
+        return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
 
 def _moving(values: Vec, rates: Vec) -> Vec:
     """Numbers with their first derivatives."""
-    return tuple(Dual(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
+    return tuple(UserNumber(plain(x), (rate,)) for x, rate in zip(values, rates, strict=True))
 
 
-def _second(value: Any, rate: Any, bend: Any) -> Dual:
+def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     """A number with its first and second derivative."""
-    return Dual(Dual(plain(value), (rate,)), (Dual(plain(rate), (bend,)),))
+    return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
 # ---- all elements of a body -------------------------------------------------------------------

@@ -12,9 +12,9 @@ from itertools import product, starmap
 from typing import Any, ClassVar
 
 from lierb.kernels.groups import quaternion
-from lierb.kernels.groups.coefficients import atan2
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
 from lierb.kernels.numbers.arithmetic import PI, fma, rint, where
+from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,

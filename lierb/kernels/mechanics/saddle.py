@@ -22,10 +22,17 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from lierb.kernels.groups.coefficients import taken_for_granted
 from lierb.kernels.mechanics.newton_euler import BodyConstants, kinetic_energy
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.numbers.arithmetic import absolute, any_lanes, branch, fma, sqrt, where
+from lierb.kernels.numbers.arithmetic import (
+    absolute,
+    any_lanes,
+    branch,
+    fma,
+    sqrt,
+    taken_for_granted,
+    where,
+)
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,

@@ -1,87 +1,134 @@
 """What a formula may use besides + - * /: one function, every number type.
 
-The number types are float (or NumPy scalar), NumPy array, `Zero`, and the traced `Lane`. A formula
-that keeps to these functions runs unchanged as plain Python, over whole arrays, and as SIMD code.
+A formula that keeps to these functions runs unchanged as plain Python, over whole arrays, as SIMD
+code, and with derivatives. Each class of numbers bears its operations; here they are handed to the
+class of highest `rank` among the operands. One without a `rank` is `Plain`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
+from functools import cache, partial, wraps
 from typing import Any
 
 import numpy as np
 
-from lierb.kernels.numbers import lanes
-from lierb.kernels.numbers.lanes import ArrayRef, Index, Lane, Mask, Predicate
-from lierb.kernels.numbers.zero import ZERO, Zero, is_zero
+from lierb.kernels.numbers.zero import is_zero
 
 PI = 3.141592653589793
 
 
-def _traced(*numbers: Any) -> bool:
-    return any(isinstance(x, Lane) for x in numbers)
+class Plain:
+    """Floats, NumPy's scalars and its arrays; indices and conditions of such."""
+
+    rank = 0
+    sqrt, absolute, rint, floor = np.sqrt, np.abs, np.rint, np.floor
+    minimum, maximum = np.fmin, np.fmax
+    real = float
+
+    @staticmethod
+    def trace_of(number: Any) -> None:
+        return None
+
+    @staticmethod
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        return a * b + c
+
+    @staticmethod
+    def select(mask: Any, a: Any, b: Any) -> Any:
+        if isinstance(mask, np.ndarray):
+            return np.where(mask, a, b)
+        return a if mask else b
+
+    @staticmethod
+    def reduced(mask: Any, kind: str) -> bool:
+        return bool(np.all(mask) if kind == "and" else np.any(mask))
+
+    @staticmethod
+    def branch(
+        predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool
+    ) -> Any:
+        return then() if predicate else otherwise()
+
+    @staticmethod
+    def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
+        return array[index]
+
+    @staticmethod
+    def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
+        array[index] = number
+
+    @staticmethod
+    def prefetch(array: Any, index: tuple[Any, ...], count: int) -> None:
+        pass
+
+    @staticmethod
+    def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
+        return array[place]
+
+    @staticmethod
+    def scatter(
+        array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
+    ) -> None:
+        for place, number in zip(places, numbers, strict=True):
+            array[place] = number
+
+
+def _bearer(*kinds: Any) -> Any:
+    """The class that bears the operations on things of these types."""
+    ranked = (kind for kind in kinds if hasattr(kind, "rank"))
+    return max(ranked, key=lambda kind: kind.rank, default=Plain)
+
+
+bearer: Callable[..., Any] = cache(_bearer)
+
+
+def unless_borne(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: a formula, but for numbers whose class bears an operation of that name."""
+
+    @wraps(formula)
+    def dispatched(*numbers: Any) -> Any:
+        return getattr(bearer(*map(type, numbers)), formula.__name__, formula)(*numbers)
+
+    return dispatched
 
 
 def fma(a: Any, b: Any, c: Any) -> Any:
     """a·b + c, rounded once where traced for a CPU that can; rounded twice in plain Python."""
     # Most of the time of a formula in Python goes by here.
-    if isinstance(a, Zero) or isinstance(b, Zero):
-        return c
-    if isinstance(c, Zero):
-        return a * b
-    if lanes.HAS_FMA and (isinstance(a, Lane) or isinstance(b, Lane) or isinstance(c, Lane)):
-        return a * b + c if _as_numpy.get() else lanes.call_intrinsic("fma", a, b, c)
-    return a * b + c
-
-
-_as_numpy: ContextVar[bool] = ContextVar("as_numpy", default=False)
-
-
-@contextmanager
-def rounded_as_numpy() -> Iterator[None]:
-    """Here, `fma` rounds twice everywhere: a formula gives the bits that it gives on arrays."""
-    token = _as_numpy.set(True)
-    try:
-        yield
-    finally:
-        _as_numpy.reset(token)
+    return bearer(type(a), type(b), type(c)).fma(a, b, c)
 
 
 def sqrt(x: Any) -> Any:
-    if is_zero(x):
-        return ZERO
-    return lanes.call_intrinsic("sqrt", x) if _traced(x) else np.sqrt(x)
+    return bearer(type(x)).sqrt(x)
 
 
 def absolute(x: Any) -> Any:
-    if is_zero(x):
-        return ZERO
-    return lanes.call_intrinsic("fabs", x) if _traced(x) else np.abs(x)
+    return bearer(type(x)).absolute(x)
 
 
 def rint(x: Any) -> Any:
     """Nearest integer, ties to even."""
-    return lanes.call_intrinsic("rint", x) if _traced(x) else np.rint(x)
+    return bearer(type(x)).rint(x)
 
 
 def floor(x: Any) -> Any:
-    return lanes.call_intrinsic("floor", x) if _traced(x) else np.floor(x)
+    return bearer(type(x)).floor(x)
 
 
 def minimum(a: Any, b: Any) -> Any:
     """The smaller one; the other one if one is NaN."""
     a, b = plain(a), plain(b)
-    return lanes.call_intrinsic("minnum", a, b) if _traced(a, b) else np.fmin(a, b)
+    return bearer(type(a), type(b)).minimum(a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
     """The larger one; the other one if one is NaN."""
     if is_zero(a, b):
-        return ZERO
+        return a
     a, b = plain(a), plain(b)
-    return lanes.call_intrinsic("maxnum", a, b) if _traced(a, b) else np.fmax(a, b)
+    return bearer(type(a), type(b)).maximum(a, b)
 
 
 def plain(x: Any) -> Any:
@@ -89,31 +136,54 @@ def plain(x: Any) -> Any:
     return 0.0 if is_zero(x) else x
 
 
+Cuts = tuple[tuple[Any, int], ...]  # a mask, and how many terms are taken where it holds
+
+
+def horner(z: Any, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
+    """Σ terms[k] zᵏ; where it is cut, to the bits of the shorter series."""
+    total: Any = terms[-1]
+    for k in range(len(terms) - 2, -1, -1):
+        for mask, count in cuts:
+            if count == k + 1:
+                total = where(mask, 0.0, total)
+        total = fma(z, total, terms[k])
+    return total
+
+
+# ---- choices -----------------------------------------------------------------------------------
+
+
 def where(mask: Any, a: Any, b: Any) -> Any:
     """`a` where the mask holds, `b` elsewhere, lane by lane; tuples member by member."""
+    return joined(a, b, partial(bearer(type(mask)).select, mask))
+
+
+def joined(a: Any, b: Any, join: Callable[[Any, Any], Any]) -> Any:
+    """`join` of the numbers in two tuples of one shape, of duals value by value and part by part;
+    constants on which both agree stay what they are.
+    """
     if isinstance(a, tuple):
-        return tuple(where(mask, x, y) for x, y in zip(a, b, strict=True))
-    if _same_constant(a, b):
+        return alike(a, (joined(x, y, join) for x, y in zip(a, b, strict=True)))
+    if is_zero(a, b) or (type(a) is float and type(b) is float and a == b):
         return a
-    if isinstance(mask, Mask):
-        return lanes.select(mask, plain(a), plain(b))
-    if isinstance(mask, np.ndarray):
-        return np.where(mask, plain(a), plain(b))
-    return a if mask else b
+    a, b = plain(a), plain(b)
+    of_kind = getattr(bearer(type(a), type(b)), "joined", None)
+    return of_kind(a, b, join) if of_kind else join(a, b)
 
 
-def _same_constant(a: Any, b: Any) -> bool:
-    return is_zero(a, b) or (type(a) is float and type(b) is float and a == b)
+def alike(a: tuple[Any, ...], members: Iterable[Any]) -> Any:
+    """A tuple of the same class, with other members."""
+    return tuple(members) if type(a) is tuple else type(a)(*members)
 
 
 def all_lanes(mask: Any) -> Any:
     """Whether the mask holds in every lane: something to `branch` on."""
-    return mask.reduced("and") if isinstance(mask, Mask) else bool(np.all(mask))
+    return bearer(type(mask)).reduced(mask, "and")
 
 
 def any_lanes(mask: Any) -> Any:
     """Whether the mask holds in some lane: something to `branch` on."""
-    return mask.reduced("or") if isinstance(mask, Mask) else bool(np.any(mask))
+    return bearer(type(mask)).reduced(mask, "or")
 
 
 def branch(
@@ -126,28 +196,52 @@ def branch(
 
     likely : whether `then` is the side that nearly always runs.
     """
-    if not isinstance(predicate, Predicate):
-        return then() if predicate else otherwise()
-    results: list[Any] = []
-
-    def flat(side: Callable[[], Any]) -> Callable[[], list[Any]]:
-        def run() -> list[Any]:
-            results.append(side())
-            return [plain(x) for x in flatten(results[-1])]
-
-        return run
-
-    merged = iter(lanes.branch_on(predicate, flat(then), flat(otherwise), likely))
-    left, right = results
-    return _merged(left, right, merged)
+    return bearer(type(predicate)).branch(predicate, then, otherwise, likely)
 
 
-def _merged(left: Any, right: Any, numbers: Iterator[Any]) -> Any:
-    """`numbers` in the shape of both sides; constants where both sides agree on one."""
-    if isinstance(left, tuple):
-        return tuple(_merged(a, b, numbers) for a, b in zip(left, right, strict=True))
-    number = next(numbers)
-    return left if _same_constant(left, right) else number
+# ---- what the trace is told --------------------------------------------------------------------
+
+
+@contextmanager
+def rounded_as_numpy(number: Any) -> Iterator[None]:
+    """Here, `fma` rounds twice: a formula gives the bits that it gives on arrays.
+
+    number : one of the formula's, by whose trace it goes.
+    """
+    trace = bearer(type(number)).trace_of(number)
+    if trace is None:
+        yield
+        return
+    before, trace.rounds_twice = trace.rounds_twice, True
+    yield
+    trace.rounds_twice = before
+
+
+@contextmanager
+def assumptions(number: Any) -> Iterator[list[Any]]:
+    """Here, what a formula asks of `taken_for_granted` holds; gives the masks that it asked for.
+
+    Where they hold, the bits are the same.   number : as of `rounded_as_numpy`.
+    """
+    masks: list[Any] = []
+    trace = bearer(type(number)).trace_of(number)
+    if trace is not None:
+        trace.assumed = masks
+    yield masks
+    if trace is not None:
+        trace.assumed = None
+
+
+def taken_for_granted(mask: Any) -> bool:
+    """Whether a formula may take it that a mask holds in all lanes: it is looked at afterwards."""
+    trace = bearer(type(mask)).trace_of(mask)
+    if trace is None or trace.assumed is None:
+        return False
+    trace.assumed.append(mask)
+    return True
+
+
+# ---- tuples, indices and arrays ----------------------------------------------------------------
 
 
 def flatten(numbers: Any) -> list[Any]:
@@ -159,40 +253,31 @@ def flatten(numbers: Any) -> list[Any]:
 
 def real(index: Any) -> Any:
     """An integer as a double."""
-    return index.real() if isinstance(index, Index) else float(index)
+    return bearer(type(index)).real(index)
 
 
 def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
     """A pack of `width` consecutive doubles from `index` on; one number in plain Python."""
-    return array.load(index, width) if isinstance(array, ArrayRef) else array[index]
+    return bearer(type(array)).load(array, index, width)
 
 
 def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
     """Write a pack to `width` consecutive places from `index` on."""
-    if isinstance(array, ArrayRef):
-        array.store(index, plain(number), width)
-    else:
-        array[index] = plain(number)
+    bearer(type(array)).store(array, index, plain(number), width)
 
 
 def prefetch(array: Any, index: tuple[Any, ...], count: int) -> None:
     """Have the memory of `count` consecutive places from `index` on at hand, to write there."""
-    if isinstance(array, ArrayRef):
-        array.prefetch(index, count)
+    bearer(type(array)).prefetch(array, index, count)
 
 
 def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
     """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
-    return array.gather(axis, place, width) if isinstance(array, ArrayRef) else array[place]
+    return bearer(type(array)).gather(array, axis, place, width)
 
 
 def scatter(
     array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
 ) -> None:
     """Write lane i of each pack at its place moved by i along `axis`, while inside the array."""
-    numbers = [plain(x) for x in numbers]
-    if isinstance(array, ArrayRef):
-        array.scatter(axis, places, numbers, width)
-    else:
-        for place, number in zip(places, numbers, strict=True):
-            array[place] = number
+    bearer(type(array)).scatter(array, axis, places, [plain(x) for x in numbers], width)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -20,6 +20,7 @@ from numba import config, types
 from numba.extending import models, register_model
 
 from lierb.compiler.internals import cgutils
+from lierb.kernels.numbers.arithmetic import joined
 
 DOUBLE = ir.DoubleType()
 BIT = ir.IntType(1)
@@ -97,39 +98,79 @@ def _constant_pack(lanes: int, digits: str) -> ir.Constant:
     return ir.Constant(ir.VectorType(DOUBLE, lanes), [value] * lanes)
 
 
-def _same_type(builder: ir.IRBuilder, operands: Sequence[Any]) -> list[ir.Value]:
+class Trace:
+    """What all numbers of one trace share.
+
+    builder : of the LLVM code that is emitted.   target : Numba's context that it is for; None for
+    a trace that is thrown away.   rounds_twice : whether `fma` rounds as NumPy does.   assumed :
+    masks that were taken for granted; None where nothing is.
+    """
+
+    __slots__ = ("assumed", "builder", "declared", "rounds_twice", "target")
+
+    def __init__(self, builder: ir.IRBuilder, target: Any = None) -> None:
+        self.builder = builder
+        self.target = target
+        self.rounds_twice = not HAS_FMA
+        self.assumed: list[Mask] | None = None
+        self.declared: dict[tuple[str, int], ir.Function] = {}
+
+    def intrinsic(self, name: str, operands: Sequence[Any]) -> Lane:
+        """`llvm.<name>` of some numbers."""
+        values = _same_type(self, *operands)
+        ty = values[0].type
+        key = name, _count(ty)
+        if key not in self.declared:
+            suffix = f"v{ty.count}f64" if isinstance(ty, ir.VectorType) else "f64"
+            signature = ir.FunctionType(ty, [ty] * len(values))
+            self.declared[key] = cgutils.get_or_insert_function(
+                self.builder.module, signature, f"llvm.{name}.{suffix}"
+            )
+        return Lane(self, self.builder.call(self.declared[key], values))
+
+
+def _count(ty: ir.Type) -> int:
+    return ty.count if isinstance(ty, ir.VectorType) else 1
+
+
+def _same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
     """LLVM values of one type: the widest among `operands`; Python numbers become constants."""
-    traced = [x.value.type for x in operands if isinstance(x, Lane)]
-    widest = next((t for t in traced if isinstance(t, ir.VectorType)), traced[0])
+    # A quarter of a trace's time goes by here.
+    widest: Any = None
+    for x in operands:
+        if type(x) is Lane and (widest is None or type(x.value.type) is ir.VectorType):
+            widest = x.value.type
 
     def convert(x: Any) -> ir.Value:
-        if not isinstance(x, Lane):
+        if type(x) is not Lane:
             return _constant(widest, x)
         if x.value.type is widest or x.value.type == widest:
             return x.value
-        return _splat(builder, x.value, widest.count)
+        return _splat(trace.builder, x.value, widest.count)
 
     return [convert(x) for x in operands]
 
 
 def _emits(method: str) -> Any:
+    emit = getattr(ir.IRBuilder, method)
+
     def operator(self: Lane, other: Any) -> Any:
         if not isinstance(other, (Lane, int, float)):
             return NotImplemented
-        return Lane(
-            self.builder, getattr(self.builder, method)(*_same_type(self.builder, (self, other)))
-        )
+        trace = self.trace
+        return Lane(trace, emit(trace.builder, *_same_type(trace, self, other)))
 
     return operator
 
 
 def _emits_reflected(method: str) -> Any:
+    emit = getattr(ir.IRBuilder, method)
+
     def operator(self: Lane, other: Any) -> Any:
         if not isinstance(other, (int, float)):
             return NotImplemented
-        return Lane(
-            self.builder, getattr(self.builder, method)(*_same_type(self.builder, (other, self)))
-        )
+        trace = self.trace
+        return Lane(trace, emit(trace.builder, *_same_type(trace, other, self)))
 
     return operator
 
@@ -138,26 +179,56 @@ def _compares(symbol: str) -> Any:
     def operator(self: Lane, other: Any) -> Any:
         if not isinstance(other, (Lane, int, float)):
             return NotImplemented
-        operands = _same_type(self.builder, (self, other))
-        return Mask(self.builder, self.builder.fcmp_ordered(symbol, *operands))
+        operands = _same_type(self.trace, self, other)
+        return Mask(self.trace, self.trace.builder.fcmp_ordered(symbol, *operands))
 
     return operator
 
 
-class Lane:
-    """A traced double, or pack of doubles. Comparisons are ordered: false with a NaN."""
+def _calls(name: str) -> Any:
+    return staticmethod(partial(call_intrinsic, name))
 
-    __slots__ = ("builder", "value")
-    __array_ufunc__ = None
-    __hash__ = None  # type: ignore[assignment]
 
-    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
-        self.builder = builder
+def call_intrinsic(name: str, *operands: Any) -> Lane:
+    """`llvm.<name>` on lanes, scalars and constants mixed."""
+    return _trace_of_any(operands).intrinsic(name, operands)
+
+
+def _trace_of_any(operands: Sequence[Any]) -> Trace:
+    for x in operands:
+        if type(x) is Lane:
+            return x.trace
+    raise TypeError("none of these numbers is traced")
+
+
+class Traced:
+    """What an LLVM value stands for."""
+
+    __slots__ = ("trace", "value")
+    rank = 1
+
+    def __init__(self, trace: Trace, value: ir.Value) -> None:
+        self.trace = trace
         self.value = value
 
     @property
+    def builder(self) -> ir.IRBuilder:
+        return self.trace.builder
+
+    def trace_of(self) -> Trace:
+        return self.trace
+
+
+class Lane(Traced):
+    """A traced double, or pack of doubles. Comparisons are ordered: false with a NaN."""
+
+    __slots__ = ()
+    __array_ufunc__ = None
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
     def lanes(self) -> int:
-        return self.value.type.count if isinstance(self.value.type, ir.VectorType) else 1
+        return _count(self.value.type)
 
     __add__, __radd__ = _emits("fadd"), _emits_reflected("fadd")
     __sub__, __rsub__ = _emits("fsub"), _emits_reflected("fsub")
@@ -167,49 +238,52 @@ class Lane:
     __gt__, __ge__ = _compares(">"), _compares(">=")
     __eq__ = _compares("==")
 
+    sqrt, absolute, rint, floor = map(_calls, ("sqrt", "fabs", "rint", "floor"))
+    minimum, maximum = _calls("minnum"), _calls("maxnum")
+
+    @staticmethod
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        trace = _trace_of_any((a, b, c))
+        return a * b + c if trace.rounds_twice else trace.intrinsic("fma", (a, b, c))
+
     def __neg__(self) -> Lane:
-        return Lane(self.builder, self.builder.fneg(self.value))
+        return Lane(self.trace, self.builder.fneg(self.value))
 
     def __bool__(self) -> bool:
         raise TypeError("a lane pack has no single truth value: use where(mask, a, b), not if")
 
     def constant(self, number: float) -> Lane:
         """A number of this one's kind."""
-        return Lane(self.builder, _constant(self.value.type, number))
+        return Lane(self.trace, _constant(self.value.type, number))
 
     def widened(self, lanes: int) -> Lane:
         """The same number in every one of `lanes` lanes."""
         if self.lanes == lanes:
             return self
-        return Lane(self.builder, _splat(self.builder, self.value, lanes))
+        return Lane(self.trace, _splat(self.builder, self.value, lanes))
 
 
-class Mask:
+class Mask(Traced):
     """A traced truth value per lane."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
-        self.builder = builder
-        self.value = value
-
-    def _count(self) -> int:
-        return self.value.type.count if isinstance(self.value.type, ir.VectorType) else 1
+    __slots__ = ()
 
     def _widened(self, lanes: int) -> ir.Value:
-        return self.value if self._count() == lanes else _splat(self.builder, self.value, lanes)
+        if _count(self.value.type) == lanes:
+            return self.value
+        return _splat(self.builder, self.value, lanes)
 
     def _combine(self, other: Any, method: str) -> Mask:
         if isinstance(other, Mask):
-            widest = max((self, other), key=Mask._count)._count()
+            widest = max(_count(self.value.type), _count(other.value.type))
             both = self._widened(widest), other._widened(widest)
-            return Mask(self.builder, getattr(self.builder, method)(*both))
+            return Mask(self.trace, getattr(self.builder, method)(*both))
         neutral = method == "and_"  # True & m = m, False | m = m
         if bool(other) == neutral:
             return self
         ty = self.value.type
         bits = [int(other)] * ty.count if isinstance(ty, ir.VectorType) else int(other)
-        return Mask(self.builder, ir.Constant(ty, bits))
+        return Mask(self.trace, ir.Constant(ty, bits))
 
     def __and__(self, other: Any) -> Mask:
         return self._combine(other, "and_")
@@ -220,7 +294,7 @@ class Mask:
     __rand__, __ror__ = __and__, __or__
 
     def __invert__(self) -> Mask:
-        return Mask(self.builder, self.builder.not_(self.value))
+        return Mask(self.trace, self.builder.not_(self.value))
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -231,52 +305,74 @@ class Mask:
     def reduced(self, kind: str) -> Predicate:
         """One truth value for the whole pack: kind "and" (all lanes) or "or" (any lane)."""
         if not isinstance(self.value.type, ir.VectorType):
-            return Predicate(self.builder, self.value)
+            return Predicate(self.trace, self.value)
         signature = ir.FunctionType(BIT, [self.value.type])
         name = f"llvm.vector.reduce.{kind}.v{self.value.type.count}i1"
         function = cgutils.get_or_insert_function(self.builder.module, signature, name)
-        return Predicate(self.builder, self.builder.call(function, [self.value]))
+        return Predicate(self.trace, self.builder.call(function, [self.value]))
+
+    def select(self, a: Any, b: Any) -> Lane:
+        """Lane by lane: `a` where it holds, `b` elsewhere; one for all lanes, if it is scalar."""
+        widths = (x.lanes for x in (a, b) if isinstance(x, Lane))
+        count = max(_count(self.value.type), *widths, 1)
+        like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
+
+        def convert(x: Any) -> ir.Value:
+            return x.widened(count).value if isinstance(x, Lane) else _constant(like, x)
+
+        return Lane(self.trace, self.builder.select(self.value, convert(a), convert(b)))
 
 
-class Predicate:
+class Predicate(Traced):
     """A traced truth value of the whole pack, fit for a branch."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
-        self.builder = builder
-        self.value = value
+    __slots__ = ()
 
     def __bool__(self) -> bool:
         raise TypeError("the truth of a traced predicate is known at run time only: use branch()")
 
+    def branch(
+        self, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
+    ) -> Any:
+        """Emit both sides as blocks, of which one runs; they give numbers in one shape.
 
-def call_intrinsic(name: str, *operands: Any) -> Lane:
-    """`llvm.<name>` on lanes, scalars and constants mixed."""
-    builder = next(x.builder for x in operands if isinstance(x, Lane))
-    values = _same_type(builder, operands)
-    ty = values[0].type
-    suffix = f"v{ty.count}f64" if isinstance(ty, ir.VectorType) else "f64"
-    signature = ir.FunctionType(ty, [ty] * len(values))
-    function = cgutils.get_or_insert_function(builder.module, signature, f"llvm.{name}.{suffix}")
-    return Lane(builder, builder.call(function, values))
+        likely : whether the first one does, nearly always. LLVM then keeps the other side out of
+            the way, and what it needs out of the registers.
+        """
+        trace, builder = self.trace, self.builder
+        with builder.if_else(self.value, likely=likely) as (first, second):
+            with first:
+                left = then()
+                left_block = builder.block
+            with second:
+                right = otherwise()
+                right_block = builder.block
+
+        def merged(a: Any, b: Any) -> Lane:
+            widest = _widest_type((a, b))
+            phi = builder.phi(widest)
+            phi.add_incoming(_at_end_of(left_block, a, widest), left_block)
+            phi.add_incoming(_at_end_of(right_block, b, widest), right_block)
+            return Lane(trace, phi)
+
+        return joined(left, right, merged)
 
 
 def call_library(name: str, *operands: Any) -> Lane:
     """A function of the C library, called for one lane after the other."""
-    builder = next(x.builder for x in operands if isinstance(x, Lane))
-    values = _same_type(builder, operands)
+    trace = _trace_of_any(operands)
+    builder, values = trace.builder, _same_type(trace, *operands)
     signature = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
     function = cgutils.get_or_insert_function(builder.module, signature, name)
     ty = values[0].type
     if not isinstance(ty, ir.VectorType):
-        return Lane(builder, builder.call(function, values))
+        return Lane(trace, builder.call(function, values))
     pack: ir.Value = ir.Constant(ty, ir.Undefined)
     for lane in range(ty.count):
         place = ir.Constant(INT32, lane)
         result = builder.call(function, [builder.extract_element(v, place) for v in values])
         pack = builder.insert_element(pack, result, place)
-    return Lane(builder, pack)
+    return Lane(trace, pack)
 
 
 def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
@@ -307,7 +403,7 @@ def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
 
     if not isinstance(x.value.type, ir.VectorType):
         place = place_of(x.value)
-        return [Lane(builder, entry(column, place)) for column in memory]
+        return [Lane(x.trace, entry(column, place)) for column in memory]
     packs: list[ir.Value] = [ir.Constant(x.value.type, ir.Undefined) for _ in memory]
     for lane in range(x.lanes):
         index = ir.Constant(INT32, lane)
@@ -316,48 +412,7 @@ def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
             builder.insert_element(pack, entry(column, place), index)
             for pack, column in zip(packs, memory, strict=True)
         ]
-    return [Lane(builder, pack) for pack in packs]
-
-
-def select(mask: Mask, a: Any, b: Any) -> Lane:
-    """Lane by lane: `a` where the mask holds, `b` elsewhere; one for all lanes, if it is scalar."""
-    builder = mask.builder
-    count = max(mask._count(), *(x.lanes for x in (a, b) if isinstance(x, Lane)), 1)
-    like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
-
-    def convert(x: Any) -> ir.Value:
-        return x.widened(count).value if isinstance(x, Lane) else _constant(like, x)
-
-    return Lane(builder, builder.select(mask.value, convert(a), convert(b)))
-
-
-def branch_on(
-    predicate: Predicate,
-    then: Callable[[], Sequence[Any]],
-    otherwise: Callable[[], Sequence[Any]],
-    likely: bool,
-) -> list[Lane]:
-    """Emit both sides as blocks, of which one runs; each returns the same number of numbers.
-
-    likely : whether the first one does, nearly always. LLVM then keeps the other side out of the
-        way, and what it needs out of the registers.
-    """
-    builder = predicate.builder
-    with builder.if_else(predicate.value, likely=likely) as (first, second):
-        with first:
-            left = list(then())
-            left_block = builder.block
-        with second:
-            right = list(otherwise())
-            right_block = builder.block
-    merged = []
-    for a, b in zip(left, right, strict=True):
-        widest = _widest_type((a, b))
-        phi = builder.phi(widest)
-        phi.add_incoming(_at_end_of(left_block, a, widest), left_block)
-        phi.add_incoming(_at_end_of(right_block, b, widest), right_block)
-        merged.append(Lane(builder, phi))
-    return merged
+    return [Lane(x.trace, pack) for pack in packs]
 
 
 def _widest_type(numbers: Sequence[Any]) -> ir.Type:
@@ -381,34 +436,28 @@ def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:
 LINE = 8  # doubles in a cache line
 
 
-class Index:
+class Index(Traced):
     """A traced integer (intp), for array positions."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: ir.IRBuilder, value: ir.Value) -> None:
-        self.builder = builder
-        self.value = value
+    __slots__ = ()
 
     def __add__(self, other: int) -> Index:
-        return Index(self.builder, self.builder.add(self.value, self.value.type(other)))
+        return Index(self.trace, self.builder.add(self.value, self.value.type(other)))
 
     def real(self) -> Lane:
-        return Lane(self.builder, self.builder.sitofp(self.value, DOUBLE))
+        return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))
 
 
-class ArrayRef:
+class ArrayRef(Traced):
     """A C-contiguous float64 array of any dimension, read and written a pack at a time."""
 
-    __slots__ = ("builder", "data", "shape", "index_type")
+    __slots__ = ("data", "index_type", "shape")
 
-    def __init__(
-        self, context: Any, builder: ir.IRBuilder, ty: types.Array, value: ir.Value
-    ) -> None:
-        array = context.make_array(ty)(context, builder, value)
-        self.builder = builder
+    def __init__(self, trace: Trace, context: Any, ty: types.Array, value: ir.Value) -> None:
+        super().__init__(trace, value)
+        array = context.make_array(ty)(context, self.builder, value)
         self.data = array.data
-        self.shape = cgutils.unpack_tuple(builder, array.shape, ty.ndim)
+        self.shape = cgutils.unpack_tuple(self.builder, array.shape, ty.ndim)
         self.index_type = self.shape[0].type
 
     def _as_value(self, i: Any) -> ir.Value:
@@ -425,7 +474,7 @@ class ArrayRef:
         pointer = self._pointer(index)
         if lanes > 1:
             pointer = self.builder.bitcast(pointer, ir.VectorType(DOUBLE, lanes).as_pointer())
-        return Lane(self.builder, self.builder.load(pointer, align=8))
+        return Lane(self.trace, self.builder.load(pointer, align=8))
 
     def store(self, index: Sequence[Any], number: Any, lanes: int) -> None:
         """Write a pack to `lanes` consecutive places from `index` on."""
@@ -457,12 +506,12 @@ class ArrayRef:
             moved = builder.add(start, ir.Constant(self.index_type, lane))
             moved = builder.select(builder.icmp_signed("<", moved, last), moved, last)
             element = builder.load(
-                self._pointer([*place[:axis], Index(builder, moved), *place[axis + 1 :]])
+                self._pointer([*place[:axis], Index(self.trace, moved), *place[axis + 1 :]])
             )
             if lanes == 1:
-                return Lane(builder, element)
+                return Lane(self.trace, element)
             pack = builder.insert_element(pack, element, ir.Constant(INT32, lane))
-        return Lane(builder, pack)
+        return Lane(self.trace, pack)
 
     def scatter(
         self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
@@ -505,7 +554,7 @@ class ArrayRef:
             builder.store(value, builder.bitcast(pointer, ty.as_pointer()), align=8)
         start = self._as_value(places[0][axis])
         with cgutils.for_range(builder, count) as loop:
-            moved = Index(builder, builder.add(start, loop.index))
+            moved = Index(self.trace, builder.add(start, loop.index))
             for n, place in enumerate(places):
                 pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), loop.index])
                 target = self._pointer([*place[:axis], moved, *place[axis + 1 :]])

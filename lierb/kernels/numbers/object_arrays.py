@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from lierb.kernels.functions import user_number as user
 from lierb.kernels.functions.fingerprint import UNINITIALISED, UnfitFunctionError, refusal
-from lierb.kernels.numbers import dual
-from lierb.kernels.numbers.dual import Condition, Dual, choice
+from lierb.kernels.functions.user_number import Condition, UserNumber, choice
 
 MOST_ROWS = 4  # of matrices that are inverted: by cofactors, of which there are n!
-TRACED = (Dual, Condition)
+TRACED = (UserNumber, Condition)
 
 
 class UntraceableError(TypeError):
@@ -103,44 +103,44 @@ def _dressed(found: Any) -> Any:
 
 
 def _logical(combine: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    return lambda a, b: combine(dual.as_condition(a), dual.as_condition(b))
+    return lambda a, b: combine(user.as_condition(a), user.as_condition(b))
 
 
 def _modified(x: Any) -> Any:
-    whole = dual.whole_part(x)
+    whole = user.whole_part(x)
     return x - whole, whole
 
 
 ELEMENTWISE: dict[Any, Callable[..., Any]] = {
-    np.sin: dual.sin, np.cos: dual.cos, np.tan: dual.tan, np.exp: dual.exp, np.expm1: dual.expm1,
-    np.exp2: dual.exp2, np.log: dual.log, np.log1p: dual.log1p, np.log10: dual.log10,
-    np.log2: dual.log2, np.sqrt: dual.sqrt, np.cbrt: dual.cbrt, np.square: dual.square,
-    np.reciprocal: dual.reciprocal, np.sinh: dual.sinh, np.cosh: dual.cosh, np.tanh: dual.tanh,
-    np.arcsin: dual.arcsin, np.arccos: dual.arccos, np.arctan: dual.arctan,
-    np.arcsinh: dual.arcsinh, np.arccosh: dual.arccosh, np.arctanh: dual.arctanh,
-    np.arctan2: dual.arctan2, np.hypot: dual.hypot, np.power: dual.power,
-    np.float_power: dual.power, np.absolute: abs, np.fabs: abs,
-    np.maximum: dual.maximum, np.minimum: dual.minimum, np.fmax: dual.fmax, np.fmin: dual.fmin,
-    np.sign: dual.sign, np.copysign: dual.copysign, np.heaviside: dual.heaviside,
-    np.floor: dual.whole_floor, np.ceil: dual.whole_ceil, np.trunc: dual.whole_part,
-    np.rint: dual.nearest, np.remainder: dual.remainder, np.fmod: dual.fmod,
-    np.floor_divide: dual.floor_divide,
-    np.divmod: lambda x, y: (dual.floor_divide(x, y), dual.remainder(x, y)), np.modf: _modified,
+    np.sin: user.sin, np.cos: user.cos, np.tan: user.tan, np.exp: user.exp, np.expm1: user.expm1,
+    np.exp2: user.exp2, np.log: user.log, np.log1p: user.log1p, np.log10: user.log10,
+    np.log2: user.log2, np.sqrt: user.sqrt, np.cbrt: user.cbrt, np.square: user.square,
+    np.reciprocal: user.reciprocal, np.sinh: user.sinh, np.cosh: user.cosh, np.tanh: user.tanh,
+    np.arcsin: user.arcsin, np.arccos: user.arccos, np.arctan: user.arctan,
+    np.arcsinh: user.arcsinh, np.arccosh: user.arccosh, np.arctanh: user.arctanh,
+    np.arctan2: user.arctan2, np.hypot: user.hypot, np.power: user.power,
+    np.float_power: user.power, np.absolute: abs, np.fabs: abs,
+    np.maximum: user.maximum, np.minimum: user.minimum, np.fmax: user.fmax, np.fmin: user.fmin,
+    np.sign: user.sign, np.copysign: user.copysign, np.heaviside: user.heaviside,
+    np.floor: user.whole_floor, np.ceil: user.whole_ceil, np.trunc: user.whole_part,
+    np.rint: user.nearest, np.remainder: user.remainder, np.fmod: user.fmod,
+    np.floor_divide: user.floor_divide,
+    np.divmod: lambda x, y: (user.floor_divide(x, y), user.remainder(x, y)), np.modf: _modified,
     np.radians: lambda x: x * (math.pi / 180.0), np.deg2rad: lambda x: x * (math.pi / 180.0),
     np.degrees: lambda x: x * (180.0 / math.pi), np.rad2deg: lambda x: x * (180.0 / math.pi),
-    np.isnan: dual.is_nan, np.isfinite: dual.is_finite, np.isinf: dual.is_infinite,
-    np.signbit: dual.has_sign_bit, np.positive: lambda x: x, np.conjugate: lambda x: x,
-    np.logaddexp: lambda a, b: dual.maximum(a, b) + dual.log1p(dual.exp(-abs(a - b))),
+    np.isnan: user.is_nan, np.isfinite: user.is_finite, np.isinf: user.is_infinite,
+    np.signbit: user.has_sign_bit, np.positive: lambda x: x, np.conjugate: lambda x: x,
+    np.logaddexp: lambda a, b: user.maximum(a, b) + user.log1p(user.exp(-abs(a - b))),
     np.logical_and: _logical(lambda a, b: a & b), np.logical_or: _logical(lambda a, b: a | b),
     np.logical_xor: _logical(lambda a, b: a ^ b),
-    np.logical_not: lambda a: dual.as_condition(a) ^ True,
-    np.invert: lambda a: dual.as_condition(a) ^ True,
+    np.logical_not: lambda a: user.as_condition(a) ^ True,
+    np.invert: lambda a: user.as_condition(a) ^ True,
     np.less: operator.lt, np.less_equal: operator.le, np.greater: operator.gt,
     np.greater_equal: operator.ge, np.equal: operator.eq, np.not_equal: operator.ne,
 }  # fmt: skip
 # Those without a public name: np.clip's and, from NumPy 2.5 on, those of x.real and x.imag.
 UNNAMED: dict[str, Callable[..., Any]] = {
-    "clip": dual.clipped, "real": lambda x: x, "imag": lambda x: 0.0 * x,
+    "clip": user.clipped, "real": lambda x: x, "imag": lambda x: 0.0 * x,
 }  # fmt: skip
 # The operators, which objects bear themselves.
 OPERATORS = (
@@ -282,7 +282,7 @@ def _objects(x: Any) -> Any:
 
 def _clip(x: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **given: Any) -> Any:
     lower, upper = given.get("min", a_min), given.get("max", a_max)
-    return np.frompyfunc(dual.clipped, 3, 1)(*map(_objects, (x, lower, upper)))
+    return np.frompyfunc(user.clipped, 3, 1)(*map(_objects, (x, lower, upper)))
 
 
 def _interp(
@@ -290,7 +290,7 @@ def _interp(
 ) -> Any:
     if period is not None:
         raise UntraceableError("np.interp with a period: write np.interp(x % period, xp, fp)")
-    return np.frompyfunc(lambda one: dual.interpolated(one, list(xp), list(fp), left, right), 1, 1)(
+    return np.frompyfunc(lambda one: user.interpolated(one, list(xp), list(fp), left, right), 1, 1)(
         _objects(x)
     )
 
@@ -389,14 +389,14 @@ def _largest(of: Any) -> Callable[..., Any]:
 
 def _sinc(x: Any) -> Any:
     def one(x: Any) -> Any:
-        y = math.pi * choice(dual.raw(x) == 0.0, 1e-20, x)
-        return dual.sin(y) / y
+        y = math.pi * choice(user.raw(x) == 0.0, 1e-20, x)
+        return user.sin(y) / y
 
     return np.frompyfunc(one, 1, 1)(_objects(x))
 
 
 def _round(x: Any, decimals: int = 0, out: Any = None) -> Any:
-    return np.frompyfunc(lambda one: dual.rounded(one, decimals), 1, 1)(_objects(x))
+    return np.frompyfunc(lambda one: user.rounded(one, decimals), 1, 1)(_objects(x))
 
 
 def _fix(x: Any, out: Any = None) -> Any:
@@ -419,7 +419,7 @@ def _linspace(start: Any, stop: Any, num: int = 50) -> Any:
 
 def _nan_to_num(x: Any, copy: bool = True, nan: float = 0.0, **_: Any) -> Any:
     return np.frompyfunc(
-        lambda one: choice(dual.is_nan(one), nan, dual.clipped(one, *_FINITE)), 1, 1
+        lambda one: choice(user.is_nan(one), nan, user.clipped(one, *_FINITE)), 1, 1
     )(_objects(x))
 
 
@@ -506,7 +506,7 @@ MADE: dict[Any, Callable[..., Any]] = {
     np.zeros: _zeros, np.ones: _ones, np.full: _full, np.eye: _eye,
     np.identity: _eye,
 }  # fmt: skip
-_FLOATS: dict[type, type] = {np.float64: dual.Float}
+_FLOATS: dict[type, type] = {np.float64: user.Float}
 
 
 class Spoken:

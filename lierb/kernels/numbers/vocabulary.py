@@ -15,11 +15,12 @@ from numba.extending import overload
 from numpy.typing import ArrayLike
 
 from lierb.compiler.trace import kernel
+from lierb.kernels.functions import user_number as user
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.user_number import UserNumber, choice, raw, where
 from lierb.kernels.groups import so3
-from lierb.kernels.numbers import dual
 from lierb.kernels.numbers.arithmetic import plain
-from lierb.kernels.numbers.dual import Dual, choice, raw, where
+from lierb.kernels.numbers.dual import parts_of
 from lierb.kernels.numbers.object_arrays import Spoken, has_traced, numbers
 from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
 
@@ -120,10 +121,10 @@ def unit_quaternion(r: Mat) -> Vec:
     if not _has_parts(r):
         q = so3.quaternion(tuple(map(raw, r)))
         return _as_traced(r, scale(1.0 / norm(q), q))
-    values = tuple(dual.value_of(x) for x in r)
+    values = tuple(user.value_of(x) for x in r)
     q = unit_quaternion(values)
     rates = [_rate(q, values, rate) for rate in _along_each(r)]
-    return tuple(Dual(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
+    return tuple(UserNumber(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
 
 
 def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
@@ -153,24 +154,24 @@ def rotation_vector(r: Mat) -> Vec:
     series: Any = 0.0
     for k in reversed(range(TERMS)):
         series = 1.0 / (2 * k + 1) - ratio * series
-    size = dual.sqrt(choice(near, 1.0, square))
-    factor = choice(near, 2.0 * series / choice(near, w, 1.0), 2.0 * dual.arctan2(size, w) / size)
+    size = user.sqrt(choice(near, 1.0, square))
+    factor = choice(near, 2.0 * series / choice(near, w, 1.0), 2.0 * user.arctan2(size, w) / size)
     return tuple(factor * x for x in v)
 
 
 def _has_parts(members: Sequence[Any]) -> bool:
-    return any(isinstance(x, Dual) and x.parts for x in members)
+    return any(isinstance(x, UserNumber) and x.parts for x in members)
 
 
 def _along_each(members: Sequence[Any]) -> list[Vec]:
     """The members' derivatives, direction by direction."""
-    count = max(len(dual.parts_of(x)) for x in members)
-    parts = [dual.parts_of(x) or (0.0,) * count for x in members]
+    count = max(len(parts_of(x)) for x in members)
+    parts = [parts_of(x) or (0.0,) * count for x in members]
     return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
 
 
 def _as_traced(given: Sequence[Any], found: Vec) -> Vec:
-    return tuple(map(Dual, found)) if any(isinstance(x, Dual) for x in given) else found
+    return tuple(map(UserNumber, found)) if any(isinstance(x, UserNumber) for x in given) else found
 
 
 # ---- the same in functions that Numba compiles -------------------------------------------------

@@ -10,10 +10,11 @@ from typing import Any
 
 
 class Zero:
-    """The only value of this class is `ZERO`. Comparisons treat it as the number 0."""
+    """The only value of this class is `ZERO`. Elsewhere it is the number 0: ZERO == 0.0."""
 
     __slots__ = ()
     __array_ufunc__ = None  # arrays and NumPy scalars leave the arithmetic to us
+    rank = 9  # whatever the other numbers are, it is known beforehand what they make
 
     def __add__(self, other: Any) -> Any:
         return other
@@ -31,6 +32,27 @@ class Zero:
     def __neg__(self) -> Zero:
         return self
 
+    sqrt = absolute = rint = floor = __neg__
+
+    def sincos(self) -> tuple[Any, Any]:
+        return self, 1.0
+
+    @staticmethod
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        return c if a is ZERO or b is ZERO else a * b
+
+    def __float__(self) -> float:
+        return 0.0
+
+    def __hash__(self) -> int:
+        return hash(0.0)
+
+    def __eq__(self, other: Any) -> Any:
+        return 0.0 == other
+
+    def __ne__(self, other: Any) -> Any:
+        return 0.0 != other
+
     def __lt__(self, other: Any) -> Any:
         return 0.0 < other
 
@@ -46,10 +68,13 @@ class Zero:
     def __repr__(self) -> str:
         return "ZERO"
 
+    def __reduce__(self) -> str:
+        return "ZERO"  # of this module, in every process
+
 
 ZERO = Zero()
 
 
 def is_zero(number: Any, *others: Any) -> bool:
     """Whether every one of these numbers is a structural zero."""
-    return isinstance(number, Zero) and all(isinstance(x, Zero) for x in others)
+    return number is ZERO and all(x is ZERO for x in others)

@@ -21,7 +21,7 @@ from lierb.compiler.entries import call, raise_again, take_turn
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
 from lierb.kernels.groups import quaternion, so3
-from lierb.kernels.groups.coefficients import TINY, angles_taken_for_tiny
+from lierb.kernels.groups.coefficients import TINY
 from lierb.kernels.mechanics.elements import Element, body_with
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
@@ -35,6 +35,7 @@ from lierb.kernels.mechanics.scale import bearings, start_tolerances
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
+    assumptions,
     branch,
     load,
     maximum,
@@ -183,7 +184,7 @@ def parameters_of(
         length=parts["length"][0],
     )
     pose = _pose(parts["pose"])
-    with rounded_as_numpy():
+    with rounded_as_numpy(parameters.mass):
         closed = closed_pose(parameters.ground, parameters.body, parameters.length)
     axes, point = parameters.body
     return (
@@ -232,7 +233,6 @@ def _start(plan: Plan, body: BodyConstants, inputs: Any) -> tuple[Parameters, An
 
 
 def initial_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
-    body = BodyConstants(*body)
     parameters, pose, twist = _start(plan, body, inputs)
     placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
     chart, v_or_mu = plan.formulation.start(
@@ -244,7 +244,6 @@ def initial_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
 
 def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
     """Nothing kept so far, as numbers of the state's own type."""
-    body, state = BodyConstants(*body), State(*state)
     nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
     energy = _observed(plan, body, state, nothing)["energy"]
     dropped = plan.formulation.dropped(body, chart_of(plan, state), state.v_or_mu)
@@ -257,12 +256,12 @@ def resumed_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
     """The one that a run goes on from."""
     at = inputs_of(plan.elements)["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
-    return _state_of(plan, numbers, BodyConstants(*body).pitch)
+    return _state_of(plan, numbers, body.pitch)
 
 
 def load_state(plan: Plan, body: BodyConstants, carried: Any, first: Any) -> State:
     numbers = _columns(plan, carried, range(STATE.count), first)
-    return _state_of(plan, numbers, BodyConstants(*body).pitch)
+    return _state_of(plan, numbers, body.pitch)
 
 
 def _state_of(plan: Plan, numbers: Any, pitch: Any) -> State:
@@ -282,7 +281,6 @@ def load_record(plan: Plan, carried: Any, first: Any) -> Record:
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    record = Record(*record)
     numbers = (*_numbers_of(state), *record.kept, *record[1:], *_raised_in_call(plan, record))
     for c, number in enumerate(numbers):
         store(carried, (c, first), number, plan.lanes)
@@ -327,7 +325,7 @@ def advance_still(
     """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
     still = plan.formulation.still
     if not still:
-        return State(*state), Record(*record)  # never
+        return state, record  # never
     return _advanced(plan, body, state, record, k, time, h, still)
 
 
@@ -341,8 +339,7 @@ def _advanced(
     h: Any,
     still: tuple[int, ...],
 ) -> tuple[State, Record]:
-    record = Record(*record)
-    body = BodyConstants(*body)._replace(dropped=record.dropped)
+    body = body._replace(dropped=record.dropped)
     moved, singular = _stepped(plan, body, state, time, h, still)
     q, d = moved.chart
     # An angle that is not finite spoils all of Q.
@@ -380,7 +377,6 @@ def _advanced(
 
 def heard(plan: Plan, record: Record, k: Any) -> Record:
     """The record, where a function has raised since the last step: asked for λ or the reaction."""
-    record = Record(*record)
     if not plan.calls_functions:
         return record  # never
     fresh = (calls.marks(record.status) > calls.SILENT) & (record.status == OK)
@@ -403,10 +399,9 @@ def _stepped(
     plan: Plan, body: BodyConstants, state: State, time: Any, h: Any, still: tuple[int, ...]
 ) -> tuple[State, Any]:
     """A step, with V's components that are `still` as structural zeros."""
-    state = State(*state)
     before = state.v_or_mu
     moving = tuple(ZERO if i in still else v for i, v in enumerate(before))
-    moved, singular = step(plan, BodyConstants(*body), state._replace(v_or_mu=moving), time, h)
+    moved, singular = step(plan, body, state._replace(v_or_mu=moving), time, h)
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in still else x for i, (v, x) in enumerate(pairs))
     return moved._replace(v_or_mu=after), singular
@@ -424,7 +419,7 @@ def has_still(plan: Plan, h: Any) -> Any:
 
 def is_still(plan: Plan, state: State, h: Any) -> Any:
     """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
-    velocity = State(*state).v_or_mu
+    velocity = state.v_or_mu
     still = h == h
     for i in plan.formulation.still:
         still = still & (velocity[i] == 0.0)
@@ -435,9 +430,9 @@ def is_gentle(plan: Plan, body: BodyConstants, state: State, record: Record, h: 
     """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
     if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
-    omega = velocity_of(plan, BodyConstants(*body), State(*state))[:3]
+    omega = velocity_of(plan, body, state)[:3]
     gentle = h * h * plain(dot(omega, omega)) <= 0.8 * TINY
-    return all_lanes(gentle & (Record(*record).dropped == 0.0))
+    return all_lanes(gentle & (record.dropped == 0.0))
 
 
 def advance_gently(
@@ -449,8 +444,8 @@ def advance_gently(
     twentieth of its time.
     """
     if not plan.takes_gentle_steps:
-        return State(*state), all_lanes(h < h)  # never
-    with angles_taken_for_tiny() as conditions:
+        return state, all_lanes(h < h)  # never
+    with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.formulation.still)
     fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
@@ -459,8 +454,7 @@ def advance_gently(
 
 
 def tidy(plan: Plan, body: BodyConstants, state: State) -> State:
-    state = State(*state)
-    return state._replace(chart=tidied(plan, BodyConstants(*body), state.chart))
+    return state._replace(chart=tidied(plan, body, state.chart))
 
 
 def _observed(
@@ -480,8 +474,7 @@ def observe(
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    record = Record(*record)
-    now = _observed(plan, BodyConstants(*body), State(*state), time, record.first_energy)
+    now = _observed(plan, body, state, time, record.first_energy)
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
     fine = _are_finite(*(sizes[name] for name in MUST_BE_FINITE))
     so_far = (record.status, record.failed_step)
@@ -512,7 +505,7 @@ def store_measures(
     when the steps to it are made. Otherwise its cache misses take as long as four steps.
     """
     places = [(c, row, first) for c in range(len(shown))]
-    alive = Record(*record).status == OK
+    alive = record.status == OK
     scatter(history, 2, places, where(alive, tuple(shown), (NAN,) * len(shown)), plan.lanes)
     for c in range(len(shown)):
         prefetch(history, (c, row + 1, first), plan.lanes)
@@ -522,11 +515,10 @@ def user_state(
     plan: Plan, body: BodyConstants, inputs: Any, state: State, record: Record
 ) -> tuple[Any, ...]:
     """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
-    body, state = BodyConstants(*body), State(*state)
     parameters, _, _ = _start(plan, body, inputs)
     velocity = velocity_of(plan, body, state)
     pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
-    return where(Record(*record).status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
+    return where(record.status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
 
 
 def store_state(
@@ -560,10 +552,9 @@ def store_forces(
     """One row of the history's λ and reactions, [time][body][component]."""
     if not (plan.multipliers or plan.reaction):
         return
-    body, state = BodyConstants(*body), State(*state)
     velocity = velocity_of(plan, body, state)
     found = accelerate(plan, body, chart_of(plan, state), velocity, time)
-    alive = Record(*record).status == OK
+    alive = record.status == OK
     for recorded, array, numbers in (
         (plan.multipliers, multipliers, found.multipliers),
         (plan.reaction, reactions, found.reaction),
@@ -576,7 +567,7 @@ def store_forces(
 
 def store_summary(plan: Plan, record: Record, summary: Any, column: Any) -> None:
     """What is kept of the measures, status and the step of a failure."""
-    r = Record(*record)
+    r = record
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
     numbers = (*kept, r.status, r.failed_step, *_raised_in_call(plan, r))
     scatter(summary, 1, [(c, column) for c in range(len(numbers))], numbers, plan.lanes)
