@@ -44,7 +44,7 @@ rate = problem.project([1.0, 2.0, 3.0, 0.3, 0.4, 0.5], pose)
 
 for cspace in ("SE3", "SO3xR3"):
     run = lierb.integrate(problem, twist0=rate, pose0=pose, dt=1e-3, t_end=0.5, cspace=cspace)
-    # of RK4; a wrong Jacobian, acceleration term or potential leaves 1e-3
+    # of RK4; a wrong acceleration term or potential leaves far more
     for name in ("position_error_max", "velocity_error_max", "energy_drift_max"):
         assert run.summary[name].to_numpy().max() < 1e-9, (cspace, name, run.summary[name])
 """
