@@ -36,7 +36,7 @@ from lierb.kernels.numbers.arithmetic import alike, plain
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of
 from lierb.kernels.numbers.lanes import DOUBLE, Lane, Trace
 from lierb.kernels.numbers.zero import Zero
-from lierb.kernels.stepping.stepper import TIDY_EVERY
+from lierb.kernels.stepping.clock import TIDY_EVERY
 
 ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 8)
@@ -47,7 +47,7 @@ POINT, ANCHOR = (0.05, 0.02, 0.01), (0.1, 0.2, 0.3)
 
 LOOPS = {  # compiled by Numba
     "groups.lie_functions.apply", "stepping.driver.integrate_block",
-    "stepping.driver.integrate_blocks",
+    "stepping.driver.integrate_blocks", "stepping.driver.pack", "stepping.driver.job_of",
 }  # fmt: skip
 NO_NUMBERS = {"mechanics.constraints.Row.parse"}
 
@@ -207,7 +207,7 @@ def shape_of(x):
 @cache
 def recorded():
     """Arguments of every formula, of each kind that occurs: those of the first such call."""
-    names = {f.__code__: name for name, f in FUNCTIONS.items()}
+    names = {f.__code__: name for name, f in FUNCTIONS.items() if name not in LOOPS}
     found, calls = defaultdict(dict), defaultdict(int)
 
     def look(frame, event, _):
