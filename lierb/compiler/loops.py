@@ -26,7 +26,7 @@ def shared(function: F) -> F:
 
 def _number_at(address: int) -> float:
     """The float64 at an address, which need not be aligned."""
-    return c_double.from_address(address).value
+    return c_double.from_address(int(address)).value
 
 
 @intrinsic

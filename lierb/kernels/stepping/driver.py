@@ -102,14 +102,17 @@ ARRAYS = {
     "ends": "[`end_columns`][trajectory]",
 }
 JOB = np.dtype(
-    [
-        *((name, np.int64, (4,)) for name in ARRAYS),  # address and extents
-        ("first", np.int64),  # trajectory of the chunk
-        ("stop", np.int64),  # the one after its last
-        ("begin", np.int64),  # step of this call
-        ("end", np.int64),  # 0: to look at the start alone
-        *get_type_hints(Clock).items(),
-    ]
+    (
+        np.record,
+        [
+            *((name, np.int64, (4,)) for name in ARRAYS),  # address and extents
+            ("first", np.int64),  # trajectory of the chunk
+            ("stop", np.int64),  # the one after its last
+            ("begin", np.int64),  # step of this call
+            ("end", np.int64),  # 0: to look at the start alone
+            *get_type_hints(Clock).items(),
+        ],
+    )
 )
 """What the loops over blocks and steps work on: arrays, float64 and C-contiguous but for one,
 sizes, and the clock. In one record, of which nothing but its address goes through calls."""
