@@ -618,29 +618,22 @@ def integrate_block(plan, inputs, first, jobs):
     """
     job = jobs[0]
     # Apart from the record: what a loop reads from memory might have been written there.
-    clock = Clock(
-        job["dt"],
-        job["steps"],
-        job["measure_every"],
-        job["save_every"],
-        job["origin"],
-        job["first_step"],
-    )
-    column, summary = job["first"] + first, numbers_at(job["summary"])
-    last, stop = clock.steps, job["end"]
-    if job["begin"] == UNSEEN:
+    clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
+    column, summary = job.first + first, numbers_at(job.summary)
+    last, stop = clock.steps, job.end
+    if job.begin == UNSEEN:
         store_start(plan, inputs, summary, column, time_of(clock, 0))
     if stop == 0:
         return
-    carried, history = numbers_at(job["carried"]), histories_at(job["history"])
+    carried, history = numbers_at(job.carried), histories_at(job.history)
     states = (
-        histories_at(job["rotation"]),
-        histories_at(job["position"]),
-        histories_at(job["omega"]),
-        histories_at(job["v"]),
+        histories_at(job.rotation),
+        histories_at(job.position),
+        histories_at(job.omega),
+        histories_at(job.v),
     )
-    multipliers, reactions = histories_at(job["multipliers"]), histories_at(job["reactions"])
-    resumes, k, h = job["begin"] == RESUMED, max(job["begin"], 0), clock.dt
+    multipliers, reactions = histories_at(job.multipliers), histories_at(job.reactions)
+    resumes, k, h = job.begin == RESUMED, max(job.begin, 0), clock.dt
     body = load_body(plan, inputs)
     if resumes:
         state = resumed_state(plan, body, inputs)
@@ -696,7 +689,7 @@ def integrate_block(plan, inputs, first, jobs):
         store_carried(plan, carried, first, state, record)
     else:
         store_summary(plan, record, summary, column)
-        store_end(plan, state, numbers_at(job["ends"]), column)
+        store_end(plan, state, numbers_at(job.ends), column)
 
 
 @shared
@@ -705,8 +698,8 @@ def pack(job, inputs, first, is_new):
 
     is_new : whether `inputs` lacks even what all trajectories share.
     """
-    places = integers_at(job["places"])
-    begin, last = job["first"] + first, job["stop"] - 1
+    places = integers_at(job.places)
+    begin, last = job.first + first, job.stop - 1
     for c in range(inputs.shape[0]):
         address, stride = places[c, 0], places[c, 1]
         if stride != 0 or is_new:
@@ -722,9 +715,9 @@ def integrate_blocks(sources, integrate, counter, threads, jobs):
     """
     for thread in prange(threads):  # each takes what comes next: cores need not be equally fast
         job = jobs[0]
-        inputs = histories_at(job["inputs"])[thread]
+        inputs = histories_at(job.inputs)[thread]
         lanes = inputs.shape[1]
-        blocks = (job["stop"] - job["first"] + lanes - 1) // lanes
+        blocks = (job.stop - job.first + lanes - 1) // lanes
         is_new = True
         while True:
             block = take_turn(counter)
