@@ -1,8 +1,7 @@
-"""Ctrl-C in tests, and what pytest-xdist has to know: who compiles what, and where."""
+"""Ctrl-C in tests, the fault campaign, and which tests pytest-xdist runs in one process."""
 
 from __future__ import annotations
 
-import os
 import re
 import signal
 from collections.abc import Iterator
@@ -10,12 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-WORKER = os.environ.get("PYTEST_XDIST_WORKER")
-if WORKER:  # before Numba is imported: a cache is locked while anything is compiled for it
-    caches = os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent / "__pycache__" / "numba")
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(caches) / WORKER)
-
 
 # Files whose tests share kernels or fixtures; each of the others is on its own.
 TOGETHER = {
@@ -62,3 +55,20 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def papers_kernels() -> Iterator[None]:
+    """`lierb.paper` records as `cases.integrate` does, and so takes the kernels of the other tests.
+
+    What is recorded changes no bit (test_determinism.py).
+    """
+    import lierb.paper
+    from cases import RECORD
+
+    def recording(*given: Any, **options: Any) -> lierb.Result:
+        return lierb.integrate(*given, **options | {"record": RECORD})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lierb.paper, "integrate", recording)
+        yield

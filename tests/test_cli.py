@@ -63,7 +63,7 @@ def run_without(modules, *arguments):
 # ---------------------------------------------------------------- lierb paper
 
 
-@pytest.mark.usefixtures("short_run")
+@pytest.mark.usefixtures("papers_kernels", "short_run")
 class TestPaper:
     @pytest.mark.slow
     def test_writes_tables_and_figures_and_says_where(self, tmp_path):

@@ -93,6 +93,7 @@ def _with_examples() -> list[str]:
 SLOW = {"lierb.paper"}  # all of its section 5
 
 
+@pytest.mark.usefixtures("papers_kernels")
 @pytest.mark.parametrize("name", slow_but(_with_examples(), *{*_with_examples()} - SLOW))
 def test_examples_of_docstrings_run(name):
     found = doctest.testmod(importlib.import_module(name))

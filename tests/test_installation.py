@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import numba
 import pytest
 
 import lierb
@@ -121,7 +122,8 @@ class TestCommands:
         for text in (f"lierb {lierb.__version__}", found["cpu"], found["cache"]["folder"]):
             assert text in result.stdout
 
-    def test_info_as_json_is_info(self):
+    def test_info_as_json_is_info(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # where nobody else writes
         result = invoke("info", "--json")
         assert json.loads(result.stdout) == lierb.info()
 
