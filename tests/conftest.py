@@ -1,7 +1,8 @@
-"""Ctrl-C in tests, the fault campaign, and which tests pytest-xdist runs in one process."""
+"""Ctrl-C, garbage and the fault campaign; which tests pytest-xdist runs in one process."""
 
 from __future__ import annotations
 
+import gc
 import re
 import signal
 from collections.abc import Iterator
@@ -19,18 +20,20 @@ TOGETHER = {
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
+# What takes longest begins first, so that all processes end at the same time.
+LONGEST = ("cluster", "cache", "studies", "forces", "top", "groups", "functions", "spherical")
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """One worker for the tests that share kernels."""
+    """One worker for the tests that share kernels: two would compile them at the same time."""
     from xdist.scheduler import LoadScopeScheduling
 
     from lierb.joints import JOINTS
 
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            file = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            file = _file(nodeid)
             if file == "cache":  # each of its tests has a cache of its own
                 return nodeid
             if file in BY_JOINT:
@@ -38,7 +41,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
                 return next((part for part in parts if part in JOINTS), "spherical")
             return next((name for name, files in TOGETHER.items() if file in files), file)
 
+        def _assign_work_unit(self, node: Any) -> None:
+            ranks = {name: rank for rank, name in enumerate(LONGEST)}
+            first = min(self.workqueue, key=lambda scope: ranks.get(_file(scope), len(ranks)))
+            self.workqueue.move_to_end(first, last=False)
+            super()._assign_work_unit(node)
+
     return ByKernels(config, log)
+
+
+def _file(nodeid: str) -> str:
+    """accuracy, of tests/test_accuracy.py::test_any."""
+    return Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -47,6 +61,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         whole = [item for item in items if item.get_closest_marker("faults")]
         items[:] = [item for item in items if item not in whole]
         config.hook.pytest_deselected(items=whole)
+
+
+def pytest_collection_finish() -> None:
+    """Look for cycles of garbage less often, and not in what the tests consist of.
+
+    Numba makes objects by the hundred thousand: a kernel compiles in five sixths of the time.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000)
 
 
 @pytest.fixture
@@ -63,8 +87,9 @@ def papers_kernels() -> Iterator[None]:
 
     What is recorded changes no bit (test_determinism.py).
     """
-    import lierb.paper
     from cases import RECORD
+
+    import lierb.paper
 
     def recording(*given: Any, **options: Any) -> lierb.Result:
         return lierb.integrate(*given, **options | {"record": RECORD})

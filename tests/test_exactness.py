@@ -57,7 +57,7 @@ def _bound(name: str, dt: float) -> float:
     return 2e-12 if dt < 1e-3 else 2e-13
 
 
-@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical", "revolute"))
+@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical"))
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("dt", [1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("solver", ["saddle", "auto"])

@@ -19,7 +19,7 @@ FORMS = [
     {},
     pytest.param({"update": "global"}, marks=pytest.mark.slow),
     pytest.param({"cspace": "SO3xR3"}, marks=pytest.mark.slow),
-    {"cspace": "SO3xR3", "update": "global"},
+    pytest.param({"cspace": "SO3xR3", "update": "global"}, marks=pytest.mark.slow),
 ]
 
 

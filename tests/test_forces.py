@@ -128,7 +128,7 @@ def expected(held: str, acting: tuple[str, ...], twist0, body: int) -> oracle.Tr
 
 
 def run(problem, twist0, **options):
-    """What is recorded and the method are the same throughout: all forces at once compile for long."""
+    """One record and one method throughout: all forces at once compile for long."""
     settings = {"dt": 2e-4, "t_end": T_END, "record": (*RECORD, "energy")} | options
     return integrate(problem, twist0=twist0, **settings)
 
@@ -207,9 +207,7 @@ def test_spring_off_the_centre_swings_harmonically():
         (0.1, 0.0, 0.0), 0.5 * axis + (0.1, 0, 0), stiffness=[3.0, 8.0]
     )
     problem = lierb.Problem(lierb.Body(2.0, (1.0, 1.0, 1.0)), held, forces=spring)
-    result = lierb.integrate(
-        problem, twist0=held.twist(), dt=5e-4, t_end=1.0, cspace="reduced"
-    )
+    result = lierb.integrate(problem, twist0=held.twist(), dt=5e-4, t_end=1.0, cspace="reduced")
     place = 0.5 * (1.0 - np.cos(np.sqrt([1.5, 4.0])))  # x₀(1 − cos √(k/m) t) from rest
     # RK4 at 5e-4 of ω ≤ 2 rad/s: errors of (ωh)⁴/120
     found = column(result.summary, "position")
@@ -325,6 +323,7 @@ def test_work_is_that_of_the_closed_form(cspace):
     np.testing.assert_array_equal(history["work"][-1], result.summary["work_final"])
 
 
+@pytest.mark.slow
 def test_energy_drift_falls_with_the_order_of_the_method():
     """With all forces at once: what they take and give, several J, is no drift."""
     problem, twist0 = case("revolute", tuple(FORCES))
@@ -522,6 +521,7 @@ def test_form_is_told(function):
 # ---- what the energy covers --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_energy_says_what_it_covers():
     problem, twist0 = case("revolute", tuple(FORCES))
     result = run(problem, twist0, dt=1e-3, t_end=1e-3, cspace="reduced")
