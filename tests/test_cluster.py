@@ -170,6 +170,7 @@ def test_workers_without_lierb_are_told(client, tmp_path, monkeypatch):
         lierb.run(study(), tmp_path, client=client)
 
 
+@pytest.mark.slow
 def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
     with cluster.local_client(1) as client:
 
@@ -186,6 +187,7 @@ def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
     assert hashes(tmp_path) == hashes(alone)
 
 
+@pytest.mark.slow
 def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
     with cluster.local_client(1) as client:
@@ -197,6 +199,7 @@ def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch
             lierb.run(study(**SHORT), tmp_path, client=client, progress=dismiss)
 
 
+@pytest.mark.slow
 def test_a_result_whose_worker_left_with_it_is_not_waited_for_for_ever(monkeypatch):
     monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
     part = next(iter(parts_of(study(**SHORT))))
