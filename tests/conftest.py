@@ -16,12 +16,12 @@ TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
-    "studies": ("study", "dataset"),
+    "studies": ("cluster", "study", "dataset"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
 # What takes longest begins first, so that all processes end at the same time.
-LONGEST = ("cluster", "cache", "studies", "forces", "top", "groups", "functions", "spherical")
+LONGEST = ("studies", "cache", "forces", "top", "groups", "functions", "paper", "spherical")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -136,6 +136,7 @@ def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):
 # ---- failures ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", [0, 3, 16])
 @pytest.mark.parametrize(("fault", "seen"), [(np.nan, 0), (np.inf, 0), (1e200, 0), (1e100, 1)])
 def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expected):

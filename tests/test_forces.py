@@ -430,6 +430,7 @@ def unlike_bodies(count: int = 3) -> lierb.Body:
     return lierb.Body(masses, about_com + masses[:, None, None] * np.array(shift), coms)
 
 
+@pytest.mark.slow
 def test_weight_of_a_function_is_gravity():
     bodies, held = unlike_bodies(), joint("spherical")
     twist0 = lierb.Problem(bodies, held).project(np.array((1.0, 2.0, 0.5, 0.0, 0.0, 0.0)))

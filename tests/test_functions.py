@@ -493,6 +493,7 @@ def test_a_helper_in_a_known_function_s_clothes_is_looked_at():
     assert one != two
 
 
+@pytest.mark.slow
 def test_a_difference_of_equal_products_is_zero():
     @lierb.wrench(size=0.1)
     def sideways(t, R, r, omega, v, params):

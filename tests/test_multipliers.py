@@ -149,7 +149,7 @@ def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
     np.testing.assert_allclose(wrench, truth.reaction[0], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", slow_but(CSPACES, "SE3"))
 def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
     """At a state that is far from the start, and in both c-spaces."""
     problem, twist0 = tilted("universal")
