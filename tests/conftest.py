@@ -73,6 +73,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(100_000)
 
 
+def pytest_sessionfinish() -> None:
+    """Some packages count at the end what is left."""
+    gc.unfreeze()
+
+
 @pytest.fixture
 def interruptible() -> Iterator[None]:
     """SIGINT is heard, by child processes too: a shell's background jobs start ignoring it."""
