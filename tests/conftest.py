@@ -1,8 +1,8 @@
-"""Ctrl-C in tests, and what pytest-xdist has to know: who compiles what, and where."""
+"""Ctrl-C, garbage and the fault campaign; which tests pytest-xdist runs in one process."""
 
 from __future__ import annotations
 
-import os
+import gc
 import re
 import signal
 from collections.abc import Iterator
@@ -11,33 +11,29 @@ from typing import Any
 
 import pytest
 
-WORKER = os.environ.get("PYTEST_XDIST_WORKER")
-if WORKER:  # before Numba is imported: a cache is locked while anything is compiled for it
-    caches = os.environ.get("NUMBA_CACHE_DIR", Path(__file__).parent / "__pycache__" / "numba")
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(caches) / WORKER)
-
-
 # Files whose tests share kernels or fixtures; each of the others is on its own.
 TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
-    "studies": ("study", "dataset"),
+    "studies": ("cluster", "study", "dataset"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
+# What takes longest begins first, so that all processes end at the same time.
+LONGEST = ("studies", "cache", "forces", "top", "groups", "functions", "paper", "spherical")
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """One worker for the tests that share kernels."""
+    """One worker for the tests that share kernels: two would compile them at the same time."""
     from xdist.scheduler import LoadScopeScheduling
 
     from lierb.joints import JOINTS
 
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
-            file = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            file = _file(nodeid)
             if file == "cache":  # each of its tests has a cache of its own
                 return nodeid
             if file in BY_JOINT:
@@ -45,7 +41,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
                 return next((part for part in parts if part in JOINTS), "spherical")
             return next((name for name, files in TOGETHER.items() if file in files), file)
 
+        def _assign_work_unit(self, node: Any) -> None:
+            ranks = {name: rank for rank, name in enumerate(LONGEST)}
+            first = min(self.workqueue, key=lambda scope: ranks.get(_file(scope), len(ranks)))
+            self.workqueue.move_to_end(first, last=False)
+            super()._assign_work_unit(node)
+
     return ByKernels(config, log)
+
+
+def _file(nodeid: str) -> str:
+    """accuracy, of tests/test_accuracy.py::test_any."""
+    return Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -56,9 +63,43 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=whole)
 
 
+def pytest_collection_finish() -> None:
+    """Look for cycles of garbage less often, and not in what the tests consist of.
+
+    Numba makes objects by the hundred thousand: a kernel compiles in five sixths of the time.
+    """
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(100_000)
+
+
+def pytest_sessionfinish() -> None:
+    """Some packages count at the end what is left."""
+    gc.unfreeze()
+
+
 @pytest.fixture
 def interruptible() -> Iterator[None]:
     """SIGINT is heard, by child processes too: a shell's background jobs start ignoring it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def papers_kernels() -> Iterator[None]:
+    """`lierb.paper` records as `cases.integrate` does, and so takes the kernels of the other tests.
+
+    What is recorded changes no bit (test_determinism.py).
+    """
+    from cases import RECORD
+
+    import lierb.paper
+
+    def recording(*given: Any, **options: Any) -> lierb.Result:
+        found = lierb.integrate(*given, **options | {"record": RECORD})
+        return lierb.Result(found.summary, found.history.drop_columns(["lambda", "reaction"]))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lierb.paper, "integrate", recording)
+        yield

@@ -19,6 +19,7 @@ right-trivialised, dexp_X(Ẋ) = Ċ C⁻¹; quaternions are (w, x, y, z).
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import mpmath
@@ -118,23 +119,29 @@ class Group:
 
     def ad(self, X):
         """Matrix of Y ↦ [X, Y], the commutator of matrices."""
-        x = self.hat(X)
-        return self._matrix_of(lambda y: x * y - y * x)
+        x, one = self.hat(X), mp.eye(self.size)
+        return self._between(x, one) - self._between(one, x)
 
     def Ad(self, C):
         """Matrix of Y ↦ C Y C⁻¹."""
         g = self.matrix(C)
-        g_inverse = mp.inverse(g)
-        return self._matrix_of(lambda y: g * y * g_inverse)
+        return self._between(g, mp.inverse(g))
 
-    def _matrix_of(self, linear_map):
+    def _between(self, left, right):
+        """Matrix of Y ↦ left Y right, in components."""
         result = mp.zeros(self.dim)
-        for j in range(self.dim):
-            result[:, j] = self.vee(linear_map(self.hat(mp.eye(self.dim)[:, j])))
+        for i, (p, q) in enumerate(self.places):
+            for j, (r, c) in enumerate(self.places):
+                turned = left[p, c] * right[r, q] if j < 3 else 0
+                result[i, j] = left[p, r] * right[c, q] - turned
         return result
 
     def dexp(self, X):
         """Right-trivialised differential of exp: Σ ad_X^k / (k + 1)!."""
+        return self._dexp(tuple(X))
+
+    @cache  # noqa: B019 -- there are three groups, for good
+    def _dexp(self, X):
         return _power_series(self.ad(X), 1)
 
     def dexpinv(self, X):

@@ -33,7 +33,7 @@ def test_reference_is_reproduced():
 # (peer, form, error allowed: RK4 at 1e-3 s reaches 8e-10 m on the worst of the first 64 tops)
 QUICK = [
     ("lierb", "gain", 2e-9),
-    ("lierb", "saddle-tilted", 2e-9),
+    pytest.param("lierb", "saddle-tilted", 2e-9, marks=pytest.mark.slow),
     ("numpy_batch", "reduced", 2e-9),
     ("numpy_batch", "general", 5e-9),
 ]

@@ -63,7 +63,7 @@ def run_without(modules, *arguments):
 # ---------------------------------------------------------------- lierb paper
 
 
-@pytest.mark.usefixtures("short_run")
+@pytest.mark.usefixtures("papers_kernels", "short_run")
 class TestPaper:
     @pytest.mark.slow
     def test_writes_tables_and_figures_and_says_where(self, tmp_path):
@@ -337,12 +337,6 @@ def test_a_wheel_has_the_examples_and_names_itself(tmp_path):
 # ---------------------------------------------------------------- as a process
 
 
-def test_module_runs_as_a_command():
-    command = [sys.executable, "-m", "lierb", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    assert "paper" in done.stdout
-
-
 def test_command_line_starts_without_matplotlib_and_rich_tables():
     code = "import sys, lierb.cli; print({'matplotlib', 'rich.table'} & set(sys.modules))"
     command = [sys.executable, "-c", code]
@@ -364,7 +358,7 @@ def test_ctrl_c_ends_the_process_cleanly(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_output_survives_a_terminal_without_umlauts():
+def test_module_runs_as_a_command_and_survives_a_terminal_without_umlauts():
     command = [sys.executable, "-m", "lierb", "paper", "--help"]
     environment = {**os.environ, "PYTHONIOENCODING": "koi8-r"}
     done = subprocess.run(

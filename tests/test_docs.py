@@ -15,7 +15,7 @@ import lierb
 
 ROOT = Path(__file__).parent.parent
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-QUICK = [page for page in PAGES if page.stem != "theory"]  # that one compiles three kernels
+QUICK = [page for page in PAGES if page.stem not in ("forces", "theory")]  # these: nine kernels
 
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
@@ -93,6 +93,7 @@ def _with_examples() -> list[str]:
 SLOW = {"lierb.paper"}  # all of its section 5
 
 
+@pytest.mark.usefixtures("papers_kernels")
 @pytest.mark.parametrize("name", slow_but(_with_examples(), *{*_with_examples()} - SLOW))
 def test_examples_of_docstrings_run(name):
     found = doctest.testmod(importlib.import_module(name))

@@ -57,7 +57,7 @@ def _bound(name: str, dt: float) -> float:
     return 2e-12 if dt < 1e-3 else 2e-13
 
 
-@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical", "revolute"))
+@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical"))
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("dt", [1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("solver", ["saddle", "auto"])
@@ -167,7 +167,7 @@ def test_global_update_keeps_subgroup_joints_across_charts(name):
 @pytest.mark.slow
 def test_any_method_and_step_keep_a_spherical_joint():
     problem, twist0 = tilted("spherical")
-    for method, dt in (("Euler", 1e-3), ("Heun", 1e-2), ("DOP853", 5e-2)):
+    for method, dt in (("Euler", 1e-3), ("DOP853", 5e-2)):
         result = lierb.integrate(
             problem, twist0=twist0, dt=dt, t_end=1.0, method=method, solver="saddle"
         )
@@ -190,7 +190,8 @@ def test_kept_constraints_are_not_accuracy():
     assert energy["SE3"] > 1e3 * energy["SO3xR3"]
 
 
-@pytest.mark.parametrize("cspace", slow_but(["SE3", "SO3xR3"], "SE3"))
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 def test_constant_velocity_joint_goes_on_where_its_shafts_fold_together(cspace):
     """Half turns are in the way of ordinary motion: none of 200 boxes under gravity minds them."""
     held = joint("constant_velocity")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mpmath as mp
 import numpy as np
 import pytest
-from cases import column, joint, tilted
+from cases import column, integrate, joint, tilted
 
 import lierb
 from lierb.errors import PoseError
@@ -19,12 +19,12 @@ FORMS = [
     {},
     pytest.param({"update": "global"}, marks=pytest.mark.slow),
     pytest.param({"cspace": "SO3xR3"}, marks=pytest.mark.slow),
-    {"cspace": "SO3xR3", "update": "global"},
+    pytest.param({"cspace": "SO3xR3", "update": "global"}, marks=pytest.mark.slow),
 ]
 
 
 def summary_of(problem, twist0, dt=DT, steps=2, **options):
-    return lierb.integrate(problem, twist0=twist0, dt=dt, t_end=steps * dt, **options).summary
+    return integrate(problem, twist0=twist0, dt=dt, t_end=steps * dt, **options).summary
 
 
 def is_told(summary) -> np.ndarray:

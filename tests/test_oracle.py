@@ -249,6 +249,7 @@ def test_trajectory_of_the_box_on_a_spherical_joint():
     np.testing.assert_allclose(result.omega[1], ref.BOX_SPHERICAL_OMEGA_10, rtol=0, atol=5e-10)
 
 
+@pytest.mark.slow
 def test_trajectory_of_the_box_with_gravity():
     result = box("spherical", [10.0], ref.BOX_SPHERICAL_OMEGA_0, gravity=9.81)
     # this motion amplifies errors a thousandfold in 10 s
@@ -264,6 +265,7 @@ def test_trajectory_of_the_box_on_a_revolute_joint():
         np.testing.assert_allclose(r, -expected @ ref.BOX_POINT, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_trajectory_of_the_heavy_top():
     omega = np.array(ref.TOP_OMEGA_0)
     point = -np.array(ref.TOP_CENTRE_OF_MASS)

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from cases import integrate
 
 import lierb
 from lierb.paper import AS_STATED, CSPACES, DTS, EXAMPLES, INERTIA, MASS, P, examples, run_paper
@@ -13,6 +14,7 @@ from lierb.paper import AS_STATED, CSPACES, DTS, EXAMPLES, INERTIA, MASS, P, exa
 imread = pytest.importorskip("matplotlib.image").imread
 
 KEYS = [example.key for example in EXAMPLES]
+pytestmark = pytest.mark.usefixtures("papers_kernels")
 
 
 @pytest.fixture(scope="module")
@@ -21,12 +23,12 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def report(folder):
+def report(folder, papers_kernels):
     return run_paper(folder)
 
 
 @pytest.fixture(scope="module")
-def printed():
+def printed(papers_kernels):
     return run_paper(as_printed=True)
 
 
@@ -170,15 +172,9 @@ def test_example_starts_as_the_paper_says(number, as_printed):
     assert twist0[3:] == pytest.approx(v0, abs=1e-15)
 
     body = lierb.Body(mass=MASS, inertia=INERTIA)
-    start = lierb.integrate(
-        lierb.Problem(body, joint),
-        twist0=twist0,
-        dt=1e-2,
-        t_end=1e-2,
-        save_every=1,
-        record=("state",),
-        check="off",
-    ).history.slice(0, 1)
+    problem = lierb.Problem(body, joint)
+    run = integrate(problem, twist0=twist0, dt=1e-2, t_end=1e-2, check="off")
+    start = run.history.slice(0, 1)
     assert start["rotation"].to_pylist()[0] == pytest.approx(np.eye(3).ravel(), abs=1e-15)
     assert start["position"].to_pylist()[0] == pytest.approx(-p, abs=1e-15)
 

@@ -238,6 +238,7 @@ def test_pages_of_hard_cases_are_whole(hard, tmp_path):
     assert ("Left out: " in text) == bool(omitted(dataset))
 
 
+@pytest.mark.slow
 def test_texts_are_escaped(tmp_path):
     """Names are the user's: of the study, and of a force whose parameter is on an axis."""
     force = "</script><script>alert(1)</script>$\\foo$"
@@ -251,6 +252,7 @@ def test_texts_are_escaped(tmp_path):
     assert "<script>alert(1)" not in page
 
 
+@pytest.mark.slow
 def test_a_study_without_samples_has_a_page(tmp_path):
     tables = study().model_dump(exclude={"sample"})
     given = type(study()).of(tables)

@@ -8,7 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
-from cases import GRAVITY, box, column, joint, tilted
+from cases import GRAVITY, RECORD, box, column, integrate, joint, tilted
 
 import lierb
 from lierb.errors import (
@@ -28,9 +28,9 @@ STATE = ("rotation", "position", "omega", "v")
 # own way, on a chart that carries on; the saddle point, with and without such a chart.
 FORMS = [
     ("spherical", {}),
-    ("screw", {"update": "global"}),
+    pytest.param("screw", {"update": "global"}, marks=pytest.mark.slow),
     ("spherical", {"cspace": "SO3xR3"}),
-    ("spherical", {"cspace": "SO3xR3", "update": "global"}),
+    pytest.param("spherical", {"cspace": "SO3xR3", "update": "global"}, marks=pytest.mark.slow),
 ]
 
 
@@ -48,7 +48,7 @@ def lively(name: str):
 
 def run(problem, steps: int, **options) -> lierb.Result:
     """From wherever it starts to so many steps from 0."""
-    return lierb.integrate(problem, **({"dt": DT, "t_end": steps * DT} | options))
+    return integrate(problem, **({"dt": DT, "t_end": steps * DT} | options))
 
 
 @pytest.mark.parametrize(("name", "options"), FORMS, ids=str)
@@ -96,7 +96,7 @@ def gust(t, R, r, omega, v, params):
 def test_end_goes_on_with_its_clock(t0):
     plain, twist0 = lively("spherical")
     problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust())
-    options = {"dt": DT, "save_every": 1, "record": ("state", "energy")}
+    options = {"dt": DT, "save_every": 1, "record": (*RECORD, "energy")}
     whole = lierb.integrate(problem, twist0=twist0, t0=t0, t_end=t0 + STEPS * DT, **options)
     first = lierb.integrate(problem, twist0=twist0, t0=t0, t_end=t0 + 17 * DT, **options)
     second = lierb.integrate(problem, **first.end, t_end=t0 + STEPS * DT, **options)
@@ -122,7 +122,7 @@ def test_work_does_not_depend_on_calls_neighbours_or_history(monkeypatch):
 
     expected = found(twist0)
     assert (np.abs(expected[0]) > 1e-3).all()
-    np.testing.assert_array_equal(found(twist0, save_every=7, record="energy"), expected)
+    np.testing.assert_array_equal(found(twist0, save_every=7, record=(*RECORD, "energy")), expected)
     alone = [np.concatenate(pair) for pair in zip(*(found(t) for t in twist0), strict=True)]
     np.testing.assert_array_equal(alone, expected)
     monkeypatch.setattr(engine, "CHUNK_BODIES", 2)
@@ -137,7 +137,7 @@ def test_start_time_is_that_of_forces():
     found = {}
     for name, ahead, t0 in (("at 2", 0.0, 2.0), ("ahead", 2.0, 0.0), ("at 0", 0.0, 0.0)):
         problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust(ahead=ahead))
-        result = lierb.integrate(problem, twist0=twist0, dt=DT, t0=t0, t_end=t0 + 0.5)
+        result = integrate(problem, twist0=twist0, dt=DT, t0=t0, t_end=t0 + 0.5)
         np.testing.assert_array_equal(result.summary["t"], [t0 + 0.5] * len(twist0))
         found[name] = column(result.summary, "omega")
     # t is rounded otherwise: 1e-15 of some rad/s, over 50 steps
@@ -149,6 +149,7 @@ def swaying(t):
     return 1.0 + math.sin(t)
 
 
+@pytest.mark.slow
 def test_start_time_is_that_of_a_motor_speed():
     held = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
     motor = lierb.forces.motor(speed=swaying)

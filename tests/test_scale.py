@@ -296,7 +296,10 @@ def test_predictions_far_from_the_origin_are_the_same():
 
 # ---- what integration finds --------------------------------------------------------------------
 
-RUNS = [("spherical", "SO3xR3"), ("spherical", "SE3"), ("universal", "SO3xR3"), ("screw", "SO3xR3")]
+RUNS = [
+    ("spherical", "SO3xR3"), ("spherical", "SE3"), ("universal", "SO3xR3"),
+    pytest.param("screw", "SO3xR3", marks=pytest.mark.slow),
+]  # fmt: skip
 
 
 def run(name: str, cspace: str, scale: Scale) -> dict[str, np.ndarray]:

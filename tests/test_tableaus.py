@@ -246,6 +246,7 @@ def test_integrate_gives_a_users_rk4_the_bits_of_the_named_one(top):
     assert run(top, mine).equals(run(top, "RK4"))  # data only: the metadata names the method
 
 
+@pytest.mark.slow
 def test_integrate_uses_the_users_coefficients(top):
     # Ralston's third-order method; its order on a body is measured elsewhere
     ralston = ButcherTableau([[], [1 / 2], [0, 3 / 4]], [2 / 9, 1 / 3, 4 / 9], order=3)

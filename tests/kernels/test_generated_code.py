@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numba
 import numpy as np
 import pytest
+from cases import slow_but
 
 from lierb.compiler.code import OPTIONS
 from lierb.joints import JOINTS
@@ -49,7 +50,8 @@ def innermost_loops(assembly: str) -> list[list[str]]:
     return [[m[1] for x in lines[a : b + 1] if (m := OPERATION.match(x))] for a, b in inner]
 
 
-@pytest.fixture(scope="module", params=PLANS)
+# Each is compiled here, whatever the disk cache has.
+@pytest.fixture(scope="module", params=slow_but(PLANS, "spherical", "saddle_so3xr3"))
 def hot_loop(request) -> SimpleNamespace:
     """How often each operation occurs in the loop over steps, and the FMAs to expect there."""
     joint, cspace, solver, expected = PLANS[request.param]
