@@ -86,8 +86,9 @@ def test_link_leads_somewhere(page, match):
 
 def _with_examples() -> list[str]:
     """Modules whose docstrings have some."""
-    files = (ROOT / "lierb").glob("*.py")
-    return sorted(f"lierb.{f.stem}" for f in files if ">>> " in f.read_text(encoding="utf-8"))
+    files = (f for f in (ROOT / "lierb").rglob("*.py") if ">>> " in f.read_text(encoding="utf-8"))
+    names = (".".join(f.relative_to(ROOT).with_suffix("").parts) for f in files)
+    return sorted(name.removesuffix(".__init__") for name in names)
 
 
 SLOW = {"lierb.paper"}  # all of its section 5
