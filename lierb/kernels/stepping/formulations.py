@@ -207,8 +207,9 @@ class Subgroup:
     ) -> tuple[Chart, Vec]:
         """C₀ and μ; what is off H is dropped."""
         inside = subgroup.in_subalgebra(self.slots, velocity, parameters.pitch)
-        momentum = subgroup.momentum_of(self.slots, body, inside)
-        return subgroup.on_subgroup(self.slots, chart), momentum
+        p, d = subgroup.on_subgroup(self.slots, chart)
+        on_manifold = self.on_manifold(body, (quaternion.normalised(p), d))
+        return on_manifold, subgroup.momentum_of(self.slots, body, inside)
 
     def dropped(self, body: BodyConstants, chart: Chart, velocity: Vec) -> Any:
         return ZERO
