@@ -237,7 +237,8 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
     if solver == "saddle":
         raise ArgumentError(f"{asked} has no saddle point to solve; leave solver out")
     if added:
-        raise ArgumentError(f'{asked} has no constraints, but {added[0]} is one; use "saddle"')
+        other = 'cspace="SE3"' if cspace == "reduced" else 'solver="saddle"'
+        raise ArgumentError(f"{asked} has no constraints, but {added[0]} is one; use {other}")
     if not is_proper:
         kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
         raise ArgumentError(

@@ -263,7 +263,7 @@ def test_speed_motor_rejects_a_twist_of_another_speed():
 
 
 def test_speed_motor_has_no_place_in_the_reduced_space():
-    with pytest.raises(ArgumentError, match='no constraints, but motor is one; use "SE3"'):
+    with pytest.raises(ArgumentError, match='no constraints, but motor is one; use cspace="SE3"'):
         lierb.integrate(ramped(1.0), twist0=np.zeros(6), dt=1e-3, t_end=0.1, cspace="reduced")
 
 

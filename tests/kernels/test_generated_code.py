@@ -29,7 +29,7 @@ PLANS = {
     "spherical": ("spherical", "SE3", "subgroup", 180),
     "revolute": ("revolute", "SE3", "subgroup", 45),
     "saddle": ("spherical", "SE3", "saddle", 180),
-    "saddle_so3xr3": ("spherical", "SO3xR3", "saddle", 400),
+    "saddle_so3xr3": ("spherical", "SO3xR3", "saddle", 330),
 }
 LABEL = re.compile(r"(\.?\w+):")
 JUMP = re.compile(r"\tj\w+\t(\.?\w+)")
@@ -104,4 +104,4 @@ def test_the_hot_loop_fuses_more_than_it_multiplies(hot_loop):
 
 
 def test_packs_that_leave_the_registers_stay_within_cache_lines(hot_loop):
-    assert re.search(r"andq\t\$-64, %rsp", hot_loop.assembly)
+    assert re.search(r"andq\t\$-(64|128), %rsp", hot_loop.assembly)

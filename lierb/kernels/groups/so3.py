@@ -91,8 +91,8 @@ def log(r: Mat) -> Vec:
     q = quaternion(r)
     n = norm(q[1:])
     turns = n > 0.0  # else the limit, which matters to derivatives
-    factor = where(turns, 2.0 * atan2(n, q[0]) / where(turns, n, 1.0), 2.0 / q[0])
-    return scale(factor, q[1:])
+    limit = 2.0 / where(turns, 1.0, q[0])
+    return scale(where(turns, 2.0 * atan2(n, q[0]) / where(turns, n, 1.0), limit), q[1:])
 
 
 def Ad(r: Mat, x: Vec) -> Vec:
