@@ -90,9 +90,9 @@ def log(r: Mat) -> Vec:
     """
     q = quaternion(r)
     n = norm(q[1:])
-    turns = n > 0.0  # else the limit, which matters to derivatives
-    limit = 2.0 / where(turns, 1.0, q[0])
-    return scale(where(turns, 2.0 * atan2(n, q[0]) / where(turns, n, 1.0), limit), q[1:])
+    rests = n == 0.0  # the limit there matters to derivatives
+    limit = 2.0 / where(rests, q[0], 1.0)
+    return scale(where(rests, limit, 2.0 * atan2(n, q[0]) / where(rests, 1.0, n)), q[1:])
 
 
 def Ad(r: Mat, x: Vec) -> Vec:
