@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from textwrap import shorten
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -37,7 +37,7 @@ from lierb.kernels.stepping.driver import (
     integrate_blocks,
     job_of,
 )
-from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field, inputs_of
+from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, Columns, Field, inputs_of
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
@@ -47,6 +47,7 @@ from lierb.runs.progress import Progress, reporter
 SOURCES = Sources()
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
 ZERO_STATE = np.zeros(1)
+STARTS = {field.name: field for field in INPUTS.fields if field.name in ("pose", "twist")}
 
 # In one chunk at the least: what is carried of them stays in the cache beside the state.
 CHUNK_BODIES = 4096
@@ -66,12 +67,20 @@ _layouts: WeakKeyDictionary[Problem, tuple[Places, tuple[Array, ...]]] = WeakKey
 def _places_of(field: Field, array: Array) -> Places:
     """Where the numbers of a field are, in an array with an item for every body or one for all."""
     ahead = array.ndim - len(field.shape)
-    batch = array.strides[0] if ahead and len(array) > 1 else 0
+    places = np.empty((field.width, 2), dtype=np.int64)
+    places[:, 0] = _offsets(field, array.strides[ahead:])
+    places[:, 0] += array.__array_interface__["data"][0]
+    places[:, 1] = array.strides[0] if ahead and len(array) > 1 else 0
+    return places
+
+
+@cache
+def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
+    """Of a field's numbers in an item, in bytes."""
     offsets = np.zeros((), dtype=np.int64)
-    for size, stride in zip(field.shape, array.strides[ahead:], strict=True):
+    for size, stride in zip(field.shape, strides, strict=True):
         offsets = offsets[..., None] + stride * np.arange(size)
-    chosen = offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
-    return np.stack([array.ctypes.data + chosen, np.full_like(chosen, batch)], axis=1)
+    return offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
 
 
 def _layout(problem: Problem) -> Places:
@@ -127,8 +136,7 @@ class Inputs:
         """Of every column: a run that does not go on asks for no state."""
         places, columns = _layout(self.problem).copy(), self.columns
         for name, array in self._start.items():
-            field = next(f for f in columns.fields if f.name == name)
-            places[columns[name]] = _places_of(field, array)
+            places[columns[name]] = _places_of(STARTS[name], array)
         if self.state is None:
             return places[: columns["state"].start]
         at = columns["state"].start

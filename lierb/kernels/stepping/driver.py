@@ -9,6 +9,7 @@ bit either.
 from __future__ import annotations
 
 from functools import lru_cache
+from struct import Struct
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -118,19 +119,20 @@ JOB = np.dtype(
 sizes, and the clock. In one record, of which nothing but its address goes through calls."""
 
 
+_PACKED = Struct("=" + "q" * (4 * len(ARRAYS) + 4) + "dqqqdq")  # the same, in a fifth of the time
+
+
 def job_of(
     arrays: dict[str, NDArray], first: int, stop: int, begin: int, end: int, clock: Clock
 ) -> NDArray:
     """The record, as an array of one; whoever calls keeps the arrays."""
-    job = np.ones(1, dtype=JOB)
+    numbers: list[int] = []
     for name in ARRAYS:
-        place, array = job[name][0], arrays[name]
-        place[0], place[1 : 1 + array.ndim] = array.ctypes.data, array.shape
-    for name, value in {
-        "first": first, "stop": stop, "begin": begin, "end": end, **clock._asdict(),
-    }.items():  # fmt: skip
-        job[name] = value
-    return job
+        array = arrays[name]
+        extents = array.shape + (1,) * (3 - array.ndim)
+        numbers += (array.__array_interface__["data"][0], *extents)
+    content = _PACKED.pack(*numbers, first, stop, begin, end, *clock)
+    return np.frombuffer(bytearray(content), JOB)
 
 
 @lru_cache(64)
