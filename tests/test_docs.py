@@ -14,7 +14,7 @@ from cases import slow_but
 import lierb
 
 ROOT = Path(__file__).parent.parent
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 QUICK = [page for page in PAGES if page.stem not in ("forces", "theory")]  # these: nine kernels
 
 SPAN = re.compile(r"`([^`\n]+)`")
