@@ -117,7 +117,7 @@ def test_threads_are_set_back_after_an_error():
 def test_threads_are_used_in_the_call(monkeypatch):
     seen = []
 
-    def idle(sources, entry, counter, threads, jobs):
+    def idle(entry, counter, threads, jobs):
         seen.append(numba.get_num_threads())
         address, *shape = map(int, jobs["summary"][0])
         ctypes.memset(address, 0, 8 * math.prod(shape))

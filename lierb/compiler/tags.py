@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
 
@@ -57,11 +57,6 @@ _tags: dict[str, Tag] = {}  # of this process, by their types' names
 
 
 register_model(TagType)(models.OpaqueModel)
-
-
-@dataclass(frozen=True)
-class Sources(Tag):
-    """The tag of code that depends on nothing but the sources."""
 
 
 @cache

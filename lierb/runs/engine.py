@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from textwrap import shorten
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -21,7 +21,6 @@ from lierb.arrays import Array, is_whole
 from lierb.compiler import calls
 from lierb.compiler.code import compiled
 from lierb.compiler.entries import entry_of
-from lierb.compiler.tags import Sources
 from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.clock import Clock, time_of
@@ -44,7 +43,6 @@ from lierb.model import Problem
 from lierb.runs.forks import check_threads
 from lierb.runs.progress import Progress, reporter
 
-SOURCES = Sources()
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
 ZERO_STATE = np.zeros(1)
 STARTS = {field.name: field for field in INPUTS.fields if field.name in ("pose", "twist")}
@@ -74,7 +72,7 @@ def _places_of(field: Field, array: Array) -> Places:
     return places
 
 
-@cache
+@lru_cache(64)
 def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
     """Of a field's numbers in an item, in bytes."""
     offsets = np.zeros((), dtype=np.int64)
@@ -286,7 +284,7 @@ class Run:
         arrays = self._arrays | {"carried": chunk.carried}
         jobs = job_of(arrays, chunk.start, chunk.stop, begin, end, self.clock)
         entry = entry_of(integrate_block, self.plan, arrays["inputs"][0], 0, jobs)
-        loop = (SOURCES, entry, np.zeros(2, dtype=np.int64), self.threads, jobs)
+        loop = (entry, np.zeros(2, dtype=np.int64), self.threads, jobs)
         run = compiled(integrate_blocks, *loop)
         with _driver_lock, _thread_mask(self.threads), np.errstate(all="ignore"):
             began = time.perf_counter()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import ctypes
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -20,7 +21,7 @@ from lierb.compiler import internals
 from lierb.compiler.code import OPTIONS
 from lierb.compiler.entries import call, entry_of, raise_again
 from lierb.compiler.internals import INT64, cgutils
-from lierb.compiler.tags import Sources
+from lierb.compiler.tags import Tag
 from lierb.compiler.trace import kernel
 
 pytestmark = pytest.mark.skipif(
@@ -189,6 +190,11 @@ def _inverted(tag, x, out):
     out[0] = 1.0 / x
 
 
+@dataclass(frozen=True)
+class Anything(Tag):
+    """Of code that asks its tag for nothing."""
+
+
 @numba.njit(**OPTIONS)
 def _call(entry, x, out):
     raise_again(call(entry, x, out))
@@ -200,7 +206,7 @@ def _call(entry, x, out):
 )  # fmt: skip
 def test_code_is_called_by_its_address_after_its_module_is_released():
     out = np.zeros(1)
-    entry = entry_of(_inverted, Sources(), 4.0, out)
+    entry = entry_of(_inverted, Anything(), 4.0, out)
     (result,) = _inverted.overloads.values()
     assert entry == internals.address_of(result)
     assert result.library._final_module is None

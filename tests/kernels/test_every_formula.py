@@ -52,7 +52,7 @@ LOOPS = {  # code of Numba's, and what it works on
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
-    "mechanics.elements.parameter_count", "mechanics.rows.JointRow.objection",
+    "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection",
     "stepping.formulations.SaddlePoint.is_light",

@@ -248,11 +248,6 @@ def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
 # ---- all elements of a body -------------------------------------------------------------------
 
 
-def parameter_count(elements: tuple[Element, ...]) -> int:
-    """Numbers that the parameters of all elements take."""
-    return sum(math.prod(shape) for element in elements for shape in element.shapes.values())
-
-
 def all_placed(
     elements: tuple[Element, ...], numbers: list[Any], frames: Frames, parameters: Parameters
 ) -> tuple[Any, ...]:
