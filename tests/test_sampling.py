@@ -688,7 +688,7 @@ BAD = {
     "u of nan": (lambda: U.draw([[np.nan]]), r"u\[0, 0\] is nan"),
     "matrix that raises": (lambda: Constant(Broken()), r"whose as_matrix\(\) raised RuntimeError"),
     "n of many digits": (lambda: Design({"m": U}, 10**5000), "n=a int; expected a whole number"),
-    "n that is a duration": (lambda: Design({"m": U}, np.timedelta64(3)), "n=a timedelta64; expec"),
+    "n of time": (lambda: Design({"m": U}, np.timedelta64(3, "s")), "n=a timedelta64; expec"),
     "n of words": (lambda: Design({"m": U}, "3"), "n='3'; expected a whole number"),
     "no names": (lambda: Design([U], 5), "quantities must name what is drawn"),
     "no quantities": (lambda: Design({}, 5), "quantities must name"),
