@@ -1,6 +1,8 @@
 """Entry point of the `lierb` command and of `python -m lierb`."""
 
 import sys
+import warnings
+from typing import Any
 
 from lierb.extras import MissingExtraError, require
 
@@ -17,7 +19,13 @@ def main() -> None:
         sys.exit(str(error))
     from lierb.cli import cli
 
+    warnings.showwarning = _tell
     cli(prog_name="lierb")
+
+
+def _tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+    """A warning in its own words: nobody who types a command asks for a line of Python."""
+    print(f"Warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -344,6 +344,16 @@ def test_command_line_starts_without_matplotlib_and_rich_tables():
     assert done.stdout.strip() == "set()"
 
 
+def test_a_warning_is_told_without_a_line_of_python():
+    code = """
+import lierb.__main__, lierb.cli, warnings
+lierb.cli.cli = lambda **_: warnings.warn("mind it", stacklevel=1)
+lierb.__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "Warning: mind it\n"
+
+
 @pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_ends_the_process_cleanly(tmp_path):
     command = [sys.executable, "-m", "lierb", "paper", "--out", str(tmp_path)]
