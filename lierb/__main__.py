@@ -23,7 +23,7 @@ def main() -> None:
     cli(prog_name="lierb")
 
 
-def _tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
     """A warning in its own words: nobody who types a command asks for a line of Python."""
     print(f"Warning: {message}", file=sys.stderr)
 

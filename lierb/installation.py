@@ -23,7 +23,7 @@ from lierb.joints import JOINTS, Joint
 from lierb.kernels.groups.lie_functions import apply
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.numbers.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
-from lierb.kernels.stepping.driver import integrate_block
+from lierb.kernels.stepping.driver import integrate_blocks
 from lierb.model import Body, Problem
 from lierb.runs.engine import threading_layer
 from lierb.runs.provenance import machine
@@ -61,7 +61,7 @@ def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, and those of this version of lierb that are there."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
-    caches: list[DiskCache] = [cache_of(integrate_block), cache_of(apply)]
+    caches: list[DiskCache] = [cache_of(integrate_blocks), cache_of(apply)]
     kernels = dict(sized(path for each in caches for path in each.entries()))
     return {
         "folder": caches[0].cache_path,

@@ -35,14 +35,14 @@ pytestmark = pytest.mark.skipif(
 FALL = """
 import json, sys
 import lierb
-from lierb.kernels.stepping.driver import integrate_block
+from lierb.kernels.stepping.driver import integrate_blocks
 
 def fall(method="Euler"):
     body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
     problem = lierb.Problem(body, lierb.joints.free(), gravity=(0.0, 0.0, -8.0))
     still = [0.0] * 6
     summary = lierb.integrate(problem, twist0=still, dt=0.25, t_end=1.0, method=method).summary
-    stats = integrate_block.stats
+    stats = integrate_blocks.stats
     print(json.dumps({
         "v": summary["v"][0].as_py()[2],
         "r": summary["position"][0].as_py()[2],
@@ -96,7 +96,7 @@ class Copy:
         return sorted((self.folder / "cache").rglob("*.nbc"))
 
     def entries(self):
-        return len([file for file in self.files() if "integrate_block-" in file.name])
+        return len([file for file in self.files() if "integrate_blocks-" in file.name])
 
 
 def finished(process):
@@ -274,7 +274,7 @@ def test_warm_process_imports_no_package_that_it_does_not_use(copy):
 PUSH = """
 import json
 import lierb
-from lierb.kernels.stepping.driver import integrate_block
+from lierb.kernels.stepping.driver import integrate_blocks
 
 scale = {scale}
 
@@ -289,7 +289,7 @@ def push(t, R, r, omega, v, params):
 body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
 problem = lierb.Problem(body, lierb.joints.free(), forces=push(size=4.0))
 result = lierb.integrate(problem, twist0=[0.0] * 6, dt=0.25, t_end=1.0, method="Euler")
-stats = integrate_block.stats
+stats = integrate_blocks.stats
 print(json.dumps({{
     "v": result.summary["v"][0].as_py(),
     "loaded": sum(stats.cache_hits.values()),

@@ -122,7 +122,7 @@ def test_threads_are_used_in_the_call(monkeypatch):
         address, *shape = map(int, jobs["summary"][0])
         ctypes.memset(address, 0, 8 * math.prod(shape))
 
-    monkeypatch.setattr(lierb.runs.engine, "integrate_blocks", idle)
+    monkeypatch.setattr(lierb.runs.engine, "integrate_on_threads", idle)
     run(threads=1)
     assert set(seen) == {1}
 

@@ -10,7 +10,7 @@ import pytest
 from cases import RECORD, slow_but
 
 import lierb
-from lierb import joints
+from lierb import api, joints
 from lierb.errors import FailedTrajectoryWarning
 
 BOX = (0.0126563, 0.0468281, 0.0569531)
@@ -510,6 +510,29 @@ def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
         alone = run(problem, twists[i]).summary
         names = [name for name in alone.column_names if name not in ("trajectory", "status")]
         assert_same_bits(alone, together.slice(i, 1), names)
+
+
+@pytest.mark.parametrize("differs", ["mass", "gravity", "point"])
+def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, differs):
+    """What all bodies share is found once a thread, and must not be where they do not."""
+    count = 3 * api.DEFAULT_LANES + 1
+    scale = 1.0 + 0.1 * np.arange(count)
+    given = {"mass": 6.075, "gravity": np.array([0, 0, -9.81]), "point": np.array(POINT)}
+
+    def problem_of(scale):
+        own = given | {differs: np.multiply.outer(scale, given[differs])}
+        body = lierb.Body(own["mass"], np.diag(BOX))
+        return lierb.Problem(body, joints.spherical(own["point"]), own["gravity"])
+
+    omega = top[1][0, :3]
+    problem = problem_of(scale)
+    together = run(problem, problem.joint.twist(omega=omega)).summary
+    names = [name for name in together.column_names if name not in ("trajectory", "status")]
+    for i in (1, api.DEFAULT_LANES, count - 1):
+        one = problem_of(scale[i])
+        assert_same_bits(
+            run(one, one.joint.twist(omega=omega)).summary, together.slice(i, 1), names
+        )
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,8 @@ from lierb.kernels.stepping.driver import (
     UNSEEN,
     end_columns,
     history_measures,
-    integrate_block,
     integrate_blocks,
+    integrate_on_threads,
     job_of,
 )
 from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, Columns, Field, inputs_of
@@ -59,7 +59,20 @@ MESSAGE_LENGTH = 200  # of an exception's words, in one line
 
 Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
 
-_layouts: WeakKeyDictionary[Problem, tuple[Places, tuple[Array, ...]]] = WeakKeyDictionary()
+
+class _Layout(NamedTuple):
+    """Where a problem's numbers are.
+
+    differ : whether any of them are others for other bodies.
+    arrays : which shall outlive `places`.
+    """
+
+    places: Places
+    differ: bool
+    arrays: tuple[Array, ...]
+
+
+_layouts: WeakKeyDictionary[Problem, _Layout] = WeakKeyDictionary()
 
 
 def _places_of(field: Field, array: Array) -> Places:
@@ -81,18 +94,16 @@ def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
     return offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
 
 
-def _layout(problem: Problem) -> Places:
-    """Where a problem's numbers are; found once: of a call for one body it takes a tenth of the
-    time.
-    """
+def _layout(problem: Problem) -> _Layout:
+    """Found once: of a call for one body it takes a tenth of the time."""
     if problem not in _layouts:
         columns, arrays = inputs_of(problem.kinds), numbers_of(problem)
         places = np.zeros((columns.count, 2), dtype=np.int64)
         for field, part in columns:
             if field.name in arrays:
                 places[part] = _places_of(field, arrays[field.name])
-        _layouts[problem] = places, tuple(arrays.values())  # which shall outlive them
-    return _layouts[problem][0]
+        _layouts[problem] = _Layout(places, bool(places[:, 1].any()), tuple(arrays.values()))
+    return _layouts[problem]
 
 
 def numbers_of(problem: Problem) -> dict[str, Array]:
@@ -127,12 +138,17 @@ class Inputs:
         return inputs_of(self.problem.kinds)
 
     @property
+    def differ(self) -> bool:
+        """Whether bodies do, not only their starts."""
+        return _layout(self.problem).differ
+
+    @property
     def _start(self) -> dict[str, Array]:
         return {"twist": self.twists} | ({} if self.poses is None else {"pose": self.poses})
 
     def places(self, plan: Plan) -> Places:
         """Of every column: a run that does not go on asks for no state."""
-        places, columns = _layout(self.problem).copy(), self.columns
+        places, columns = _layout(self.problem).places.copy(), self.columns
         for name, array in self._start.items():
             places[columns[name]] = _places_of(STARTS[name], array)
         if self.state is None:
@@ -276,16 +292,18 @@ class Run:
     def _arrays(self) -> dict[str, NDArray]:
         """As the driver takes them; `inputs` is where its threads bring numbers together."""
         places = self.inputs.places(self.plan)
+        varying = np.flatnonzero(places[:, 1])[None]
         blocks = np.empty((self.threads, len(places), self.plan.lanes))
-        return {"places": places, "inputs": blocks, **self.output.arrays}
+        return {"places": places, "varying": varying, "inputs": blocks, **self.output.arrays}
 
     def call(self, chunk: Chunk, begin: int, end: int) -> float:
         """Steps begin … end of a chunk; returns the seconds they took, compilation apart."""
         arrays = self._arrays | {"carried": chunk.carried}
-        jobs = job_of(arrays, chunk.start, chunk.stop, begin, end, self.clock)
-        entry = entry_of(integrate_block, self.plan, arrays["inputs"][0], 0, jobs)
-        loop = (entry, np.zeros(2, dtype=np.int64), self.threads, jobs)
-        run = compiled(integrate_blocks, *loop)
+        sizes = (chunk.start, chunk.stop, begin, end, self.inputs.differ)
+        jobs, counter = job_of(arrays, *sizes, clock=self.clock), np.zeros(2, dtype=np.int64)
+        entry = entry_of(integrate_blocks, self.plan, arrays["inputs"][0], counter, jobs)
+        loop = (entry, counter, self.threads, jobs)
+        run = compiled(integrate_on_threads, *loop)
         with _driver_lock, _thread_mask(self.threads), np.errstate(all="ignore"):
             began = time.perf_counter()
             run(*loop)

@@ -46,8 +46,8 @@ STEP = mp.mpf(10) ** -20
 POINT, ANCHOR = (0.05, 0.02, 0.01), (0.1, 0.2, 0.3)
 
 LOOPS = {  # code of Numba's, and what it works on
-    "groups.lie_functions.apply", "stepping.driver.integrate_block",
-    "stepping.driver.integrate_blocks", "stepping.driver.pack", "stepping.driver.job_of",
+    "groups.lie_functions.apply", "stepping.driver.integrate_blocks",
+    "stepping.driver.integrate_on_threads", "stepping.driver.pack", "stepping.driver.job_of",
     "stepping.clock.Clock.end", "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things

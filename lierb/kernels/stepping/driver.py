@@ -12,12 +12,13 @@ from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple, get_type_hints
 
+import numba
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
 from lierb.compiler import calls
-from lierb.compiler.code import cached
+from lierb.compiler.code import OPTIONS, cached
 from lierb.compiler.entries import call, raise_again, take_turn
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
@@ -90,6 +91,7 @@ NAN = float("nan")
 
 ARRAYS = {
     "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
+    "varying": "int64, [1][columns of inputs in which trajectories differ]",
     "inputs": "[thread][column][lane], where each thread brings a block's numbers together",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
     "summary": "[SUMMARY][trajectory]",
@@ -111,6 +113,7 @@ JOB = np.dtype(
             ("stop", np.int64),  # the one after its last
             ("begin", np.int64),  # step of this call
             ("end", np.int64),  # 0: to look at the start alone
+            ("differ", np.int64),  # 1 where bodies do, 0 where but their starts do
             *get_type_hints(Clock).items(),
         ],
     )
@@ -123,16 +126,17 @@ _CODES = {"i": "q", "f": "d", "V": "4q"}  # of whole numbers, reals, and address
 _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or ()))
 
 
-def job_of(
-    arrays: dict[str, NDArray], first: int, stop: int, begin: int, end: int, clock: Clock
-) -> NDArray:
-    """The record, as an array of one; whoever calls keeps the arrays."""
+def job_of(arrays: dict[str, NDArray], *sizes: int, clock: Clock) -> NDArray:
+    """The record, as an array of one; whoever calls keeps the arrays.
+
+    sizes : first, stop, begin, end and differ.
+    """
     numbers: list[int] = []
     for name in ARRAYS:
         array = arrays[name]
         extents = array.shape + (1,) * (3 - array.ndim)
         numbers += (array.__array_interface__["data"][0], *extents)
-    content = _PACKED.pack(*numbers, first, stop, begin, end, *clock)
+    content = _PACKED.pack(*numbers, *sizes, *clock)
     return np.frombuffer(bytearray(content), JOB)
 
 
@@ -612,16 +616,13 @@ for _formula in (
 # ---- the loop over steps and the loop over blocks ------------------------------------------------
 
 
-@cached()
-def integrate_block(plan, inputs, first, jobs):
+@numba.njit(**OPTIONS, forceinline=True)
+def _integrate_block(plan, body, inputs, first, job, clock):
     """A call's steps of the block that starts with the chunk's trajectory `first`.
 
     With begin = UNSEEN the start is looked at first. With begin = RESUMED the state to start from
     is one of the inputs.
     """
-    job = jobs[0]
-    # Apart from the record: what a loop reads from memory might have been written there.
-    clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
     column, summary = job.first + first, numbers_at(job.summary)
     last, stop = clock.steps, job.end
     if job.begin == UNSEEN:
@@ -637,7 +638,6 @@ def integrate_block(plan, inputs, first, jobs):
     )
     multipliers, reactions = histories_at(job.multipliers), histories_at(job.reactions)
     resumes, k, h = job.begin == RESUMED, max(job.begin, 0), clock.dt
-    body = load_body(plan, inputs)
     if resumes:
         state = resumed_state(plan, body, inputs)
     elif k > 0:
@@ -701,34 +701,44 @@ def pack(job, inputs, first, is_new):
 
     is_new : whether `inputs` lacks even what all trajectories share.
     """
-    places = integers_at(job.places)
+    places, varying = integers_at(job.places), integers_at(job.varying)
     begin, last = job.first + first, job.stop - 1
-    for c in range(inputs.shape[0]):
+    for i in range(inputs.shape[0] if is_new else varying.shape[1]):
+        c = i if is_new else varying[0, i]
         address, stride = places[c, 0], places[c, 1]
-        if stride != 0 or is_new:
-            for lane in range(inputs.shape[1]):
-                inputs[c, lane] = number_at(address + stride * min(begin + lane, last))
+        for lane in range(inputs.shape[1]):
+            inputs[c, lane] = number_at(address + stride * min(begin + lane, last))
+
+
+@cached()
+def integrate_blocks(plan, inputs, counter, jobs):
+    """Block after block: each thread takes the next, since cores need not be equally fast.
+
+    inputs : where the thread brings a block's numbers together.
+    counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
+    """
+    job, lanes = jobs[0], inputs.shape[1]
+    # Apart from the record: what a loop reads from memory might have been written there.
+    clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
+    blocks = (job.stop - job.first + lanes - 1) // lanes
+    is_new = True
+    while True:
+        block = take_turn(counter)
+        if block >= blocks:
+            break
+        pack(job, inputs, block * lanes, is_new)
+        if is_new or job.differ:  # what all share is found once
+            body = load_body(plan, inputs)
+        _integrate_block(plan, body, inputs, block * lanes, job, clock)
+        is_new = False
 
 
 @cached(parallel=True)
-def integrate_blocks(integrate, counter, threads, jobs):
-    """All blocks by `integrate`, an entry of integrate_block: one loop for all plans.
-
-    counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
-    """
-    for thread in prange(threads):  # each takes what comes next: cores need not be equally fast
-        job = jobs[0]
-        inputs = histories_at(job.inputs)[thread]
-        lanes = inputs.shape[1]
-        blocks = (job.stop - job.first + lanes - 1) // lanes
-        is_new = True
-        while True:
-            block = take_turn(counter)
-            if block >= blocks:
-                break
-            pack(job, inputs, block * lanes, is_new)
-            is_new = False
-            raised = call(integrate, inputs, block * lanes, jobs)
-            if raised != 0:
-                counter[1] = raised
+def integrate_on_threads(integrate, counter, threads, jobs):
+    """All blocks by `integrate`, an entry of integrate_blocks: one parallel loop for all plans."""
+    for thread in prange(threads):
+        inputs = histories_at(jobs[0].inputs)[thread]
+        raised = call(integrate, inputs, counter, jobs)
+        if raised != 0:
+            counter[1] = raised
     raise_again(counter[1])
