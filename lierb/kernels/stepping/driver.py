@@ -616,7 +616,7 @@ for _formula in (
 # ---- the loop over steps and the loop over blocks ------------------------------------------------
 
 
-@numba.njit(**OPTIONS, forceinline=True)
+@numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
 def _integrate_block(plan, body, inputs, first, job, clock):
     """A call's steps of the block that starts with the chunk's trajectory `first`.
 
