@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lierb.animation.page import Animation, animate
 from lierb.arrays import Array, assembled, components
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
@@ -155,6 +157,25 @@ class Result(Shown):
     def __reduce__(self) -> Any:
         """Without its end, whose problem may have functions that cannot be pickled."""
         return Result, (self.summary, self.history)
+
+    # ---- pictures ----
+
+    def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
+        """A moving picture of trajectories, written to `path`, an HTML file; a notebook shows it.
+
+        options : `trajectories`, `shape`, `trail`, `frames`, `title`, …: see `lierb.animate`, which
+            also puts several results side by side.
+
+        Needs the poses over time: `save_every=…, record="state"`. Raises ArgumentError without.
+
+        >>> import lierb
+        >>> body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> flight = lierb.Problem(body, lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> lierb.integrate(flight, **start, save_every=1, record="state").animate()
+        <lierb.animation.Animation 'free joint, RK4, dt = 0.1 s': 1 view; save(path) writes it>
+        """
+        return animate(self, path, **options)
 
     # ---- data frames ----
 
