@@ -240,7 +240,16 @@ function start(scene) {
     pen.fill();
   };
 
-  const floor = scene.floor === null ? null : scene.floor;
+  /** On a light ground of its own: a body may be behind it. */
+  function label(pen, text, x, y, width) {
+    pen.lineWidth = 3;
+    pen.setLineDash([]);
+    pen.strokeStyle = "rgba(255,255,255,0.85)";
+    pen.strokeText(text, x, y, width);
+    pen.fillText(text, x, y, width);
+  }
+
+  const floor = scene.floor;
   const grid = nice(scene.radius / 2);
 
   function drawFloor(pen, see, bodies, view) {
@@ -333,7 +342,7 @@ function start(scene) {
     ["e₁", "e₂", "e₃"].forEach((name, i) => {
       const tip = see([0, 1, 2].map((n) => (n === i ? 0.3 * scene.size : 0)));
       line(pen, [o, tip], "#888", 1.2);
-      pen.fillText(name, tip[0] + 3, tip[1] - 3);
+      label(pen, name, tip[0] + 3, tip[1] - 3);
     });
   }
 
@@ -368,13 +377,13 @@ function start(scene) {
     if (view.title) pen.fillRect(rect.x + 8, rect.y + 8, 11, 11);
     pen.fillStyle = "#1a1a1a";
     pen.font = "600 13px system-ui, sans-serif";
-    pen.fillText(view.title, rect.x + 24, rect.y + 18, rect.w - 30);
+    label(pen, view.title, rect.x + 24, rect.y + 18, rect.w - 30);
     pen.font = "12px system-ui, sans-serif";
     const gap = Math.max(0, ...joints.filter(Boolean).map((j) => j.gap));
     const told = alive.length < bodies.length ? "failed: there is no state any more"
       : joints.length ? `gap ${short(gap)} m` + (factor > 1 ? `, shown × ${short(factor)}` : "") : "";
     pen.fillStyle = alive.length < bodies.length ? "#b00020" : "#555";
-    pen.fillText(told, rect.x + 8, rect.y + (view.title ? 35 : 18), rect.w - 14);
+    label(pen, told, rect.x + 8, rect.y + (view.title ? 35 : 18), rect.w - 14);
     pen.restore();
   }
 
@@ -437,7 +446,7 @@ function start(scene) {
       pen.fillStyle = "#666";
       pen.font = "11px system-ui, sans-serif";
       if (!range) {
-        pen.fillText("exactly 0 throughout", box.x, box.y + box.h / 2);
+        pen.fillText("exactly 0", box.x, box.y + box.h / 2, box.w);
       } else {
         const up = (x) => box.y + box.h * (1 - Math.max(0, Math.log10(Math.max(x, 1e-300)) - range.bottom) / (range.top - range.bottom));
         const every = Math.ceil((range.top - range.bottom) / Math.max(2, Math.floor(box.h / 18)));

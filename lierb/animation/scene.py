@@ -80,7 +80,7 @@ def scene_of(
     notes = []
     if max(turns) > TURN_SEEN:
         notes.append(
-            f"A body turns by up to {max(turns):.1f} rad from one saved time to the next: save "
+            f"A body turns by up to {max(turns):.3g} rad from one saved time to the next: save "
             "more often to see which way."
         )
     return {
@@ -273,4 +273,5 @@ def _largest_factor(gap: float, size: float) -> float:
     """By how much the slider magnifies at most: a power of ten; 1 where nothing would be seen."""
     if gap * MOST_MAGNIFIED < 1e-3:
         return 1.0
-    return float(10.0 ** min(math.ceil(math.log10(GAP_SHOWN / gap)), math.log10(MOST_MAGNIFIED)))
+    factor = 10.0 ** math.ceil(math.log10(GAP_SHOWN / gap))
+    return float(min(max(factor, 1.0), MOST_MAGNIFIED))
