@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,9 @@ from lierb.shown import FAILED, Lines, Shown, counted
 if TYPE_CHECKING:
     import pandas
     import polars
+    from matplotlib.figure import Figure
+
+    from lierb.model import Problem
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 TABLES = ("summary", "history")
@@ -176,6 +180,36 @@ class Result(Shown):
         <lierb.animation.Animation 'free joint, RK4, dt = 0.1 s': 1 view; save(path) writes it>
         """
         return animate(self, path, **options)
+
+    def plot(
+        self,
+        columns: str | Iterable[str] = (),
+        *,
+        trajectories: int | Iterable[int] | None = None,
+        problem: Problem | None = None,
+    ) -> Figure:
+        """What is in the history, over time, as a Matplotlib figure; needs `lierb[plot]`.
+
+        columns : which panels: "angles", "trace" (where the body's axis points, on the sphere),
+            "position" and "omega", of a recorded state; and any column of the history, such as
+            "energy", "position_error" or an observable. Default: all but rates of errors.
+        trajectories : their numbers. Default: all; of more than six, median and 5 to 95 %.
+        problem : of a result that was pickled, which has lost its own.
+
+        Errors are drawn on logarithmic axes, where a zero is a gap. Raises ArgumentError without a
+        history, MissingExtraError without Matplotlib.
+
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+        >>> [panel.get_title(loc="left") for panel in result.plot(["position", "omega"]).axes]
+        ['centre of mass [m]', 'angular velocity [rad/s]']
+        """
+        require("plot")
+        from lierb.history_plots import history_figure
+
+        return history_figure(self, columns, trajectories=trajectories, problem=problem)
 
     # ---- data frames ----
 
