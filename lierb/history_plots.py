@@ -13,19 +13,23 @@ from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-import matplotlib  # after lierb.plots, which says what to install
 import numpy as np
 import pyarrow as pa
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.extras import require
 from lierb.joints import TURNS
 from lierb.model import Problem
-from lierb.plots import COLOURS, STYLE
 from lierb.runs.columns import as_array
+
+require("plot")
+import matplotlib  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.lines import Line2D  # noqa: E402
+
+from lierb.plots import COLOURS, STYLE  # noqa: E402
 
 if TYPE_CHECKING:
     from lierb.result import Result
