@@ -246,6 +246,7 @@ def _draw_errors(
                                                    else most)))  # fmt: skip
     panel.set_ylabel(label)
     panel.set_xlabel("time [s]")
+    panel.locator_params(axis="x", nbins=6)
     log_axes(panel, "y", zeros, NO_TIMES)
     if len(shown) > MOST_KEYS and ends:
         label_lines(panel, ends)
@@ -365,16 +366,17 @@ def _draw_dots(
 ) -> None:
     zeros, on_edge = [], []
     for n, (look, errors, columns) in enumerate(found):
-        size = 1.6 + 2.4 * (len(found) - 1 - n) / len(found)  # a dot on another leaves its rim
+        size = 2.0 + 2.4 * (len(found) - 1 - n) / len(found)  # a dot on another leaves its rim
         heights = positive(errors, least)
         if errors.size and not np.isfinite(heights).any():
             zeros.append(look.key.label)
             continue
         panel.plot(columns[label], heights, "o", color=look.key.colour, markersize=size,
-                   markeredgewidth=0, alpha=0.45, rasterized=True)  # fmt: skip
+                   markeredgewidth=0, alpha=0.6, rasterized=True)  # fmt: skip
         on_edge.append((look, columns[label][np.isnan(heights)]))
     panel.set_xlabel(label, parse_math=False)
     panel.set_ylabel(error)
+    panel.locator_params(axis="x", nbins=5)
     log_axes(panel, "y", zeros)
     for look, at in on_edge:
         if at.size:

@@ -167,6 +167,7 @@ def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BO
         panel.annotate(
             "\n".join(told), (0.99, 0.02), xycoords="axes fraction", ha="right", va="bottom",
             fontsize=8, color=GREY,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )  # fmt: skip
 
 

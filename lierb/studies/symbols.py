@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from unicodedata import normalize
 
 from lierb.arrays import Array
 from lierb.studies.study import Study
@@ -15,6 +16,7 @@ SYMBOLS = {  # of the components of a vector, or one word for each of them
     "initial.point_velocity": ("ṗ₁", "ṗ₂", "ṗ₃"),
     "initial.place": ("d₁", "d₂", "d₃"),
     "body.inertia": ("I₁", "I₂", "I₃"),
+    "body.second_moments": ("∫x₁² dm", "∫x₂² dm", "∫x₃² dm"),
     "body.com": ("c₁", "c₂", "c₃"),
     "problem.gravity": ("g₁", "g₂", "g₃"),
 }
@@ -51,7 +53,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     word = owner + key.replace("_", " ")
     if not is_vector:
         return [word]
-    return [f"{word} {i + 1}".translate(SUBSCRIPTS) for i in range(width)]
+    return [word + str(i + 1).translate(SUBSCRIPTS) for i in range(width)]
 
 
 def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
@@ -62,5 +64,6 @@ def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
     found = []
     for name in names:
         letter, number = name.rstrip("0123456789"), name.lstrip("abcdefghijklmnopqrstuvwxyz")
-        found.append(GREEK.get(letter, letter) + rate + number.translate(SUBSCRIPTS))
+        symbol = GREEK.get(letter, letter) + rate + number.translate(SUBSCRIPTS)
+        found.append(normalize("NFC", symbol))  # fonts have ḋ, few place a dot on a d
     return found
