@@ -276,6 +276,18 @@ def test_what_failed_ends_as_nan_and_is_named():
     poses = decoded(view["bodies"][0]["poses"], 7)
     assert np.isfinite(poses[0]).all()
     assert np.isnan(poses[-1]).all()
+    json.dumps(result.animate().scene, allow_nan=False)
+
+
+def test_a_body_that_runs_away_leaves_a_page_that_can_be_read():
+    """Up to 1e100 m, which single precision has no number for, and JSON none for infinity."""
+    body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free())
+    result = integrate(flight, twist0=(0.0, 0.0, 0.0, 1e100, 0.0, 0.0), dt=0.1, t_end=1.0,
+                       save_every=1)  # fmt: skip
+    scene = result.animate().scene
+    json.dumps(scene, allow_nan=False)
+    assert np.isinf(decoded(scene["views"][0]["bodies"][0]["poses"], 7)[-1, 4])
 
 
 # ---- what is refused ---------------------------------------------------------------------------

@@ -65,10 +65,10 @@ function between(numbers, width, k, s) {
 /** A body's pose: {m, p}, between two saved times by the shorter way; null after a failure. */
 function poseAt(poses, k, s) {
   const a = between(poses, 7, k, 0);
-  if (!(a[0] * 0 === 0)) return null;
+  if (!a.every(Number.isFinite)) return null;
   if (s > 0) {
     const b = between(poses, 7, k + 1, 0);
-    if (!(b[0] * 0 === 0)) return { m: matrix(a), p: a.slice(4) };
+    if (!b.every(Number.isFinite)) return { m: matrix(a), p: a.slice(4) };
     const sign = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0 ? -1 : 1;
     for (let i = 0; i < 4; i++) a[i] = mix(a[i], sign * b[i], s);
     for (let i = 4; i < 7; i++) a[i] = mix(a[i], b[i], s);
@@ -293,29 +293,39 @@ function start(scene) {
     });
   }
 
-  /** A trail's points at all saved times, as they are drawn with this factor. */
+  /** A trail's points at all saved times, as they are drawn with this factor; NaN after a failure. */
   function trailOf(view, n) {
     const body = view.bodies[n];
-    if (!body.trail) return null;
     if (!body.path || body.pathFactor !== factor) {
       body.pathFactor = factor;
-      body.path = Array.from(view.t, (_, k) => {
+      body.path = new Float64Array(3 * view.t.length).fill(NaN);
+      for (let k = 0; k < view.t.length; k++) {
         const pose = shown(view, k, 0, factor).bodies[n];
-        return pose && place(pose, body.trail);
-      });
+        if (pose) body.path.set(place(pose, body.trail), 3 * k);
+      }
     }
     return body.path;
   }
 
-  function drawTrail(pen, view, n, k, head, see, colour) {
-    const path = trailOf(view, n);
-    if (!path || !head) return;
-    const first = Math.max(0, k - TRAIL), parts = 10;
-    const points = path.slice(first, k + 1).filter(Boolean).map(see);
-    points.push(see(place(head, view.bodies[n].trail)));
-    for (let i = 0; i < parts; i++) {
-      const from = Math.floor((i * (points.length - 1)) / parts), to = Math.floor(((i + 1) * (points.length - 1)) / parts);
-      if (to > from) line(pen, points.slice(from, to + 1), `rgba(${colour},${0.1 + (0.7 * i) / parts})`, 1.6);
+  /** The way of a body's point up to now, fading; written out, since it has most of a frame's points. */
+  function drawTrail(pen, view, n, k, head, rect, colour) {
+    if (!view.bodies[n].trail || !head) return;
+    const path = trailOf(view, n), first = Math.max(0, k - TRAIL), parts = 8;
+    const now = place(head, view.bodies[n].trail), [cx, cy, cz] = view.centre || scene.centre;
+    const { forward: f, right: r, up: u } = camera.axes, size = (0.5 * Math.min(rect.w, rect.h)) / Math.tan(HALF_ANGLE);
+    const mx = rect.x + rect.w / 2, my = rect.y + rect.h / 2;
+    pen.lineWidth = 1.6;
+    pen.setLineDash([]);
+    for (let part = 0; part < parts; part++) {
+      const from = first + Math.floor((part * (k - first)) / parts), to = first + Math.floor(((part + 1) * (k - first)) / parts);
+      pen.beginPath();
+      for (let i = from; i <= to + (part === parts - 1); i++) {
+        const last = i > k, x = (last ? now[0] : path[3 * i]) - cx, y = (last ? now[1] : path[3 * i + 1]) - cy, z = (last ? now[2] : path[3 * i + 2]) - cz;
+        const scale = size / Math.max(f[0] * x + f[1] * y + f[2] * z + camera.distance, 1e-3 * camera.distance);
+        pen.lineTo(mx + scale * (r[0] * x + r[1] * y + r[2] * z), my - scale * (u[0] * x + u[1] * y + u[2] * z));
+      }
+      pen.strokeStyle = `rgba(${colour},${0.12 + (0.7 * part) / parts})`;
+      pen.stroke();
     }
   }
 
@@ -363,7 +373,7 @@ function start(scene) {
     const polygons = [];
     bodies.forEach((pose, i) => {
       const colour = RGB[(n + i) % RGB.length];
-      drawTrail(pen, view, i, k, pose, see, colour);
+      drawTrail(pen, view, i, k, pose, rect, colour);
       if (pose) faces(view.bodies[i], pose, see, colour, polygons);
     });
     polygons.sort((a, b) => b.depth - a.depth);
@@ -469,13 +479,14 @@ function start(scene) {
 
   // ---- controls ----
 
+  const texts = {}, put = (id, text) => { if (texts[id] !== text) $(id).textContent = texts[id] = text; };
   function show() {
-    $("play").textContent = playing ? "❚❚" : "▶";
+    put("play", playing ? "❚❚" : "▶");
     $("scrub").value = (t - begin) / (end - begin || 1);
     const figures = Math.max(0, Math.min(4, 3 - Math.floor(Math.log10(end - begin || 1))));
-    $("time").textContent = `${t.toFixed(figures)} s of ${short(end)} s`;
-    $("speeds").textContent = speed >= 1 ? `× ${speed}` : `× 1/${1 / speed}`;
-    $("factor").textContent = short(Math.round(factor) < 10 ? +factor.toFixed(1) : factor);
+    put("time", `${t.toFixed(figures)} s of ${short(end)} s`);
+    put("speeds", speed >= 1 ? `× ${speed}` : `× 1/${1 / speed}`);
+    put("factor", short(Math.round(factor) < 10 ? +factor.toFixed(1) : factor));
     wanted = true;
   }
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from lierb.animation.gaps import gap_of
 from lierb.animation.shapes import Shape, equivalent
@@ -44,6 +45,7 @@ MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible: it is no gap
 WANDERS = 12.0  # times its size: a body that goes farther is followed by the camera
 TURN_SEEN = 0.5 * math.pi  # rad from frame to frame: beyond, one does not see which way it turns
 CENTRED = 0.02  # of the size: a centre of mass nearer to the joint draws no trail
+RUNAWAY = 1e30  # m: what is farther is not looked at; float32 ends at 3e38
 RECORD = (
     'an animation needs the poses over time: integrate with save_every=… and record="state", such '
     "as save_every=10"
@@ -100,7 +102,12 @@ def scene_of(
 
 def encoded(array: Array) -> str:
     """float32, little-endian, in base64."""
-    return base64.b64encode(np.ascontiguousarray(array, "<f4").tobytes()).decode()
+    return base64.b64encode(_single(array).tobytes()).decode()
+
+
+def _single(array: Array) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # of a body that runs away: infinite, which is not drawn
+        return np.ascontiguousarray(array, "<f4")
 
 
 def poses_of(history: pa.Table, count: int, number: int, rows: Array) -> Array:
@@ -249,7 +256,8 @@ def _slides(joint: Joint) -> tuple[list[int], list[int]]:
 
 def _swept(poses: Array, shape: Shape, problem: Problem) -> Array:
     """Places of the body's outermost vertices, and the ground's joint point; (k, 3)."""
-    alive = poses[np.isfinite(poses).all(axis=(1, 2))]
+    with np.errstate(invalid="ignore"):
+        alive = poses[(np.abs(poses) < RUNAWAY).all(axis=(1, 2))]
     corners = shape.vertices[np.unique(np.r_[shape.vertices.argmin(0), shape.vertices.argmax(0)])]
     swept = np.einsum("tij,kj->tki", alive[:, :3, :3], corners) + alive[:, None, :3, 3]
     points = swept.reshape(-1, 3)
@@ -259,14 +267,17 @@ def _swept(poses: Array, shape: Shape, problem: Problem) -> Array:
 def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array) -> float:
     """The largest turn from one frame to the next, rad, by its rates: poses do not count turns."""
     omega = as_array(history["omega"]).reshape(-1, count, 3)[rows, number]
-    turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
+    with np.errstate(all="ignore"):
+        turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))
 
 
 def _gap_size(gap: Array, size: float) -> float:
     """The largest gap relative to the body's size, or in rad."""
-    turned, moved = (np.linalg.norm(part, axis=1) for part in (gap[:, :3], gap[:, 3:]))
-    return float(np.nanmax(np.maximum(turned, moved / size), initial=0.0))
+    with np.errstate(invalid="ignore"):
+        near = gap[(np.abs(gap) < RUNAWAY).all(axis=1)]
+    turned, moved = (np.linalg.norm(part, axis=1) for part in (near[:, :3], near[:, 3:]))
+    return float(np.max(np.maximum(turned, moved / size), initial=0.0))
 
 
 def _largest_factor(gap: float, size: float) -> float:
