@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import warnings
 from unicodedata import normalize
 
@@ -203,5 +204,4 @@ def test_of_a_study_that_failed_the_first_failure_is_shown(tmp_path):
     assert picked.kind is None
     animation = replays.replayed(given, picked)
     assert "non_finite" in animation.scene["views"][0]["title"]
-    assert "NaN" not in animation.html()
-    assert "Infinity" not in animation.html().split("</script>")[0]
+    json.dumps(animation.scene, allow_nan=False)  # which a browser would not read
