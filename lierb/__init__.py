@@ -3,7 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from lierb import bodies, errors, forces, joints, lie, sampling
+from lierb import animation, bodies, errors, forces, joints, lie, sampling
+from lierb.animation import animate
 from lierb.api import integrate
 from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
@@ -27,6 +28,8 @@ __all__ = [
     "ButcherTableau",
     "Problem",
     "Result",
+    "animate",
+    "animation",
     "bodies",
     "clip",
     "constraint",

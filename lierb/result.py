@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lierb.animation.page import Animation, animate
 from lierb.arrays import Array, assembled, components
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
@@ -25,6 +28,9 @@ from lierb.shown import FAILED, Lines, Shown, counted
 if TYPE_CHECKING:
     import pandas
     import polars
+    from matplotlib.figure import Figure
+
+    from lierb.model import Problem
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 TABLES = ("summary", "history")
@@ -155,6 +161,55 @@ class Result(Shown):
     def __reduce__(self) -> Any:
         """Without its end, whose problem may have functions that cannot be pickled."""
         return Result, (self.summary, self.history)
+
+    # ---- pictures ----
+
+    def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
+        """A moving picture of trajectories, written to `path`, an HTML file; a notebook shows it.
+
+        options : `trajectories`, `shape`, `trail`, `frames`, `title`, …: see `lierb.animate`, which
+            also puts several results side by side.
+
+        Needs the poses over time: `save_every=…, record="state"`. Raises ArgumentError without.
+
+        >>> import lierb
+        >>> body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> flight = lierb.Problem(body, lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> lierb.integrate(flight, **start, save_every=1, record="state").animate()
+        <lierb.animation.Animation 'free joint, RK4, dt = 0.1 s': 1 view; save(path) writes it>
+        """
+        return animate(self, path, **options)
+
+    def plot(
+        self,
+        columns: str | Iterable[str] = (),
+        *,
+        trajectories: int | Iterable[int] | None = None,
+        problem: Problem | None = None,
+    ) -> Figure:
+        """What is in the history, over time, as a Matplotlib figure; needs `lierb[plot]`.
+
+        columns : which panels: "angles", "trace" (where the body's axis points, on the sphere),
+            "position" and "omega", of a recorded state; and any column of the history, such as
+            "energy", "position_error" or an observable. Default: all but rates of errors.
+        trajectories : their numbers. Default: all; of more than six, median and 5 to 95 %.
+        problem : of a result that was pickled, which has lost its own.
+
+        Errors are drawn on logarithmic axes, where a zero is a gap. Raises ArgumentError without a
+        history, MissingExtraError without Matplotlib.
+
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+        >>> [panel.get_title(loc="left") for panel in result.plot(["position", "omega"]).axes]
+        ['centre of mass [m]', 'angular velocity [rad/s]']
+        """
+        require("plot")
+        from lierb.history_plots import history_figure
+
+        return history_figure(self, columns, trajectories=trajectories, problem=problem)
 
     # ---- data frames ----
 

@@ -15,6 +15,7 @@ import pytest
 TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
+    "pictures": ("animation", "history_plots"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
     "studies": ("cluster", "study", "dataset"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),

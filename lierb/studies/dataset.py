@@ -31,7 +31,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -40,6 +40,7 @@ import pyarrow.parquet as pq
 from filelock import FileLock, Timeout
 
 from lierb.errors import LierbError, StudyError, StudyFileError
+from lierb.extras import require
 from lierb.runs.failures import COLUMNS, Failures
 from lierb.runs.provenance import machine
 from lierb.shown import FAILED, Lines, Shown
@@ -65,6 +66,9 @@ from lierb.studies.manifest import (
     sealed,
 )
 from lierb.studies.study import Setting, Study, settings_told
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
@@ -383,6 +387,22 @@ class Dataset(Shown):
         for _, failed in failing:
             counts.update(failed)
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
+
+    def plot(self, name: str | None = None) -> Figure:
+        """A figure of the study's results, finished or not; needs `lierb[plot]`.
+
+        name : "distribution", errors over the bodies; "time", over time; "recorded", what else the
+            history has, such as energy and observables; "quantities", what else the summary has;
+            "order", errors over dt; "parameters", over what was sampled. Default: "time" where
+            there is a history, else "distribution".
+
+        `lierb plot FOLDER` writes them all. Raises UnknownNameError for one that the study has
+        nothing for, MissingExtraError without Matplotlib.
+        """
+        require("plot")
+        from lierb.studies.figures import figure
+
+        return figure(self, name)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Files of the summary, setting by setting, and their entries."""

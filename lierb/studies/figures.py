@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from lierb.arrays import Array
+from lierb.errors import require_name
 from lierb.extras import require
+from lierb.kernels.stepping.measures import KEPT, MEASURES
 from lierb.studies.convergence import ROUNDING_FLOOR
 from lierb.studies.dataset import Dataset
 from lierb.studies.files import write_whole
 from lierb.studies.findings import (
     ERRORS,
-    QUANTILES,
-    components,
+    Found,
     drawn_columns,
     errors_seen,
     findings,
@@ -26,15 +29,31 @@ from lierb.studies.findings import (
     some_rows,
     study_of,
 )
+from lierb.studies.panels import (
+    MOST_KEYS,
+    NO_TIMES,
+    Draw,
+    Key,
+    Look,
+    Ridge,
+    Sheet,
+    figure_of,
+    label_lines,
+    log_axes,
+    looks,
+    positive,
+    ridges,
+)
 from lierb.studies.sizes import rows_of
 from lierb.studies.study import Setting, Study
+from lierb.studies.symbols import labelled
+from lierb.tableaus import tableau_of
 
 require("plot")
-import matplotlib  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.plots import COLOURS, CSPACE_NAMES, STYLE, drawable, save  # noqa: E402
+from lierb.plots import CSPACE_NAMES, save  # noqa: E402
 
 AXES = {
     "position": "position error [m]",
@@ -43,187 +62,347 @@ AXES = {
 }
 FINAL = {"position": "position_error_final", "rotation": "rotation_error_final"}
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
-DASHES = ("-", "--", ":", "-.")
 POINTS = 4000  # of a scatter plot, at most
 RANKS = 2000  # points of a distribution function, at most
-MOST_TITLE = 60  # characters of a study's name in a title
-NO_BODY = "nothing to draw: no body got to its end"
+KNOWN = {  # columns that other figures have, or that are no results
+    "trajectory", "status", "cspace", "method", "dt", "step", "t",
+    "rotation", "position", "omega", "v", "lambda", "reaction",
+}  # fmt: skip
+IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
+IN_SUMMARY = KNOWN | {f"{measure.name}_{how}" for measure, how in KEPT}
+CAPTIONS = {
+    "distribution": "The share of the bodies whose largest error is at or below a value, and "
+    "histograms: each body's largest error (filled), and that at the end of its run (outline).",
+    "time": "Median (thick), 5 to 95 % of the bodies (band) and the largest (thin) at each time.",
+    "recorded": "What else was recorded: median (line) and 5 to 95 % of the bodies (band).",
+    "quantities": "What else the bodies' summaries have: a histogram for each setting.",
+    "order": "Median, 95 % and largest of the bodies over the step; grey: the method's order.",
+    "parameters": "A dot is a body: its largest error against each sampled number; zeros on the "
+    "lower edge.",
+}
 
 
 def omitted(dataset: Dataset) -> dict[str, str]:
-    """The figures that `figures` leaves out, by name, and why."""
+    """The figures that there is no need for, by name, and why."""
     study = study_of(dataset)
-    drawn = drawn_columns(dataset)
-    rows = ok_columns(dataset, study.settings[0], list(drawn))
+    rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
     reasons = {
         "time": (study.integrate.save_every is None, "save_every is not set"),
         "order": (len(set(study.integrate.dt)) < 2, "there is one dt"),
-        "parameters": (not list(components(drawn, rows)), "no numbers are sampled"),
+        "parameters": (not list(labelled(drawn, rows, study)), "no numbers are sampled"),
     }
     return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
 
 
-def figures(dataset: Dataset) -> Iterator[tuple[str, Figure]]:
+def sheets(dataset: Dataset) -> Iterator[tuple[str, Sheet]]:
     """Every figure that the study has settings for, by name; what has no data says so."""
     study, left_out = study_of(dataset), omitted(dataset)
-    kinds: dict[str, Callable[[Dataset, Study], Figure]] = {
-        "distribution": distribution_figure,
-        "time": time_figure,
-        "order": order_figure,
-        "parameters": parameter_figure,
-    }
-    for name, draw in kinds.items():
+    for name, make in KINDS.items():
         if name not in left_out:
-            with matplotlib.rc_context(STYLE):
-                figure = draw(dataset, study)
-            yield name, figure
+            sheet = make(dataset, study)
+            if sheet.panels:
+                yield name, sheet
+
+
+def figures(dataset: Dataset) -> Iterator[tuple[str, Figure]]:
+    """The same, drawn."""
+    study = study_of(dataset)
+    for name, sheet in sheets(dataset):
+        yield name, figure_of(sheet, study)
+
+
+def figure(dataset: Dataset, name: str | None = None) -> Figure:
+    """One of them; see `Dataset.plot`."""
+    found = dict(sheets(dataset))
+    if name is None:
+        name = "time" if "time" in found else "distribution"
+    require_name("name", name, found)
+    return figure_of(found[name], study_of(dataset))
 
 
 def draw_all(dataset: Dataset, folder: Path) -> list[Path]:
     """The figures, as PNG and SVG in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, figure in figures(dataset):
+    for name, drawn in figures(dataset):
         for kind in ("png", "svg"):
             path = folder / f"{name}.{kind}"
             content = BytesIO()
-            save(figure, content, kind)
+            save(drawn, content, kind)
             write_whole(path, content.getvalue())
             written.append(path)
     return written
 
 
-def distribution_figure(dataset: Dataset, study: Study) -> Figure:
-    """How the errors are distributed over the bodies: shares at or below, and histograms.
-
-    Of the largest errors thick, of those at the end of the run thin; a colour for each c-space and
-    method, a dash for each dt.
-    """
-    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
-    across = len(shown)
-    figure, panels = _panels(
-        study, "Errors over the bodies: largest (thick), at the end (thin)", across, 2
-    )
-    for n, (kind, largest) in enumerate(shown.items()):
-        below, histogram = panels[n], panels[n + across]
-        for setting, style in styles(study):
-            for name, width in ((largest, 1.6), (FINAL.get(kind), 0.7)):
-                if name is None:
-                    continue
-                found = ok_columns(dataset, setting, [name])[name]
-                values = np.sort(drawable(found[np.isfinite(found)], least[kind]))
-                if not values.size:
-                    continue
-                ranks = np.unique(np.linspace(0, values.size - 1, RANKS).astype(int))
-                share = (ranks + 1) / values.size
-                below.step(values[ranks], share, where="post", linewidth=width, **style)
-                counts, edges = np.histogram(np.log10(values), _decades(values))
-                histogram.stairs(
-                    counts / values.size, 10.0**edges, color=style["color"],
-                    linestyle=style["linestyle"], linewidth=width,
-                )  # fmt: skip
-        histogram.sharex(below)
-        for panel in (below, histogram):
-            panel.set_xlabel(AXES[kind])
-            _log_axes(panel, "x")
-    panels[0].set_ylabel("share of the bodies at or below")
-    panels[across].set_ylabel("share of the bodies in a bin")
-    _legend(figure, panels)
-    return figure
+# ---- over the bodies ---------------------------------------------------------------------------
 
 
-def _decades(values: Array) -> Array:
-    """Edges of a histogram's bins: ten to a decade, fewer than a hundred in all."""
-    low, high = np.log10(values[0]), np.log10(values[-1])
-    bins = int(np.clip(10 * (high - low), 10, 100))
-    return np.linspace(low - 0.01, high + 0.01, bins + 1)
+def distribution_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """How the errors are distributed over the bodies: shares at or below, and histograms."""
+    seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
+    panels: list[Draw] = []
+    for kind, largest in seen.items():
+        final = FINAL.get(kind)
+        rows = [
+            _ridge(dataset, look, largest, final if final in _summary(dataset) else None)
+            for look in shown
+        ]
+        panels.append(partial(_draw_shares, rows, shown, least[kind], AXES[kind]))
+        panels.append(partial(_draw_ridges, rows, least[kind], f"largest {AXES[kind]}", True))
+    return Sheet("errors over the bodies", panels, [look.key for look in shown],
+                 height=max(3.2, 0.42 * len(shown) + 0.9))  # fmt: skip
 
 
-def time_figure(dataset: Dataset, study: Study) -> Figure:
+def quantity_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """Histograms of the summary's other columns, such as those of observables."""
+    shown, panels = looks(study), []
+    for field in _others(_schema(dataset, "summary"), IN_SUMMARY):
+        rows = [_ridge(dataset, look, field.name, None) for look in shown]
+        panels.append(partial(_draw_ridges, rows, -1.0, _axis(field), False))
+    return Sheet("other quantities over the bodies", panels, across=3,
+                 height=max(2.4, 0.42 * len(shown) + 0.9))  # fmt: skip
+
+
+def _ridge(dataset: Dataset, look: Look, name: str, outline: str | None) -> Ridge:
+    names = [name] if outline is None else [name, outline]
+    found = ok_columns(dataset, look.setting, names)
+    return Ridge(look.key, found[name], found[outline] if outline else np.empty(0))
+
+
+def _draw_shares(
+    rows: list[Ridge], shown: list[Look], least: float, label: str, panel: Axes
+) -> None:
+    zeros, ends = [], []
+    for row, look in zip(rows, shown):
+        values = np.sort(row.values[np.isfinite(row.values)])
+        none = int(np.searchsorted(values, least, side="right"))
+        if none and none == len(values):
+            zeros.append(row.key.label)
+        if none == len(values):
+            continue
+        ranks = np.unique(np.linspace(none, len(values) - 1, RANKS).astype(int))
+        share = (ranks + 1) / len(values)
+        panel.step(positive(values[ranks], least), share, where="post", color=row.key.colour,
+                   linestyle=row.key.dash, linewidth=look.width)  # fmt: skip
+        middle = int(np.searchsorted(share, 0.5))
+        ends.append((row.key.label, row.key.colour, values[ranks[-1]], share[middle]))
+    panel.set_xlabel(f"largest {label}")
+    panel.set_ylabel("share of the bodies at or below")
+    log_axes(panel, "x", zeros)
+    if ends:
+        panel.set_ylim(-0.02, 1.02)
+
+
+def _draw_ridges(rows: list[Ridge], least: float, label: str, is_log: bool, panel: Axes) -> None:
+    ridges(panel, rows, least, is_log=is_log)
+    panel.set_xlabel(label, parse_math=False)
+
+
+# ---- over time ---------------------------------------------------------------------------------
+
+
+def time_sheet(dataset: Dataset, study: Study) -> Sheet:
     """Errors over time: median, 5 to 95 %, and extremes over the bodies."""
-    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
-    figure, panels = _panels(study, "Errors over time: median, 5 to 95 %, largest", len(shown))
-    for panel, kind in zip(panels, shown):
-        for setting, style in styles(study):
-            times, bands = _bands(dataset, setting, HISTORY[kind])
-            if times.size < 2:
-                continue
-            times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
-            low, median, high, most = drawable(bands, least[kind])
-            panel.plot(times, median, **style)
-            panel.fill_between(times, low, high, color=style["color"], alpha=0.2, linewidth=0)
-            panel.plot(times, most, color=style["color"], linewidth=0.6, alpha=0.8)
-        panel.set_ylabel(AXES[kind])
-        panel.set_xlabel("time [s]")
-        _log_axes(panel, "y", "nothing to draw: no body got as far as the first rows")
-    _legend(figure, panels)
-    return figure
+    seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
+    panels = [
+        partial(_draw_errors, dataset, shown, HISTORY[kind], least[kind], AXES[kind])
+        for kind in seen
+    ]
+    return Sheet("errors over time: median, 5 to 95 %, largest", panels,
+                 [look.key for look in shown])  # fmt: skip
 
 
-def order_figure(dataset: Dataset, study: Study) -> Figure:
-    """Quantiles of the errors over dt, with a line of order 4."""
-    shown, least = errors_seen(dataset, study), least_drawn(dataset, study)
-    figure, panels = _panels(study, "Errors over the step: median, 95 % and largest", len(shown))
-    found = findings(dataset)
-    for panel, kind in zip(panels, shown):
-        for (cspace, method), colour in zip(_spaces(study), COLOURS):
-            of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
-            of.sort(key=lambda f: f.setting.dt)
-            dts = np.array([f.setting.dt for f in of])
-            for n, marker in zip(range(len(QUANTILES)), "o^s"):
-                errors = drawable([f.quantiles[kind][n] for f in of], least[kind])
-                label = _label(cspace, method) if n == 0 else None
-                panel.plot(
-                    dts, errors, color=colour, marker=marker, markersize=4, label=label,
-                    linestyle=DASHES[n],
-                )  # fmt: skip
-                if n == 0 and errors[-1] > ROUNDING_FLOOR * of[-1].sizes[kind]:
-                    panel.plot(dts, errors[-1] * (dts / dts[-1]) ** 4, color="#999999", zorder=0)
-        panel.set_xlabel("Δt [s]; grey: order 4")
-        panel.set_ylabel(AXES[kind])
-        _log_axes(panel, "xy")
-    _legend(figure, panels)
-    return figure
+def recorded_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """Other columns of the history over time, such as the energy and observables."""
+    shown = looks(study)
+    if study.integrate.save_every is None:
+        return Sheet("", ())
+    fields = _others(_schema(dataset, "history"), IN_HISTORY)
+    panels = [partial(_draw_column, dataset, shown, each.name, _axis(each)) for each in fields]
+    return Sheet("what else was recorded: median, 5 to 95 %", panels, [look.key for look in shown],
+                 across=3)  # fmt: skip
 
 
-def parameter_figure(dataset: Dataset, study: Study) -> Figure:
+def _draw_errors(
+    dataset: Dataset, shown: list[Look], name: str, least: float, label: str, panel: Axes
+) -> None:
+    zeros, ends = [], []
+    for look in shown:
+        times, bands = _bands(dataset, look.setting, name, np.abs)
+        if times.size < 2:
+            continue
+        times, bands = times[1:], bands[:, 1:]  # at the start there is no error yet
+        if np.nanmax(bands[3], initial=0.0) <= least:
+            if np.isfinite(bands[3]).any():
+                zeros.append(look.key.label)
+            continue
+        low, median, high, most = positive(bands, least)
+        colour, dash = look.key.colour, look.key.dash
+        panel.plot(times, median, color=colour, linestyle=dash, linewidth=look.width)
+        bottom = np.where(np.isnan(low), np.nanmin(positive(bands, least)), low)
+        panel.fill_between(times, bottom, high, color=colour, alpha=0.18, linewidth=0)
+        panel.plot(times, most, color=colour, linestyle=dash, linewidth=0.6, alpha=0.8)
+        ends.append((look.key.label, colour, *_end(times, median if np.isfinite(median).any()
+                                                   else most)))  # fmt: skip
+    panel.set_ylabel(label)
+    panel.set_xlabel("time [s]")
+    panel.locator_params(axis="x", nbins=6)
+    log_axes(panel, "y", zeros, NO_TIMES)
+    if len(shown) > MOST_KEYS and ends:
+        label_lines(panel, ends)
+
+
+def _draw_column(dataset: Dataset, shown: list[Look], name: str, label: str, panel: Axes) -> None:
+    ends = []
+    for look in shown:
+        times, (low, median, high, _) = _bands(dataset, look.setting, name)
+        if not np.isfinite(median).any():
+            continue
+        panel.plot(times, median, color=look.key.colour, linestyle=look.key.dash,
+                   linewidth=look.width)  # fmt: skip
+        panel.fill_between(times, low, high, color=look.key.colour, alpha=0.15, linewidth=0)
+        ends.append((look.key.label, look.key.colour, *_end(times, median)))
+    panel.set_ylabel(label, parse_math=False)
+    panel.set_xlabel("time [s]")
+    if not ends:
+        log_axes(panel, "", why=NO_TIMES)
+    elif len(shown) > MOST_KEYS:
+        label_lines(panel, ends)
+
+
+def _end(times: Array, line: Array) -> tuple[float, float]:
+    last = int(np.flatnonzero(np.isfinite(line))[-1])
+    return float(times[last]), float(line[last])
+
+
+# ---- over the step -----------------------------------------------------------------------------
+
+
+def order_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """Quantiles of the errors over dt, with a line of the method's order."""
+    seen, least, found = errors_seen(dataset, study), least_drawn(dataset, study), findings(dataset)
+    spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
+    first = [next(s for s in study.settings if (s.cspace, s.method) == own) for own in spaces]
+    keys = []
+    for look in looks(study, first):
+        name = CSPACE_NAMES.get(look.setting.cspace, look.setting.cspace)
+        keys.append(Key(f"{name}, {look.setting.method}", look.key.colour))
+    panels = [
+        partial(_draw_orders, found, list(zip(spaces, keys)), kind, least[kind]) for kind in seen
+    ]
+    return Sheet("errors over the step: median, 95 % and largest", panels, keys)
+
+
+def _draw_orders(
+    found: list[Found], spaces: list[tuple[tuple[str, str], Key]], kind: str, least: float,
+    panel: Axes,
+) -> None:  # fmt: skip
+    zeros, ends = [], []
+    lines: dict[int, float] = {}  # where each order's line begins
+    for n, ((cspace, method), key) in enumerate(spaces):
+        of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
+        of.sort(key=lambda f: f.setting.dt)
+        dts = np.array([f.setting.dt for f in of])
+        drawn = positive([f.quantiles[kind] for f in of], least)
+        if np.isfinite([f.quantiles[kind] for f in of]).all() and not np.isfinite(drawn).any():
+            zeros.append(key.label)
+            continue
+        for i, (marker, dash) in enumerate(zip("o^s", ("-", "--", ":"))):
+            panel.plot(dts, drawn[:, i], color=key.colour, marker=marker, linestyle=dash,
+                       markersize=4 + 3 * (n == 0 and len(spaces) > 1),
+                       markerfacecolor="none" if n == 0 else None,
+                       linewidth=2.2 if n == 0 else 1.2)  # fmt: skip
+        ends += [(key.label, key.colour, dts[-1], y) for y in drawn[-1, :1] if np.isfinite(y)]
+        median, size = drawn[-1, 0], of[-1].sizes[kind]
+        if (order := tableau_of(method).order) and median > ROUNDING_FLOOR * size:
+            lines[order] = min(lines.get(order, np.inf), median)
+    for order, start in lines.items():
+        panel.plot(dts, 0.25 * start * (dts / dts[-1]) ** order, color="#999999", linewidth=1.0)
+        middle = dts[len(dts) // 2]
+        panel.annotate(
+            f"order {order}", (middle, 0.25 * start * (middle / dts[-1]) ** order),
+            xytext=(4, -10), textcoords="offset points", color="#666666", fontsize=8,
+        )  # fmt: skip
+    panel.set_xlabel("Δt [s]")
+    panel.set_ylabel(AXES[kind])
+    log_axes(panel, "xy", zeros)
+    if ends:
+        panel.set_xticks(dts, [f"{dt:g}" for dt in dts], minor=False)
+        panel.set_xticks([], minor=True)
+    if len(spaces) > MOST_KEYS and ends:
+        label_lines(panel, ends)
+
+
+# ---- over what was sampled ---------------------------------------------------------------------
+
+
+def parameter_sheet(dataset: Dataset, study: Study) -> Sheet:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
     drawn = drawn_columns(dataset)
-    rows = ok_columns(dataset, study.settings[0], [*ERRORS.values(), *drawn])
-    columns = list(components(drawn, rows))
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
-    across = min(len(columns), 4)
-    figure, panels = _panels(
-        study, "The largest error against what was sampled", across, -(-len(columns) // across)
-    )
-    for setting, style in styles(study):
-        if setting.dt != max(study.integrate.dt):
-            continue
-        rows = ok_columns(dataset, setting, [ERRORS[kind], *drawn])
+    largest = [s for s in study.settings if s.dt == max(study.integrate.dt)]
+    shown = looks(study, largest)
+    found = []
+    for look in shown:
+        rows = ok_columns(dataset, look.setting, [ERRORS[kind], *drawn])
         some = some_rows(len(rows[ERRORS[kind]]), POINTS)
-        errors = drawable(rows[ERRORS[kind]][some], least[kind])
-        for panel, (name, values) in zip(panels, components(drawn, rows)):
-            panel.plot(
-                values[some], errors, ".", color=style["color"], markersize=2, alpha=0.4,
-                label=style["label"], rasterized=True,
-            )  # fmt: skip
-            panel.set_xlabel(name, parse_math=False)
-    for panel in panels[: len(columns)]:
-        _log_axes(panel, "y")
-    panels[0].set_ylabel(f"largest {AXES[kind]}")
-    for panel in panels[len(columns) :]:
-        panel.set_visible(False)
-    _legend(figure, panels)
-    return figure
+        columns = {label: values[some] for label, values in labelled(drawn, rows, study)}
+        found.append((look, rows[ERRORS[kind]][some], columns))
+    panels = [
+        partial(_draw_dots, found, label, least[kind], f"largest {AXES[kind]}")
+        for label in found[0][2]
+    ]
+    keys = [Key(look.key.label, look.key.colour, is_dot=True) for look in shown]
+    return Sheet("the largest error against what was sampled", panels, keys, across=3,
+                 height=2.8)  # fmt: skip
+
+
+def _draw_dots(
+    found: list[tuple[Look, Array, dict[str, Array]]],
+    label: str,
+    least: float,
+    error: str,
+    panel: Axes,
+) -> None:
+    zeros, on_edge = [], []
+    for n, (look, errors, columns) in enumerate(found):
+        size = 2.0 + 2.4 * (len(found) - 1 - n) / len(found)  # a dot on another leaves its rim
+        heights = positive(errors, least)
+        if errors.size and not np.isfinite(heights).any():
+            zeros.append(look.key.label)
+            continue
+        panel.plot(columns[label], heights, "o", color=look.key.colour, markersize=size,
+                   markeredgewidth=0, alpha=0.6, rasterized=True)  # fmt: skip
+        on_edge.append((look, columns[label][np.isnan(heights)]))
+    panel.set_xlabel(label, parse_math=False)
+    panel.set_ylabel(error)
+    panel.locator_params(axis="x", nbins=5)
+    log_axes(panel, "y", zeros)
+    for look, at in on_edge:
+        if at.size:
+            panel.plot(at, np.zeros(at.size), "|", color=look.key.colour, markersize=7,
+                       transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
+
+
+KINDS: dict[str, Callable[[Dataset, Study], Sheet]] = {
+    "distribution": distribution_sheet,
+    "time": time_sheet,
+    "recorded": recorded_sheet,
+    "quantities": quantity_sheet,
+    "order": order_sheet,
+    "parameters": parameter_sheet,
+}
 
 
 # ---- data --------------------------------------------------------------------------------------
 
 
-def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]:
-    """Times, and 5 %, 50 %, 95 % and the largest of |error| at each."""
+def _bands(
+    dataset: Dataset, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
+) -> tuple[Array, Array]:
+    """Times, and 5 %, 50 %, 95 % and the largest of `of` the column at each."""
     table = dataset.table("history").to_table(columns=["step", "t", name], filter=rows_of(setting))
-    steps, values = table["step"].to_numpy(), np.abs(table[name].to_numpy())
+    steps, values = table["step"].to_numpy(), of(table[name].to_numpy())
     if not len(steps):
         return np.empty(0), np.empty((4, 0))
     order = np.argsort(steps, kind="stable")
@@ -238,58 +417,25 @@ def _bands(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, Array]
     return times, bands
 
 
-# ---- looks -------------------------------------------------------------------------------------
+def _schema(dataset: Dataset, name: str) -> pa.Schema:
+    return dataset.table(name).schema
 
 
-def _spaces(study: Study) -> list[tuple[str, str]]:
-    return list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
+def _summary(dataset: Dataset) -> set[str]:
+    return set(_schema(dataset, "summary").names)
 
 
-def _label(cspace: str, method: str) -> str:
-    return f"{CSPACE_NAMES.get(cspace, cspace)}, {method}"
+def _others(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
+    """Columns of numbers that no other figure has."""
+    return [
+        field for field in schema
+        if field.name not in known
+        and not field.name.startswith("sample.")
+        and pa.types.is_floating(field.type)
+    ]  # fmt: skip
 
 
-def styles(study: Study) -> Iterator[tuple[Setting, dict[str, Any]]]:
-    """A colour for each c-space and method, a dash for each dt."""
-    spaces, dts = _spaces(study), sorted(set(study.integrate.dt), reverse=True)
-    for setting in study.settings:
-        colour = COLOURS[spaces.index((setting.cspace, setting.method)) % len(COLOURS)]
-        dash = DASHES[dts.index(setting.dt) % len(DASHES)]
-        step = f", Δt = {setting.dt:g} s" if len(dts) > 1 else ""
-        label = _label(setting.cspace, setting.method) + step
-        yield setting, {"color": colour, "linestyle": dash, "label": label}
-
-
-def _log_axes(panel: Axes, axes: str, why: str = NO_BODY) -> None:
-    """Logarithmic axes; where nothing is drawn, which has none, the reason instead."""
-    is_drawn = bool(panel.patches) or any(
-        np.isfinite(np.asarray(line.get_ydata(), dtype=float)).any() for line in panel.lines
-    )
-    if is_drawn:
-        panel.set(**{f"{axis}scale": "log" for axis in axes})
-        return
-    panel.set(xticks=[], yticks=[])
-    panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center", va="center", wrap=True)
-
-
-def _panels(study: Study, title: str, across: int, down: int = 1) -> tuple[Figure, list[Axes]]:
-    width = max(7.5, 3.6 * across + 0.8)  # room for the title
-    figure = Figure(figsize=(width, 3.4 * down + 1.0), layout="constrained")
-    name = study.name if len(study.name) <= MOST_TITLE else f"{study.name[:MOST_TITLE]}…"
-    figure.suptitle(
-        f"{name}: {title}",
-        x=0.01,
-        ha="left",
-        fontsize=12,
-        fontweight="bold",
-        parse_math=False,
-    )
-    return figure, list(figure.subplots(down, across, squeeze=False).ravel())
-
-
-def _legend(figure: Figure, panels: list[Axes]) -> None:
-    handles, labels = panels[0].get_legend_handles_labels()
-    first = {label: handle for handle, label in reversed([*zip(handles, labels)])}
-    labels, handles = [*reversed(first)], [*reversed(first.values())]
-    dots = bool(handles) and getattr(handles[0], "get_linestyle", str)() == "None"
-    figure.legend(handles, labels, loc="outside lower left", ncols=4, markerscale=4 if dots else 1)
+def _axis(field: pa.Field) -> str:
+    unit = (field.metadata or {}).get(b"unit", b"").decode()
+    title = field.name.replace("_", " ")
+    return f"{title} [{unit}]" if unit not in ("", "1") else title

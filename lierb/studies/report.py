@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,6 @@ from lierb.studies.findings import (
     LABELS,
     QUANTILES,
     Found,
-    components,
     drawn_columns,
     errors_seen,
     findings,
@@ -32,7 +32,9 @@ from lierb.studies.findings import (
     study_of,
 )
 from lierb.studies.parts import parts_of
+from lierb.studies.replays import chosen, replayed, told
 from lierb.studies.study import Setting, Study
+from lierb.studies.symbols import labelled
 
 require("report")
 import jinja2  # noqa: E402
@@ -40,20 +42,27 @@ import plotly.graph_objects as go  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.plots import save  # noqa: E402
-from lierb.studies.figures import AXES, figures, omitted, styles  # noqa: E402
+from lierb.studies.figures import AXES, CAPTIONS, omitted, sheets  # noqa: E402
+from lierb.studies.panels import MOST_KEYS, Key, Sheet, looks, panels_of  # noqa: E402
 
 TEMPLATE = "report.html"
 SYMBOLS = ("circle", "diamond", "square", "x")  # from the largest dt to the smallest
 POINTS = 3000  # of a setting in the interactive figure, beside its worst bodies
 WORST = 5  # bodies that are listed for each error
 FAILED = 20  # bodies that are listed
-CAPTIONS = {
-    "distribution": "The share of the bodies whose error is at or below a value, and histograms: "
-    "each body's largest error (thick) and that at the end of its run (thin).",
-    "time": "Median (thick), 5 to 95 % of the bodies (band) and the largest (thin) at each time.",
-    "order": "Median, 95 % and largest of the bodies over the step; grey: order 4.",
-    "parameters": "A dot is a body: its largest error against each sampled number.",
-}
+HEIGHT = {1: 560, 2: 620, 3: 760, 4: 760}  # of the moving picture by its views, pixels
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure as the page has it: panels as data URLs, and what their lines are."""
+
+    name: str
+    title: str
+    caption: str
+    panels: list[str]
+    keys: list[Key]
+    across: int
 
 
 def write_report(dataset: Dataset, path: str | Path) -> Path:
@@ -85,9 +94,10 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],
-        figures=[(name, CAPTIONS[name], _data_url(figure)) for name, figure in figures(dataset)],
+        figures=[_drawn_sheet(name, sheet) for name, sheet in sheets(dataset)],
         omitted=omitted(dataset),
         explorer=_explorer(dataset, study, seen),
+        motion=_motion(dataset, study),
         worst=_worst(dataset, study, seen),
         failures=_failures(dataset),
     )
@@ -113,6 +123,21 @@ def _error_rows(found: list[Found], each: Found) -> tuple[Found, dict[str, list[
         label: [*map(shown, each.quantiles[kind]), str(seen[kind] or "–")]
         for kind, label in LABELS.items()
     }
+
+
+def _drawn_sheet(name: str, sheet: Sheet) -> Drawn:
+    keys = list(sheet.keys) if len(sheet.keys) <= MOST_KEYS else []
+    panels = [_data_url(figure) for figure in panels_of(sheet)]
+    return Drawn(name, sheet.title, CAPTIONS[name], panels, keys, sheet.across)
+
+
+def _motion(dataset: Dataset, study: Study) -> tuple[str, str] | None:
+    """The moving picture of the worst and the median trajectory, and what it shows."""
+    picked = chosen(dataset, study)
+    if picked is None:
+        return None
+    animation = replayed(study, picked)
+    return animation.frame(HEIGHT[len(animation.scene["views"])]), told(picked)
 
 
 def _data_url(figure: Figure) -> str:
@@ -173,31 +198,34 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     up: list[dict[str, Array]] = []
     figure = go.Figure()
     dts = sorted(set(study.integrate.dt), reverse=True)
-    for setting, style in styles(study):
-        rows = ok_columns(dataset, setting, ["trajectory", *seen.values(), *drawn])
+    for look in looks(study):
+        rows = ok_columns(dataset, look.setting, ["trajectory", *seen.values(), *drawn])
         some = _chosen([rows[name] for name in seen.values()])
-        across.append({title: values[some] for title, values in components(drawn, rows)})
-        up.append({AXES[k]: np.maximum(rows[name][some], least[k]) for k, name in seen.items()})
+        across.append({label: values[some] for label, values in labelled(drawn, rows, study)})
+        up.append({AXES[k]: rows[name][some] for k, name in seen.items()})
         figure.add_scatter(
-            mode="markers", name=setting.label, customdata=rows["trajectory"][some],
-            marker={"size": 5, "opacity": 0.5, "color": style["color"],
-                    "symbol": SYMBOLS[dts.index(setting.dt) % len(SYMBOLS)]},
+            mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
+            marker={"size": 5, "opacity": 0.5, "color": look.key.colour,
+                    "symbol": SYMBOLS[dts.index(look.setting.dt) % len(SYMBOLS)]},
             hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
         )  # fmt: skip
     if not any(numbers.size for x in across for numbers in x.values()):
         return ""
     titles, errors = list(across[0]), list(up[0])
+    for kind in seen:
+        _raise_zeros([each[AXES[kind]] for each in up], least[kind])
     for trace, x, y in zip(figure.data, across, up, strict=True):
         trace.update(x=x[titles[0]], y=y[errors[0]])
     figure.update_layout(
-        template="simple_white", height=520, margin={"t": 60, "r": 20}, hovermode="closest",
+        template="simple_white", height=560, hovermode="closest",
+        margin={"t": 110, "r": 10, "l": 62},
         legend={"orientation": "h", "y": -0.18},
         xaxis={"title": {"text": titles[0]}, "showgrid": True},
         yaxis={"title": {"text": f"largest {errors[0]}"}, "type": "log", "showgrid": True,
                "exponentformat": "power"},
         updatemenus=[
-            _menu("x", {title: [x[title] for x in across] for title in titles}, "", 0.0),
-            _menu("y", {error: [y[error] for y in up] for error in errors}, "largest ", 0.45),
+            _menu("x", {title: [x[title] for x in across] for title in titles}, "", 1.3),
+            _menu("y", {error: [y[error] for y in up] for error in errors}, "largest ", 1.16),
         ],
     )  # fmt: skip
     html: str = figure.to_html(
@@ -207,8 +235,16 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     return html
 
 
-def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, place: float) -> dict[str, Any]:
-    """A menu of what an axis shows: the numbers of each trace by title."""
+def _raise_zeros(errors: list[Array], least: float) -> None:
+    """Zeros, which a logarithmic axis has no place for, go a decade below the least of the rest."""
+    every = np.concatenate(errors)
+    floor = 0.1 * every[every > least].min(initial=max(every.max(initial=0.0), 10.0 * least))
+    for each in errors:
+        each[each <= least] = floor
+
+
+def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, high: float) -> dict[str, Any]:
+    """A menu of what an axis shows, the numbers of each trace by title; one above the other."""
     buttons = [
         {
             "label": f"{axis}: {title}",
@@ -217,7 +253,7 @@ def _menu(axis: str, choices: dict[str, list[Array]], prefix: str, place: float)
         }
         for title, numbers in choices.items()
     ]
-    return {"buttons": buttons, "x": place, "xanchor": "left", "y": 1.14, "yanchor": "top"}
+    return {"buttons": buttons, "x": 0.0, "xanchor": "left", "y": high, "yanchor": "top"}
 
 
 def _chosen(errors: list[Array]) -> Array:

@@ -1,0 +1,231 @@
+"""A scene as one HTML page, which needs nothing else: no network, no library."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.animation.scene import RECORD, scene_of
+from lierb.animation.shapes import Shape
+from lierb.arrays import Array, as_numbers, is_whole
+from lierb.errors import ArgumentError, items_of, told
+from lierb.model import Problem
+from lierb.shown import counted
+
+if TYPE_CHECKING:
+    from lierb.result import Result
+
+MOST_VIEWS = 8  # of the trajectories that nobody has chosen
+FRAMES = 2000  # of a trajectory; a history of more is thinned
+HEIGHT = 640  # of a notebook's frame, pixels
+
+
+class Animation:
+    """A moving picture; `save` writes it, a notebook shows it.
+
+    scene : as `lierb.animation.scene` describes it.
+    """
+
+    def __init__(self, scene: dict[str, Any]) -> None:
+        self.scene = scene
+
+    def html(self) -> str:
+        """The page as text."""
+        data = json.dumps(self.scene, separators=(",", ":"), ensure_ascii=False)
+        texts = {
+            "TITLE": html.escape(self.scene["title"]),
+            "PLAYER": _asset("player.js"),
+            "SCENE": data.replace("<", "\\u003c"),  # or one in a name would end the script
+        }
+        return re.sub("%([A-Z]+)%", lambda mark: texts[mark[1]], _asset("player.html"))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the page; returns where. Raises OSError where that cannot be written."""
+        file = Path(path).expanduser()
+        file.write_text(self.html(), encoding="utf-8")
+        return file
+
+    def frame(self, height: int = HEIGHT) -> str:
+        """An <iframe> with the page inside, to stand in another page."""
+        return (
+            f'<iframe srcdoc="{html.escape(self.html())}" sandbox="allow-scripts" loading="lazy" '
+            f'title="{html.escape(self.scene["title"])}" '
+            f'style="width:100%;height:{height}px;border:0"></iframe>'
+        )
+
+    def _repr_html_(self) -> str:
+        return self.frame()
+
+    def __repr__(self) -> str:
+        views = counted(len(self.scene["views"]), "view")
+        return f"<lierb.animation.Animation {self.scene['title']!r}: {views}; save(path) writes it>"
+
+
+def animate(
+    results: Result | Sequence[Result] | Mapping[str, Result],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    trajectories: int | Iterable[int] | None = None,
+    problem: Problem | None = None,
+    shape: Shape | None = None,
+    trail: bool | ArrayLike = True,
+    frames: int = FRAMES,
+    title: str | None = None,
+) -> Animation:
+    """A moving picture of trajectories, side by side on one clock and under one camera.
+
+    results : with states (`save_every=…, record="state"`): one, several, or several by their
+        names, such as one of each c-space. Every trajectory of each has a view of its own.
+    path : of an HTML file to write; it opens without a network.
+    trajectories : their numbers. Default: the first, as many as make 8 views.
+    problem : of the results; for such as were pickled, which have lost theirs.
+    shape : of the body, see `lierb.animation.box`, `cylinder` and `mesh`. Default: the box or
+        cylinder of the body's mass and inertia.
+    trail : whether the centre of mass leaves one (of a body that turns about it, a corner), or the
+        point of the body that does, (3,), m.
+    frames : of a trajectory, at most; of longer histories some are left out, evenly.
+    title : default: joint and method.
+
+    The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
+    curve below has the joint's errors. Returns an Animation, which a notebook shows.
+
+    Raises ArgumentError for a result without states, or without its problem.
+
+    >>> import lierb
+    >>> top = lierb.Problem(
+    ...     lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0),
+    ...     lierb.joints.spherical(body_point=(0.0, 0.0, -0.15)),
+    ... )
+    >>> start = {"twist0": top.joint.twist(omega=(1.0, 0.0, 9.0)), "dt": 1e-3, "t_end": 0.1}
+    >>> saved = {"save_every": 10, "record": "state"}
+    >>> spaces = {c: lierb.integrate(top, cspace=c, **start, **saved) for c in ("SE3", "SO3xR3")}
+    >>> lierb.animation.animate(spaces)
+    <lierb.animation.Animation 'spherical joint, RK4, dt = 0.001 s': 2 views; save(path) writes it>
+    """
+    if not (is_whole(frames) and frames >= 2):
+        raise ArgumentError(f"frames={told(frames)}; expected a whole number, at least 2")
+    named = _named(results)
+    problems = {name: _problem_of(name, result, problem) for name, result in named.items()}
+    chosen = _chosen(named, trajectories)
+    point = trail if isinstance(trail, bool) else _point(trail)
+    scene = scene_of(
+        list(_views(named, problems, chosen)),
+        title=_title(next(iter(named.values()))) if title is None else str(title),
+        shape=shape, trail=point, frames=int(frames),
+    )  # fmt: skip
+    count = min(result.summary.num_rows for result in named.values())
+    if trajectories is None and len(chosen) < count:
+        scene["notes"].append(f"The first {len(chosen)} of {count} trajectories.")
+    made = Animation(scene)
+    if path is not None:
+        made.save(path)
+    return made
+
+
+@cache
+def _asset(name: str) -> str:
+    return files("lierb.animation").joinpath(name).read_text(encoding="utf-8")
+
+
+def _named(results: Any) -> dict[str, Result]:
+    """Results by name: that of the c-space where none is given."""
+    given: list[tuple[str | None, Any]]
+    if isinstance(results, Mapping):
+        given = [(str(name), result) for name, result in results.items()]
+    elif hasattr(results, "summary"):
+        given = [("", results)]
+    else:
+        given = [(None, result) for result in items_of("results", results, RESULTS)]
+    found: dict[str, Result] = {}
+    for number, (name, result) in enumerate(given):
+        if not hasattr(result, "summary") or not hasattr(result, "history"):
+            raise ArgumentError(f"results has {told(result)}; expected {RESULTS}")
+        if name is None:
+            space = _told(result).get("options", {}).get("cspace", "")
+            name = SPACES.get(space, space) if len(given) > 1 else ""
+        if result.history is None or "position" not in result.history.column_names:
+            raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
+        found[name if name not in found else f"{name} ({number + 1})"] = result
+    if not found:
+        raise ArgumentError(f"results is empty; expected {RESULTS}")
+    return found
+
+
+SPACES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
+RESULTS = "what lierb.integrate returned, one or several"
+
+
+def _told(result: Result) -> dict[str, Any]:
+    """What the metadata of its tables tell."""
+    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
+    return found
+
+
+def _problem_of(name: str, result: Any, given: Problem | None) -> Problem:
+    known = given if given is not None or result._end is None else result._end.problem
+    if not isinstance(known, Problem):
+        label = f"{name}: " if name else ""
+        raise ArgumentError(
+            f"{label}the result has lost its problem, as one that was pickled has; give problem="
+        )
+    count = result.summary.num_rows
+    batch = known.batch_size() or 1
+    if batch not in (1, count):
+        raise ArgumentError(f"problem= has {batch} bodies, the result {count} trajectories")
+    return known
+
+
+def _chosen(named: dict[str, Result], given: Any) -> list[int]:
+    count = min(result.summary.num_rows for result in named.values())
+    if given is None:
+        return list(range(min(count, max(MOST_VIEWS // len(named), 1))))
+    numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
+    for number in numbers:
+        if not (is_whole(number) and 0 <= number < count):
+            raise ArgumentError(f"trajectories has {told(number)}; expected 0 … {count - 1}")
+    if not numbers:
+        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
+    return [int(number) for number in numbers]
+
+
+def _views(
+    named: dict[str, Result], problems: dict[str, Problem], chosen: list[int]
+) -> Iterator[tuple[str, Result, Problem, int]]:
+    """Trajectory by trajectory, so that what is to be compared stands side by side."""
+    for number in chosen:
+        for name, result in named.items():
+            known = problems[name]
+            own = known.of_body(number if (known.batch_size() or 1) > 1 else 0)
+            many = result.summary.num_rows > 1
+            labels = [name] if name else []
+            labels += [f"trajectory {number}"] if many else []
+            row = result.summary.slice(number, 1).select(["status", "t"]).to_pylist()[0]
+            if row["status"] != "ok":
+                labels.append(f"{row['status']} at {row['t']:g} s")
+            yield ", ".join(labels), result, own, number
+
+
+def _title(result: Result) -> str:
+    known = _told(result)
+    joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
+    parts = [f"{joint} joint"] if joint else ["lierb"]
+    if options:
+        parts += [options["method"], f"dt = {options['dt']:g} s"]
+    return ", ".join(parts)
+
+
+def _point(given: ArrayLike) -> Array:
+    point = as_numbers("trail", given, (3,))
+    if point.shape != (3,):
+        raise ArgumentError(f"trail has shape {point.shape}; expected (3,) or a flag")
+    return np.asarray(point)

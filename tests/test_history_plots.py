@@ -1,0 +1,151 @@
+"""Figures of a history: what is drawn, not how it looks."""
+
+from __future__ import annotations
+
+import pickle
+from io import BytesIO
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from cases import integrate, top
+
+import lierb
+from lierb.errors import ArgumentError, UnknownNameError
+
+pytest.importorskip("matplotlib")
+from lierb.history_plots import MOST_LINES, State
+
+SAVED = {"dt": 1e-3, "t_end": 0.5, "save_every": 10}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return top()[0]
+
+
+@pytest.fixture(scope="module")
+def spun(problem) -> lierb.Result:
+    """Ten tops, recorded with RECORD of the cases."""
+    rates = np.random.default_rng(2).normal((3.0, 40.0, 0.6), size=(10, 3))
+    twists = problem.joint.twist(omega=rates)
+    return integrate(problem, twist0=twists, cspace="SO3xR3", **SAVED)
+
+
+def titles(figure) -> list[str]:
+    return [axes.get_title(loc="left") for axes in figure.axes if axes.get_visible()]
+
+
+def lines(axes) -> list[np.ndarray]:
+    """What is drawn, without the legend's empty lines."""
+    return [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]
+
+
+def test_panels_follow_from_what_is_recorded(problem, spun):
+    errors = ["position error [m]", "energy drift [J]", "orthogonality error"]
+    motion = [
+        "direction of the axis [rad]", "the centre of mass, seen from above", "centre of mass [m]",
+        "angular velocity [rad/s]",
+    ]  # fmt: skip
+    more = ["multipliers [N]", "torque of the joint [N m]", "force of the joint [N]"]
+    assert titles(spun.plot(trajectories=0)) == [*motion, *errors, *more]
+    start = {"twist0": problem.joint.twist(omega=(3.0, 40.0, 0.6))}
+    bare = lierb.integrate(problem, **start, dt=1e-3, t_end=0.01, save_every=5)
+    assert titles(bare.plot()) == errors
+
+
+def test_columns_of_any_name_have_panels_with_their_units(spun):
+    """As observables will."""
+    rows = spun.history.num_rows
+    fields = [
+        pa.field("height", pa.float64(), metadata={"unit": "m"}),
+        pa.field("pull", pa.list_(pa.float64(), 3), metadata={"unit": "N, N, J"}),
+        pa.field("mode", pa.string()),
+    ]
+    given = [np.arange(rows) / 7.0, pa.FixedSizeListArray.from_arrays(np.arange(3.0 * rows), 3),
+             pa.array(["on"] * rows)]  # fmt: skip
+    history = spun.history
+    for field, values in zip(fields, given, strict=True):
+        history = history.append_column(field, pa.chunked_array([values]))
+    result = lierb.Result(spun.summary, history)
+    figure = result.plot(["height", "pull [N]", "pull [J]"], trajectories=3)
+    assert titles(figure) == ["height [m]", "pull [N]", "pull [J]"]
+    np.testing.assert_array_equal(lines(figure.axes[0])[0], given[0].reshape(-1, 10)[:, 3])
+    assert len(lines(figure.axes[1])) == 2
+    with pytest.raises(UnknownNameError, match="Did you mean 'height'"):
+        result.plot("heigth")
+    with pytest.raises(UnknownNameError, match="mode"):
+        result.plot("mode")
+
+
+def test_many_trajectories_are_drawn_as_quantiles_with_zeros_counted(spun):
+    figure = spun.plot(["position_error", "position"])
+    errors = spun.history["position_error"].to_numpy().reshape(-1, 10)
+    median, most = lines(figure.axes[1])
+    np.testing.assert_allclose(median[1:], np.median(errors, axis=1)[1:])
+    np.testing.assert_allclose(most[1:], errors.max(axis=1)[1:])
+    assert np.isnan(median[0])  # the start has no error: zero
+    assert figure.axes[1].get_yscale() == "log"
+    few = spun.plot("position", trajectories=range(MOST_LINES))
+    assert len(lines(few.axes[0])) == 3 * MOST_LINES
+    np.testing.assert_array_equal(lines(few.axes[0])[1], spun.position[:, 1, 0])
+
+
+def test_what_is_zero_throughout_is_said_to_be(problem):
+    start = {"twist0": problem.joint.twist(omega=(3.0, 40.0, 0.6))}
+    result = integrate(problem, **start, **SAVED)
+    (axes,) = result.plot("position_error").axes
+    assert [text.get_text() for text in axes.texts] == ["exactly 0"]
+    assert axes.get_yscale() == "linear"
+
+
+def test_angle_of_a_hinge_counts_its_turns():
+    hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.3))
+    body = lierb.bodies.box((0.1, 0.2, 0.6), mass=1.0)
+    wheel = lierb.Problem(body, hinge)  # no gravity: at a constant rate
+    result = integrate(wheel, twist0=hinge.twist(omega=(0.0, 9.0, 0.0)), dt=1e-2, t_end=2.0,
+                       save_every=10)  # fmt: skip
+    figure = result.plot(["angles", "trace"])
+    assert titles(figure) == ["angle of the joint [rad]"]  # its axis leaves no trace
+    np.testing.assert_allclose(lines(figure.axes[0])[0], 9.0 * result.t, atol=1e-9)
+
+
+def test_trace_is_a_map_of_equal_areas(problem, spun):
+    """Its radius is 2 sin(θ/2), θ from the middle, and its side that from which one looks."""
+    found = State(spun, problem).trace()
+    axis = spun.rotation @ np.array(problem.body.com - problem.joint.body_frame[:3, 3])
+    axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
+    radius = np.linalg.norm(found.points, axis=-1)
+    np.testing.assert_allclose(radius, 2.0 * np.sin(0.5 * np.arccos(axis[..., 2])), atol=1e-7)
+    np.testing.assert_allclose(found.points[..., 0] * axis[..., 1],
+                               found.points[..., 1] * axis[..., 0], atol=1e-12)  # fmt: skip
+    tilt, _ = State(spun, problem).angles().series
+    np.testing.assert_allclose(np.cos(tilt.values), axis[..., 2], atol=1e-12)
+
+
+def test_failed_trajectories_end():
+    """As in the tests of the animation, on the same kernel."""
+    body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    spring = lierb.forces.spring_damper(body_point=(0.05, 0.0, 0.0), stiffness=1e9)
+    stiff = lierb.Problem(body, lierb.joints.free(), forces=[spring])
+    with pytest.warns(lierb.errors.FailedTrajectoryWarning):
+        result = integrate(stiff, twist0=(0.0, 0.0, 1.0, 1.0, 0.0, 0.0), dt=0.1, t_end=5.0,
+                           save_every=1)  # fmt: skip
+    figure = result.plot("omega")
+    drawn = lines(figure.axes[0])[0]
+    assert np.isfinite(drawn[0])
+    assert np.isnan(drawn[-1])
+    result.plot().savefig(BytesIO(), format="png")  # no warning
+
+
+def test_plot_says_what_is_missing(problem, spun):
+    start = {"twist0": problem.joint.twist(omega=(3.0, 40.0, 0.6))}
+    with pytest.raises(ArgumentError, match="no history to plot: integrate with save_every"):
+        lierb.integrate(problem, **start, dt=1e-3, t_end=0.01).plot()
+    with pytest.raises(ArgumentError, match="expected 0 … 9"):
+        spun.plot(trajectories=10)
+    with pytest.raises(ArgumentError, match="empty"):
+        spun.plot(trajectories=())
+    again = pickle.loads(pickle.dumps(spun))
+    assert "position [m]" in titles(again.plot(trajectories=0))
+    assert titles(again.plot(trajectories=0, problem=problem)) == titles(spun.plot(trajectories=0))
