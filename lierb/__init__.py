@@ -14,7 +14,7 @@ from lierb.prediction import predict
 from lierb.result import Result
 from lierb.runs.provenance import package_version
 from lierb.tableaus import ButcherTableau
-from lierb.user_elements import constraint, wrench
+from lierb.user_elements import constraint, observable, wrench
 
 if TYPE_CHECKING:
     from lierb.studies.running import integrate_batches as integrate_batches
@@ -37,6 +37,7 @@ __all__ = [
     "joints",
     "lie",
     "log",
+    "observable",
     "predict",
     "quaternion",
     "sampling",
