@@ -17,6 +17,7 @@ from lierb.tableaus import ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
 
 if TYPE_CHECKING:
+    from lierb.studies.from_python import study_of as study_of
     from lierb.studies.running import integrate_batches as integrate_batches
     from lierb.studies.running import run as run
     from lierb.studies.study import Study as Study
@@ -51,6 +52,7 @@ _STUDIES = {
     "Study": "lierb.studies.study",
     "integrate_batches": "lierb.studies.running",
     "run": "lierb.studies.running",
+    "study_of": "lierb.studies.from_python",
 }
 
 

@@ -51,11 +51,13 @@ class Element:
     """A force, a constraint or an observable.
 
     parameters : by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : the function of the user's that it is made of, as it was decorated.
     """
 
     name: str
     kind: kinds.Element
     parameters: dict[str, Array]
+    made_by: Decorated | None = None
 
     @classmethod
     def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
@@ -132,7 +134,7 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 BODY_BY_BODY = "10 to 60 times slower"
 
 
-class _Decorated:
+class Decorated:
     """A function and its parameters' defaults; called with parameters, it is an element."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, ArrayLike]) -> None:
@@ -144,15 +146,18 @@ class _Decorated:
         return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
 
     def _shapes(self, given: dict[str, ArrayLike]) -> dict[str, Shape]:
-        """Of the parameters for one body: as in the defaults, or numbers."""
+        """Of the parameters for one body: as in the defaults, or numbers.
+
+        In an order that does not depend on who gives them: it is part of the kernel's name.
+        """
         for name in given:
             if self.defaults and name not in self.defaults:
                 raise unknown_name("parameter", name, self.defaults)
-        shapes: dict[str, Shape] = dict.fromkeys(given, ())
+        shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(given), ())
         return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
 
 
-class Wrench(_Decorated):
+class Wrench(Decorated):
     """What `lierb.wrench` makes of a function."""
 
     _potential: Callable[..., Any] | None = None
@@ -165,7 +170,8 @@ class Wrench(_Decorated):
             self._potential, POSE, shapes, ((),), differentiated=True
         )
         kind = kinds.UserWrench(function, potential)
-        return Force.of(self.function.__name__, kind, **self.defaults | parameters)
+        made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
 
     def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
@@ -179,7 +185,7 @@ class Wrench(_Decorated):
         return function
 
 
-class ConstraintFunction(_Decorated):
+class ConstraintFunction(Decorated):
     """What `lierb.constraint` makes of a function."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
@@ -195,10 +201,11 @@ class ConstraintFunction(_Decorated):
         rows = trial(function)
         function = replace(function, results=((rows,),))
         kind = kinds.UserConstraint(function, rows, self.is_translational)
-        return Constraint.of(function.name, kind, **self.defaults | parameters)
+        made = Constraint.of(function.name, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
 
 
-class ObservableFunction(_Decorated):
+class ObservableFunction(Decorated):
     """What `lierb.observable` makes of a function."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
@@ -218,7 +225,7 @@ class ObservableFunction(_Decorated):
         function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
         kind = kinds.UserObservable(function)
         made = Observable.of(name, kind, **self.defaults | parameters)
-        return replace(made, unit=self.unit)
+        return replace(made, unit=self.unit, made_by=self)
 
 
 @overload
@@ -331,7 +338,7 @@ def _column_name(argument: str, name: Any) -> str:
 MOST_NAME, MOST_UNIT = 100, 40  # characters
 
 
-def _decorated(kind: type[_Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+def _decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
     if function is None:
         return lambda given: _decorated(kind, given, defaults)
     if not inspect.isfunction(function):
@@ -487,7 +494,7 @@ def _sentence(error: Exception) -> str:
 
 def reject_functions(argument: str, given: Any) -> None:
     """Raise for a decorated function that was not called with its parameters."""
-    if isinstance(given, _Decorated):
+    if isinstance(given, Decorated):
         name = given.function.__name__
         raise ArgumentError(
             f"{argument} is the function {name}; call it, with its parameters if it has any: "

@@ -76,6 +76,9 @@ class _Manifest(_Checked):
 
     digest : of the study.   text : SHA-256 of study.toml as a run wrote it; None where the user's
     own was there.   set : what was changed of the study's file.   asked : parts in all.
+    stopped : the last part of each setting, of a study that had enough bodies before its time.
+    code : SHA-256 of the Python files that the study names.   functions : fingerprints of what they
+    compute, by what is made of them.
     """
 
     format: Literal[3]
@@ -85,6 +88,9 @@ class _Manifest(_Checked):
     set: dict[str, Any]
     machine: dict[str, str]
     asked: PositiveInt
+    stopped: list[PartName] = []
+    code: dict[str, Sha256] = {}
+    functions: dict[str, str] = {}
     parts: dict[PartName, dict[str, _Entry]]
 
     @model_validator(mode="after")

@@ -27,11 +27,16 @@ from lierb.studies.findings import (
     least_drawn,
     ok_columns,
     orders,
+    quantities,
     shown,
     some_rows,
     study_of,
+    told,
+    with_unit,
 )
 from lierb.studies.parts import parts_of
+from lierb.studies.quantiles import CONFIDENCE
+from lierb.studies.statistics import PROBABILITIES
 from lierb.studies.study import Setting, Study
 
 require("report")
@@ -83,6 +88,12 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         failed=dataset.failures(),
         predictions=_predictions(study),
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
+        probabilities=[f"{p:.0%}" for p in PROBABILITIES],
+        confidence=f"{CONFIDENCE:.0%}",
+        quantities=[
+            (each.setting, with_unit(each), [told(q) for q in each.quantiles])
+            for each in quantities(dataset)
+        ],
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],
         figures=[(name, CAPTIONS[name], _data_url(figure)) for name, figure in figures(dataset)],
