@@ -15,7 +15,7 @@ import lierb
 from lierb.errors import StudyError, UnknownNameError
 from lierb.studies import cluster
 from lierb.studies.dataset import Dataset
-from lierb.studies.findings import findings, quantities
+from lierb.studies.findings import findings, indices, quantities
 from lierb.studies.quantiles import quantile_of, share_width
 from lierb.studies.statistics import percentiles_over_time
 from lierb.studies.study import Study
@@ -224,3 +224,99 @@ def test_percentiles_over_time_are_those_of_the_history(tmp_path, monkeypatch):
     assert whole.schema.field("p50").metadata[b"unit"] == b"J"
     with pytest.raises(UnknownNameError, match="Did you mean 'energy_drift'"):
         percentiles_over_time(dataset, "energy_drft", setting)
+
+
+# ---- sensitivity -------------------------------------------------------------------------------
+
+ROWS = 256
+
+
+def uniform(low, high) -> dict:
+    return {"distribution": "uniform", "low": low, "high": high}
+
+
+def sensitive(**sample) -> Study:
+    """A free body that is thrown: where it is after 1 s is r = v t, so that r₁² is v₁²."""
+    return Study.of(
+        {
+            "body": {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]},
+            "joint": {"type": "free"},
+            "problem": {"observables": [{"type": "python:seen.py:reach"}]},
+            "sample": {
+                "n": 4 * ROWS, "method": "saltelli", "seed": 5,
+                "initial": {
+                    "point_velocity": uniform([1, 0, 0], [3, 0, 0]),
+                    "place": uniform([0, 0, 0], [1, 0, 0]),
+                },
+            } | sample,
+            "integrate": {"dt": 0.25, "t_end": 1.0, "method": "Euler", "measure_every": 4},
+            "output": {"part": 100},
+        },
+        code={"seen.py": SEEN},
+    )  # fmt: skip
+
+
+SEEN = """\
+import lierb
+
+@lierb.observable(unit="m")
+def reach(r):
+    return r[0]
+"""
+
+
+def test_indices_are_those_of_a_sum(tmp_path):
+    """r = r₀ + v t, both uniform, of widths 1 and 2: variances 1/12 and 4/12, no interaction."""
+    lierb.run(sensitive(), tmp_path / "out")
+    dataset = Dataset(tmp_path / "out")
+    dataset.read()
+    found = {(i.column, i.quantity): i for i in indices(dataset)}
+    for name, share in (("initial.place", 0.2), ("initial.point_velocity", 0.8)):
+        index = found["reach_final", name]
+        assert index.rows == ROWS
+        for value, low, high in (index.first, index.total):
+            assert value == pytest.approx(share, abs=0.05)  # 256 points of a Sobol sequence
+            assert low <= value <= high
+    shown = invoke("show", tmp_path / "out").stdout
+    assert "share of the variance due to" in shown
+    assert f"{found['reach_final', 'initial.place'].total.value:.3f}" in shown
+
+
+def test_indices_are_of_whole_rows_before_what_is_missing(tmp_path):
+    lierb.run(sensitive(), tmp_path / "out")
+    dataset = Dataset(tmp_path / "out")
+    dataset.read()
+    del dataset.manifest["parts"]["00-0000000700"]  # rows 175 to 199
+    assert {i.rows for i in indices(dataset)} == {128}
+
+
+def test_saltelli_design_swaps_one_quantity_at_a_time():
+    design = sensitive().design
+    drawn = design.draw()
+    rows = {name: values.reshape(ROWS, 4, -1) for name, values in drawn.items()}
+    place, speed = rows["initial.place"], rows["initial.point_velocity"]
+    for values, own, other in ((place, 2, 3), (speed, 3, 2)):
+        np.testing.assert_array_equal(values[:, own], values[:, 1])  # B's
+        np.testing.assert_array_equal(values[:, other], values[:, 0])  # A's
+        assert (values[:, 0] != values[:, 1]).any(axis=1).all()
+    part = design.draw(101, 57)
+    for name, values in part.items():
+        np.testing.assert_array_equal(values, drawn[name][101:158])
+
+
+def test_saltelli_design_has_independent_halves():
+    """Mean and correlation of a Sobol sequence's points: far below 1/√n."""
+    rows = sensitive().design.draw()["initial.place"].reshape(ROWS, 4, 3)[..., 0]
+    assert rows[:, :2].mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.01)
+    assert abs(np.corrcoef(rows[:, 0], rows[:, 1])[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("n", [1, 1000, 4 * 3, 5 * 256])
+def test_saltelli_design_refuses_other_numbers_of_bodies(n):
+    with pytest.raises(StudyError, match="takes 4 bodies times a power of two; the nearest are"):
+        sensitive(n=n)
+
+
+def test_saltelli_design_refuses_constants_alone():
+    with pytest.raises(lierb.errors.ArgumentError, match="all are constants"):
+        lierb.sampling.Design({"x": 1.0}, n=4, method="saltelli")

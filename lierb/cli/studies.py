@@ -297,11 +297,21 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings import findings, quantities, table_of, table_of_quantities
+    from lierb.studies.findings import (
+        findings,
+        indices,
+        quantities,
+        table_of,
+        table_of_indices,
+        table_of_quantities,
+    )
 
     print_whole(table_of(findings(dataset)))
     click.echo()
     print_whole(table_of_quantities(quantities(dataset)))
+    if found := indices(dataset):
+        click.echo()
+        print_whole(table_of_indices(found))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")

@@ -17,7 +17,14 @@ from lierb.studies.convergence import Order, observed_order
 from lierb.studies.dataset import Dataset
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of, sizes_of
-from lierb.studies.statistics import PROBABILITIES, Spread, observed_columns, spreads
+from lierb.studies.statistics import (
+    PROBABILITIES,
+    Sensitivity,
+    Spread,
+    observed_columns,
+    sensitivities,
+    spreads,
+)
 from lierb.studies.study import Setting, Study
 from lierb.studies.units import each_unit
 
@@ -90,6 +97,13 @@ def quantities(dataset: Dataset) -> list[Spread]:
     units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
     columns = {name: units[kind] for kind, name in errors_seen(dataset, study).items()}
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
+
+
+def indices(dataset: Dataset) -> list[Sensitivity]:
+    """Sobol's indices of what observables, or else the errors, depend on; [] for other designs."""
+    study = study_of(dataset)
+    columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
+    return list(sensitivities(dataset, study, columns))
 
 
 def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
@@ -237,4 +251,29 @@ def table_of_quantities(found: list[Spread]) -> Table:
         values, intervals = zip(*map(told, each.quantiles), strict=True)
         table.add_row(f"  {with_unit(each)}", *values)
         table.add_row("", *intervals)
+    return table
+
+
+def index_told(index: tuple[float, float, float]) -> tuple[str, str]:
+    """An index of sensitivity and its interval."""
+    value, low, high = ("–" if np.isnan(x) else f"{x:.3f}" for x in index)
+    return value, f"{low}…{high}"
+
+
+def table_of_indices(found: list[Sensitivity]) -> Table:
+    """For a terminal."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    table.add_column("share of the variance due to", no_wrap=True)
+    for column in ("alone", f"{CONFIDENCE:.0%} interval", "in all", f"{CONFIDENCE:.0%} interval"):
+        table.add_column(column, no_wrap=True, justify="right")
+    before = None
+    for each in found:
+        if (each.setting, each.column) != before:
+            table.add_section()
+            table.add_row(f"{each.column}, {each.setting.label}")
+            before = each.setting, each.column
+        table.add_row(f"  {each.quantity}", *index_told(each.first), *index_told(each.total))
     return table

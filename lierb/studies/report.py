@@ -24,6 +24,8 @@ from lierb.studies.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    index_told,
+    indices,
     least_drawn,
     ok_columns,
     orders,
@@ -93,6 +95,16 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         quantities=[
             (each.setting, with_unit(each), [told(q) for q in each.quantiles])
             for each in quantities(dataset)
+        ],
+        indices=[
+            (
+                each.setting,
+                each.column,
+                each.quantity,
+                index_told(each.first),
+                index_told(each.total),
+            )
+            for each in indices(dataset)
         ],
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],

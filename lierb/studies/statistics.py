@@ -11,9 +11,10 @@ import pyarrow.compute as pc
 
 from lierb.arrays import Array
 from lierb.errors import require_name
+from lierb.extras import require
 from lierb.kernels.stepping.observables import KEEPS
 from lierb.studies.dataset import Dataset
-from lierb.studies.quantiles import Quantile, quantile_of
+from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of
 from lierb.studies.study import Setting, Study
 
@@ -129,3 +130,84 @@ def _times(dataset: Dataset, setting: Setting) -> dict[int, float]:
     own = rows_of(setting) & (pc.field("trajectory") == body)
     table = dataset.table("history").to_table(columns=["step", "t"], filter=own)
     return dict(sorted(zip(table["step"].to_pylist(), table["t"].to_pylist(), strict=True)))
+
+
+# ---- sensitivity -------------------------------------------------------------------------------
+
+RESAMPLED = 200  # times, for the intervals of indices
+LEAST_ROWS = 4
+
+
+class _Index(NamedTuple):
+    """With the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Sensitivity(NamedTuple):
+    """How much of a column's variance a sampled quantity accounts for, in one setting.
+
+    first : alone.   total : with all that it does together with others. NaN
+        where the column is the same for all bodies, or too few of them are ok.
+    rows : of the design that are counted.
+    """
+
+    setting: Setting
+    column: str
+    quantity: str
+    first: _Index
+    total: _Index
+    rows: int
+
+
+def sensitivities(dataset: Dataset, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
+    """Sobol's indices of columns of the summary, for a study whose design is "saltelli".
+
+    By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).
+    Counted are the first 2ᵏ rows of the design, as many as are whole: those after a body that is
+    not ok, not done, or has no number are left out. Intervals are percentiles of bootstrapped rows.
+    """
+    design = study.design
+    if design.method != "saltelli":
+        return
+    each = len(design.drawn) + 2
+    for setting in study.settings:
+        for column in columns:
+            values = np.full(design.n, np.nan)
+            is_ok = rows_of(setting) & (pc.field("status") == "ok")
+            table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
+            values[as_array(table, "trajectory")] = as_array(table, column)
+            whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
+            count = len(whole) if whole.all() else int(whole.argmin())
+            rows = 1 << count.bit_length() - 1 if count else 0
+            found = _indices(values[: rows * each].reshape(-1, each))
+            for j, name in enumerate(design.drawn):
+                first, total = (_Index(*map(float, part[:, j])) for part in found)
+                yield Sensitivity(setting, column, name, first, total, rows)
+
+
+def _indices(values: Array) -> tuple[Array, Array]:
+    """First and total indices, each (value, low, high) × quantity.   values : (rows, 2 + q)."""
+    rows, width = values.shape
+    if rows < LEAST_ROWS or np.ptp(values) == 0.0:
+        nothing = np.full((3, width - 2), np.nan)
+        return nothing, nothing
+    random, found = np.random.default_rng(0), [_estimated(values)]
+    found += [_estimated(values[random.integers(rows, size=rows)]) for _ in range(RESAMPLED)]
+    low, high = np.quantile(found[1:], ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0)
+    first, total = np.stack((found[0], low, high), axis=1)
+    return first, total
+
+
+def _estimated(values: Array) -> Array:
+    """(2, quantities): first and total indices."""
+    require("scipy")
+    from scipy.stats import sobol_indices
+
+    # Twice the same output: SciPy would take one quantity's indices for numbers.
+    f = np.repeat(values.T[:, None], 2, axis=1)
+    found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=len(values))
+    shape = (2, values.shape[1] - 2)
+    return np.stack((found.first_order.reshape(shape)[0], found.total_order.reshape(shape)[0]))

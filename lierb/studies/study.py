@@ -278,7 +278,7 @@ class SampleSection(BaseModel):
 
     n: Count | None = None
     seed: Annotated[NonNegativeInt, Whole] = 0
-    method: Literal["random", "sobol", "grid"] = "random"
+    method: Literal["random", "sobol", "saltelli", "grid"] = "random"
     stop_when: str | None = None
     body: dict[str, Any] = {}
     joint: dict[str, Any] = {}
