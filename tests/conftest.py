@@ -16,7 +16,7 @@ TOGETHER = {
     "paper": ("paper", "cli", "docs"),
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
-    "studies": ("cluster", "study", "dataset"),
+    "studies": ("cluster", "study", "dataset", "statistics"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")

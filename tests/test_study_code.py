@@ -22,6 +22,7 @@ from lierb.errors import ArgumentError, ForceError, StudyError, StudyWarning, Un
 from lierb.studies import cluster
 from lierb.studies.dataset import Dataset
 from lierb.studies.findings import findings
+from lierb.studies.manifest import sealed
 from lierb.studies.running import replay
 from lierb.studies.study import Study
 
@@ -207,6 +208,16 @@ def test_resume_notices_an_edited_copy(whole, folder, tmp_path):
     (out / "attitude.py").unlink()
     with pytest.raises(StudyError, match=r"attitude\.py is missing; --resume"):
         findings(dataset)
+
+
+def test_manifest_names_no_file_outside_its_folder(whole, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["code"]["../attitude.py"] = manifest["code"].pop("attitude.py")
+    (out / "manifest.json").write_bytes(sealed(manifest))
+    with pytest.raises(StudyError, match=r"manifest\.json is damaged \(code\.\.\./attitude"):
+        Dataset(out).read()
 
 
 def test_run_does_not_overwrite_a_file_of_the_users(folder, tmp_path):

@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from lierb.errors import StudyError, StudyFileError
+from lierb.studies.code import FILE
 
 FORMAT = 3
 TABLES = ("summary", "history")
@@ -34,6 +35,7 @@ MENDED = f"--resume (resume=True) of its study keeps the parts that are whole; o
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 PartName = Annotated[str, Field(pattern=f"^{PART}$")]
+CodeFile = Annotated[str, Field(pattern=f"^{FILE}$")]
 
 
 def file_of(table: str, part: str) -> str:
@@ -89,7 +91,7 @@ class _Manifest(_Checked):
     machine: dict[str, str]
     asked: PositiveInt
     stopped: list[PartName] = []
-    code: dict[str, Sha256] = {}
+    code: dict[CodeFile, Sha256] = {}
     functions: dict[str, str] = {}
     parts: dict[PartName, dict[str, _Entry]]
 
