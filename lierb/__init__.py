@@ -15,9 +15,10 @@ from lierb.prediction import predict
 from lierb.result import Result
 from lierb.runs.provenance import package_version
 from lierb.tableaus import ButcherTableau
-from lierb.user_elements import constraint, wrench
+from lierb.user_elements import constraint, observable, wrench
 
 if TYPE_CHECKING:
+    from lierb.studies.from_python import study_of as study_of
     from lierb.studies.running import integrate_batches as integrate_batches
     from lierb.studies.running import run as run
     from lierb.studies.study import Study as Study
@@ -40,6 +41,7 @@ __all__ = [
     "joints",
     "lie",
     "log",
+    "observable",
     "predict",
     "quaternion",
     "sampling",
@@ -53,6 +55,7 @@ _STUDIES = {
     "Study": "lierb.studies.study",
     "integrate_batches": "lierb.studies.running",
     "run": "lierb.studies.running",
+    "study_of": "lierb.studies.from_python",
 }
 
 

@@ -173,10 +173,10 @@ def integrate(
             plan, inputs, clock, "state" in recorded, threads, progress,
             check_start if checked else None,
         )  # fmt: skip
-        covers = covers_of(problem)
+        covers, seen = covers_of(problem), problem.observables
         result = Result(
-            summary_table(output, metadata, covers),
-            history_table(output, recorded, plan, metadata, covers) if save_every else None,
+            summary_table(output, metadata, covers, seen),
+            history_table(output, recorded, plan, metadata, covers, seen) if save_every else None,
             End(problem, plan, output, STATUS_NAMES),
         )
     except MemoryError as error:

@@ -25,6 +25,7 @@ from lierb.arrays import (
     pose_components,
     pose_matrix,
 )
+from lierb.column_names import require_free
 from lierb.errors import (
     ArgumentError,
     ForceError,
@@ -54,7 +55,7 @@ from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.stepping.layout import INPUTS
 from lierb.shown import Lines, Shown, counted, quantity
-from lierb.user_elements import Constraint, Element, Force, reject_functions
+from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -194,12 +195,14 @@ def _require(argument: str, value: object, kind: type, expected: str) -> None:
 
 
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
-    expected = f"{kind.__name__.lower()}s made by lierb"
+    name = kind.__name__.lower()
+    one = f"{'an' if name[0] in 'aeiou' else 'a'} {name} made by lierb"
+    expected = f"{name}s made by lierb"
     elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
         reject_functions(label, element)
-        _require(label, element, kind, f"a {kind.__name__.lower()} made by lierb")
+        _require(label, element, kind, one)
         element.require_unchanged()
         if element.kind.needs_axis and not keeps_axis(joint.rows):
             raise ForceError(
@@ -230,6 +233,7 @@ class Problem(Shown):
     gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
     forces : made by `lierb.forces` and `lierb.wrench`, as many as wanted.
     constraints : made by `lierb.constraint`, beside the joint's own.
+    observables : made by `lierb.observable`: columns of the results.
 
     Raises ForceError for a force about a joint axis that the joint does not have.
     """
@@ -239,6 +243,7 @@ class Problem(Shown):
     gravity: Array
     forces: tuple[Force, ...]
     constraints: tuple[Constraint, ...]
+    observables: tuple[Observable, ...]
 
     def __init__(
         self,
@@ -247,6 +252,7 @@ class Problem(Shown):
         gravity: ArrayLike = (0.0, 0.0, 0.0),
         forces: Force | Iterable[Force] = (),
         constraints: Constraint | Iterable[Constraint] = (),
+        observables: Observable | Iterable[Observable] = (),
     ) -> None:
         _require("body", body, Body, "a lierb.Body")
         _require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
@@ -258,6 +264,10 @@ class Problem(Shown):
         object.__setattr__(
             self, "constraints", _checked("constraints", constraints, Constraint, joint)
         )
+        object.__setattr__(
+            self, "observables", _checked("observables", observables, Observable, joint)
+        )
+        require_free(self.observables)
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
@@ -270,9 +280,11 @@ class Problem(Shown):
             ("joint", "\n".join((name, *(f"{label} {text}" for label, text in held)))),
             ("gravity", quantity(self.gravity, "m/s²", 1)),
         ]
-        for label, elements in (("forces", self.forces), ("constraints", self.constraints)):
-            if elements:
-                rows.append((label, "\n".join(map(_shown_element, elements))))
+        rows += [
+            (label, "\n".join(map(_shown_element, elements)))
+            for label in ("forces", "constraints", "observables")
+            if (elements := getattr(self, label))
+        ]
         count = counted(self.batch_size() or 1, "body", "bodies")
         return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
 
@@ -301,12 +313,13 @@ class Problem(Shown):
         return Problem(
             mass, one, own(self.gravity, 1),
             [element(e) for e in self.forces], [element(e) for e in self.constraints],
+            [element(e) for e in self.observables],
         )  # fmt: skip
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """Forces and constraints."""
-        return (*self.forces, *self.constraints)
+        """Forces, constraints and observables."""
+        return (*self.forces, *self.constraints, *self.observables)
 
     def require_unchanged(self) -> None:
         """Raise ForceError where a force's function refers to something that is another by now."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lierb.animation.page import Animation, animate
 from lierb.arrays import Array, assembled, components
+from lierb.column_names import COMPONENTS
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import require
 from lierb.kernels.groups import so3
@@ -34,14 +35,7 @@ if TYPE_CHECKING:
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 TABLES = ("summary", "history")
-AXES = ("x", "y", "z")
-COMPONENTS = {
-    "rotation": tuple(i + j for i in AXES for j in AXES),
-    "position": AXES,
-    "omega": AXES,
-    "v": AXES,
-    "reaction": tuple(f"{what}_{i}" for what in ("torque", "force") for i in AXES),
-}
+OBSERVED = "observables"  # of a problem, in the tables' metadata
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
@@ -291,6 +285,7 @@ class Result(Shown):
         more = [
             n for n in ("energy", "work", "lambda", "reaction") if n in self.history.column_names
         ]
+        more += [each["name"] for each in _told(self.summary).get("problem", {}).get(OBSERVED, [])]
         recorded = ", ".join(["errors", *["state"] * self._has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
 

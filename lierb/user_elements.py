@@ -1,7 +1,8 @@
-"""What a problem has beside its body, joint and gravity: forces and constraints, with parameters.
+"""What a problem has beside its body, joint and gravity: forces, constraints and observables.
 
 Some are functions of the user's: `@lierb.wrench` makes a force of one, `@lierb.constraint` a
-constraint. They are written for one body and compiled for many at once.
+constraint, `@lierb.observable` an observable. They are written for one body and compiled for many
+at once.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import inspect
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, update_wrapper
+from functools import cached_property, partial, update_wrapper
 from typing import Any, Self, overload
 
 from numpy.typing import ArrayLike
@@ -47,14 +48,16 @@ from lierb.kernels.mechanics import elements as kinds
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """A force or a constraint.
+    """A force, a constraint or an observable.
 
     parameters : by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : the function of the user's that it is made of, as it was decorated.
     """
 
     name: str
     kind: kinds.Element
     parameters: dict[str, Array]
+    made_by: Decorated | None = None
 
     @classmethod
     def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
@@ -99,6 +102,28 @@ class Constraint(Element):
     """Rows beside the joint's own; made by `lierb.constraint`."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class Observable(Element):
+    """A number to be known of the motion; made by `lierb.observable`.
+
+    name : of its column in a history; unit : of its numbers.
+    """
+
+    unit: str = "1"
+
+    def named(self, name: str) -> Self:
+        """The same under another name: a problem may have one function several times.
+
+        >>> import lierb
+        >>> @lierb.observable(unit="m", height=0.0)
+        ... def above(r, params):
+        ...     return r[2] - params.height
+        >>> above(height=2.0).named("above_the_roof")
+        <above_the_roof: height>
+        """
+        return replace(self, name=_column_name("name", name))
+
+
 # ---- functions of the user's -------------------------------------------------------------------
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
@@ -109,7 +134,7 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 BODY_BY_BODY = "10 to 60 times slower"
 
 
-class _Decorated:
+class Decorated:
     """A function and its parameters' defaults; called with parameters, it is an element."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, ArrayLike]) -> None:
@@ -121,15 +146,18 @@ class _Decorated:
         return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
 
     def _shapes(self, given: dict[str, ArrayLike]) -> dict[str, Shape]:
-        """Of the parameters for one body: as in the defaults, or numbers."""
+        """Of the parameters for one body: as in the defaults, or numbers.
+
+        In an order that does not depend on who gives them: it is part of the kernel's name.
+        """
         for name in given:
             if self.defaults and name not in self.defaults:
                 raise unknown_name("parameter", name, self.defaults)
-        shapes: dict[str, Shape] = dict.fromkeys(given, ())
+        shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(given), ())
         return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
 
 
-class Wrench(_Decorated):
+class Wrench(Decorated):
     """What `lierb.wrench` makes of a function."""
 
     _potential: Callable[..., Any] | None = None
@@ -142,7 +170,8 @@ class Wrench(_Decorated):
             self._potential, POSE, shapes, ((),), differentiated=True
         )
         kind = kinds.UserWrench(function, potential)
-        return Force.of(self.function.__name__, kind, **self.defaults | parameters)
+        made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
 
     def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
@@ -156,7 +185,7 @@ class Wrench(_Decorated):
         return function
 
 
-class ConstraintFunction(_Decorated):
+class ConstraintFunction(Decorated):
     """What `lierb.constraint` makes of a function."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
@@ -172,7 +201,31 @@ class ConstraintFunction(_Decorated):
         rows = trial(function)
         function = replace(function, results=((rows,),))
         kind = kinds.UserConstraint(function, rows, self.is_translational)
-        return Constraint.of(function.name, kind, **self.defaults | parameters)
+        made = Constraint.of(function.name, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
+
+
+class ObservableFunction(Decorated):
+    """What `lierb.observable` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        unit = defaults.pop("unit", "1")
+        if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
+            raise ArgumentError(
+                f'unit={told(unit)}; expected the unit as text, such as "rad", or "1"'
+            )
+        super().__init__(function, defaults)
+        self.unit = unit
+
+    def __call__(self, **parameters: ArrayLike) -> Observable:
+        """The observable with these parameters; each is one for all bodies or one for each."""
+        name = _column_name("the observable's name", self.function.__name__)
+        shapes = self._shapes(parameters)
+        form = partial(_form_of_any, tuple(ARGUMENTS))
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
+        kind = kinds.UserObservable(function)
+        made = Observable.of(name, kind, **self.defaults | parameters)
+        return replace(made, unit=self.unit, made_by=self)
 
 
 @overload
@@ -239,7 +292,53 @@ def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     return _decorated(ConstraintFunction, function, defaults)
 
 
-def _decorated(kind: type[_Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+@overload
+def observable(function: Callable[..., Any], /) -> ObservableFunction: ...
+@overload
+def observable(
+    *, unit: str = "1", **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], ObservableFunction]: ...
+def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
+
+    The function takes any of t, R, r, omega, v, params and body, by these names and in any order,
+    each as in `lierb.wrench`, and returns one number. For `Problem(observables=…)`. It is asked
+    where measures are taken (`measure_every`, `save_every`), and changes nothing of the motion.
+
+    `history` has its values in a column of its name; `summary` has, under that name and over the
+    measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
+    `…_final`. After a failure the extremes are those up to it, and the others NaN. A value that is
+    NaN makes the extremes and the mean NaN, and is no failure.
+
+    unit : of the number, for the columns' metadata. Default: "1".
+
+    Raises ForceError as `lierb.wrench` does, ArgumentError for a name that columns have already.
+
+    >>> import lierb
+    >>> import numpy as np
+    >>> @lierb.observable(unit="rad", axis=(0.0, 0.0, 1.0))
+    ... def pointing_error(R, params):
+    ...     return np.arccos(lierb.clip(R[2] @ params.axis, -1.0, 1.0))
+    >>> pointing_error()
+    <pointing_error: axis>
+    """
+    return _decorated(ObservableFunction, function, defaults)
+
+
+def _column_name(argument: str, name: Any) -> str:
+    """A name that a column may have. Raises ArgumentError."""
+    if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
+        raise ArgumentError(
+            f"{argument} is {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
+            "them, for a column's name"
+        )
+    return name
+
+
+MOST_NAME, MOST_UNIT = 100, 40  # characters
+
+
+def _decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
     if function is None:
         return lambda given: _decorated(kind, given, defaults)
     if not inspect.isfunction(function):
@@ -256,13 +355,15 @@ def user_function(
     shapes: dict[str, Shape],
     results: tuple[Shape, ...],
     differentiated: bool = False,
+    form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]] | None = None,
 ) -> Function:
     """The function as kernels take it: traced if it can be, else compiled by Numba.
 
     differentiated : whether its derivatives are needed too, which only a traced one has.
+    form : finds what it is given, as `_form` does. Default: that.
     """
     name = getattr(function, "__name__", "function")
-    form = _form(function, name, arguments, bool(shapes))
+    given_to = (form or partial(_form, arguments))(function, name, bool(shapes))
     try:
         mark, references = fingerprint(function), watched(function)
         modules = tuple(sorted(modules_named(function, set(), [])))
@@ -270,7 +371,7 @@ def user_function(
     except UnfitFunctionError as error:
         raise ForceError(f"{name} cannot be compiled: {error}") from None
     given = tuple((argument, ARGUMENTS[argument]) for argument in arguments)
-    fields = (name, mark, form, given, tuple(shapes.items()), results)
+    fields = (name, mark, given_to, given, tuple(shapes.items()), results)
     traced = Function(*fields, True, python, references, modules)
     try:
         trial(traced)
@@ -310,8 +411,29 @@ def user_function(
     return compiled
 
 
+def _form_of_any(
+    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
+) -> tuple[str, ...]:
+    """What the function is given, in its own order: any of the arguments, params and body."""
+    signature, known = inspect.signature(function), (*arguments, "params", "body")
+    expected = f"any of ({', '.join(known)}) by these names"
+    given: list[str] = []
+    for parameter in signature.parameters.values():
+        is_known = parameter.name in known and parameter.kind in BY_PLACE
+        if is_known and len(given) == list(signature.parameters).index(parameter.name):
+            given.append(parameter.name)
+        elif is_known or parameter.default is inspect.Parameter.empty:
+            raise ForceError(
+                f"{name} takes {signature}; expected {expected}, what else it may "
+                "take after them and with a default"
+            )
+    if has_parameters and "params" not in given:
+        raise ForceError(f"{name} takes {signature}, but has parameters; expected params as well")
+    return tuple(given)
+
+
 def _form(
-    function: Callable[..., Any], name: str, arguments: tuple[str, ...], has_parameters: bool
+    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
 ) -> tuple[str, ...]:
     """What the function is given, in its own order: `body` wherever it stands.
 
@@ -337,6 +459,7 @@ def _form(
 
 
 POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
+BY_PLACE = (POSITIONAL, inspect.Parameter.POSITIONAL_ONLY)
 
 
 def _told(error: Exception) -> str:
@@ -371,7 +494,7 @@ def _sentence(error: Exception) -> str:
 
 def reject_functions(argument: str, given: Any) -> None:
     """Raise for a decorated function that was not called with its parameters."""
-    if isinstance(given, _Decorated):
+    if isinstance(given, Decorated):
         name = given.function.__name__
         raise ArgumentError(
             f"{argument} is the function {name}; call it, with its parameters if it has any: "

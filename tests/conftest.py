@@ -17,7 +17,7 @@ TOGETHER = {
     "top": ("tables", "determinism", "tableaus", "concurrency", "bench", "installation"),
     "pictures": ("animation", "history_plots"),
     "results": ("result", "progress", "shown", "hostile", "memory"),
-    "studies": ("cluster", "study", "dataset"),
+    "studies": ("cluster", "study", "dataset", "statistics"),
     "groups": ("lie", "lie_arrays", "log", "number_types"),
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")

@@ -9,6 +9,7 @@ import os
 import random
 import re
 import sys
+import threading
 import time
 import types
 import warnings
@@ -379,3 +380,21 @@ def test_trials_agree_with_fingerprints():
     with pytest.raises(TypeError, match="random"):
         fingerprint(noisy_helper)
     assert trial(lierb.wrench(surroundings())().kind.function) == 6
+
+
+def test_other_threads_may_draw_while_a_function_is_traced():
+    """As those of a Dask worker do: what they draw is not drawn again and again."""
+    traces = []
+
+    def traced():
+        traces.append(len(traces))
+        if len(traces) <= 3:
+            thread = threading.Thread(target=random.random)
+            thread.start()
+            thread.join()
+        return "the same"
+
+    state = random.getstate()
+    require_repeatable(traced)
+    assert len(traces) == 5  # the fourth finds nothing drawn, the fifth repeats it
+    random.setstate(state)

@@ -81,8 +81,9 @@ def text(dataset):
 def test_page_is_complete(text):
     page = Page(text)
     assert page.texts["h2"] == [
-        "How large the errors get", "What the theory says", "How they move", "Figures",
-        "Body by body", "The worst bodies", "How to reproduce it",
+        "How large the errors get", "Quantiles and how well they are known",
+        "What the theory says", "How they move", "Figures", "Body by body",
+        "The worst bodies", "How to reproduce it",
     ]  # fmt: skip
     assert list(page.pictures) == ["distribution", "time", "order", "parameters"]
     for picture in page.pictures.values():

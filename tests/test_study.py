@@ -70,7 +70,7 @@ def whole(tmp_path_factory):
 def test_example_is_a_study(path):
     loaded = Study.load(path)
     assert loaded.name == path.stem
-    assert Study.of(tomllib.loads(loaded.to_toml())) == loaded
+    assert Study.of(tomllib.loads(loaded.to_toml()), folder=path.parent) == loaded
 
 
 LOW, HIGH = "low = 5.0", "high = 7.0"

@@ -86,6 +86,12 @@ SET = click.option(
 @click.option("--n", type=int, help="Bodies: as --set sample.n=N.")
 @click.option("--seed", type=int, help="Of the sampling: as --set sample.seed=SEED.")
 @click.option(
+    "--stop-when",
+    "stop_when",
+    metavar="RULE",
+    help='Once "width of 95% of COLUMN < 2%" or the like: as --set sample.stop_when=RULE.',
+)
+@click.option(
     "--out", type=_Path(file_okay=False),
     help="Folder for the results.  [default: results/NAME]",
 )  # fmt: skip
@@ -115,6 +121,7 @@ def run(
     changes: Changes,
     n: int | None,
     seed: int | None,
+    stop_when: str | None,
     out: str | None,
     resume: bool,
     threads: int | None,
@@ -136,7 +143,7 @@ def run(
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
-    own = {"sample.n": n, "sample.seed": seed}
+    own = {"sample.n": n, "sample.seed": seed, "sample.stop_when": stop_when}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
     loaded = Study.load(study, changes)  # what is wrong is said before any worker starts
     if only is not None:
@@ -290,11 +297,23 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings import findings, table_of
+    from lierb.studies.findings import (
+        findings,
+        indices,
+        quantities,
+        table_of,
+        table_of_indices,
+        table_of_quantities,
+    )
 
     print_whole(table_of(findings(dataset)))
+    click.echo()
+    print_whole(table_of_quantities(quantities(dataset)))
+    if found := indices(dataset):
+        click.echo()
+        print_whole(table_of_indices(found))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
-    state = "" if done == asked else f"; the rest with: {_again(dataset, '--resume')}"
+    state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
 
 

@@ -29,6 +29,8 @@ _type = cache(pa.from_numpy_dtype)
 
 def each_row(array: NDArray) -> list[pa.Array]:
     """A column for each index along an array's first axis, without a copy as above."""
+    if not len(array):
+        return []
     array = np.ascontiguousarray(array)
     # Of the buffer: a slice of a column would drag all of it along when it is pickled.
     buffer, size, width = pa.py_buffer(array), array[0].size, array[0].nbytes

@@ -25,19 +25,21 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.driver import (
-    CARRIED_COLUMNS,
     MARKS,
     OK,
     RESUMED,
     UNSEEN,
+    carried_columns,
     end_columns,
     history_measures,
     integrate_blocks,
     integrate_on_threads,
     job_of,
+    summary_columns,
 )
 from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, Columns, Field, inputs_of
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
+from lierb.kernels.stepping.observables import observables_of
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
 from lierb.runs.forks import check_threads
@@ -176,7 +178,8 @@ class Output:
     """Results of a run, as they become Arrow columns.
 
     clock : the times of the run.
-    summary : [SUMMARY][body].   history : [measure][time][body].
+    summary : [SUMMARY, then KEEPS of each observable][body].
+    history : [measure, then observable][time][body].
     states, multipliers, reactions : [time][body][component].
     ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
     raised : what a function of the user's has raised, in words, by body: of the first such body.
@@ -221,6 +224,11 @@ class Output:
         """[KEPT][body]."""
         return self.summary[: len(KEPT)]
 
+    @property
+    def observed(self) -> Array:
+        """KEEPS of each observable: [column][body]."""
+        return self.summary[SUMMARY.count :]
+
     @cached_property
     def status(self) -> NDArray[np.int8]:
         """By body."""
@@ -258,8 +266,8 @@ def _shapes(plan: Plan, count: int, rows: int, with_state: bool) -> list[tuple[i
     """Of an Output's arrays."""
     states = rows if with_state else 1
     return [
-        (SUMMARY.count, count),
-        (len(history_measures(plan)), rows, count),
+        (summary_columns(plan), count),
+        (len(history_measures(plan)) + len(observables_of(plan)), rows, count),
         *((states, count, field.width) for field in POSE_AND_TWIST.fields),
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction, count, 6),
@@ -354,7 +362,8 @@ def _chunks(run: Run, count: int) -> Iterator[Chunk]:
     size = max(CHUNK_BODIES, in_one_call)
     size = -(-size // lanes) * lanes
     width = -(-min(size, count) // lanes) * lanes
-    carried = np.empty((CARRIED_COLUMNS, width if in_one_call < min(size, count) else 0))
+    many = width if in_one_call < min(size, count) else 0
+    carried = np.empty((carried_columns(run.plan), many))
     for start in range(0, count, size):
         yield Chunk(start, min(start + size, count), carried)
 

@@ -105,6 +105,9 @@ def _described_problem(problem: Problem) -> dict[str, Any]:
         "rows": [str(row) for row in problem.rows],
         "forces": [_described_element(force) for force in problem.forces],
         "constraints": [_described_element(added) for added in problem.constraints],
+        "observables": [
+            _described_element(each) | {"unit": each.unit} for each in problem.observables
+        ],
     }
 
 

@@ -11,12 +11,13 @@ from lierb.kernels.stepping.clock import time_of
 from lierb.kernels.stepping.driver import history_measures
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import KEPT, MEASURES
+from lierb.kernels.stepping.observables import KEEPS
 from lierb.kernels.stepping.plan import Plan
 from lierb.model import Problem
 from lierb.runs import engine
 from lierb.runs.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.runs.failures import RAISED_KEY, STATUS_NAMES
-from lierb.user_elements import Force
+from lierb.user_elements import Force, Observable
 
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
@@ -31,21 +32,21 @@ _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and t
 
 
 def _table(
-    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: str = ""
+    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
 ) -> pa.Table:
-    """units : of the components of `lambda`, if any."""
-    key = (*columns, *covers, units)
+    """units : of columns that are not in UNITS, by their names."""
+    key = (*columns, *covers, *units.values())
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)
     schema = _schemas[key].with_metadata({"lierb": metadata})
     return pa.Table.from_arrays(list(columns.values()), schema=schema)
 
 
-def _schema(columns: dict[str, pa.Array], covers: Covers, units: str) -> pa.Schema:
+def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
     fields = []
     for name, array in columns.items():
         plain = name.removesuffix("_max").removesuffix("_final")
-        unit = units if name == "lambda" else UNITS.get(plain)
+        unit = units[name] if name in units else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
         if plain in Covers._fields:
             described["covers"] = getattr(covers, plain)
@@ -100,7 +101,9 @@ def size_of_tables(plan: Plan, count: int, rows: int, recorded: tuple[str, ...])
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
 
 
-def summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Table:
+def summary_table(
+    output: engine.Output, metadata: str, covers: Covers, observables: tuple[Observable, ...] = ()
+) -> pa.Table:
     """One row per trajectory.   covers : see `covers_of`."""
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
@@ -111,7 +114,9 @@ def summary_table(output: engine.Output, metadata: str, covers: Covers) -> pa.Ta
         columns[f"{measure.name}_{how}"] = column
     for field, array in zip(POSE_AND_TWIST.fields, output.state, strict=True):
         columns[field.name] = vectors(array)
-    table = _table(columns, metadata, covers)
+    watched = {f"{each.name}_{how}": each.unit for each in observables for how in KEEPS}
+    columns |= zip(watched, each_row(output.observed), strict=True)
+    table = _table(columns, metadata, covers, watched)
     for what in output.raised.values():
         told = {RAISED_KEY: what.encode(errors="backslashreplace")}
         table = table.replace_schema_metadata(table.schema.metadata | told)
@@ -124,6 +129,7 @@ def history_table(
     plan: Plan,
     metadata: str,
     covers: Covers,
+    observables: tuple[Observable, ...] = (),
 ) -> pa.Table:
     """One row per saved time and trajectory, time-major."""
     clock, count = output.clock, len(output.status)
@@ -133,7 +139,9 @@ def history_table(
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(time_of(clock, saved), count)),
     }
-    found = dict(zip(history_measures(plan), each_row(output.history), strict=True))
+    measures = history_measures(plan)
+    rows = each_row(output.history)
+    found = dict(zip(measures, rows[: len(measures)], strict=True))
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
     if "state" in recorded:
         for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
@@ -141,10 +149,12 @@ def history_table(
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
     if "energy" in recorded and not plan.does_work:
         columns["work"] = _no_work(columns["energy"])
-    units = ""
+    units = {}
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
         columns["lambda"] = vectors(output.multipliers)
-        units = ", ".join(row.unit for row in plan.rows)
+        units["lambda"] = ", ".join(row.unit for row in plan.rows)
     if "reaction" in recorded:
         columns["reaction"] = vectors(output.reactions)
+    for each, values in zip(observables, rows[len(measures) :], strict=True):
+        columns[each.name], units[each.name] = values, each.unit
     return _table(columns, metadata, covers, units)

@@ -23,7 +23,7 @@ from lierb.sampling.distributions import (
     as_distribution,
 )
 
-METHODS = ("random", "sobol", "grid")
+METHODS = ("random", "sobol", "saltelli", "grid")
 SEED_BITS = 64
 UNIFORM_BITS = 52  # with the half that is added, the 53 of a double
 SOBOL_BITS = 32  # SciPy's Sobol.fast_forward takes no more; the other digits are random
@@ -46,6 +46,11 @@ class Design:
             quantity, in their order: they fill the cube more evenly, and means of smooth functions
             converge almost like 1/n, not like 1/√n. Best with n a power of two; another n does no
             harm. Draws depend on seed and on all quantities, not on n ≤ 2³².
+        "saltelli" : for Sobol's sensitivity indices (A. Saltelli et al., Comput. Phys. Commun. 181,
+            2010). Of q quantities that are drawn, each q + 2 bodies take one point of a Sobol
+            sequence of twice the coordinates, two independent draws A and B of everything: the
+            first body is A, the second B, and number 2 + j is A with B's quantity j. n is
+            (q + 2)·2ᵏ; of a vector all components are one quantity.
         "grid" : every combination of the levels of `Values`, the last quantity's changing fastest;
             other quantities must be constants.
 
@@ -88,13 +93,15 @@ class Design:
             raise ArgumentError(f"method={method!r} needs n, the number of bodies")
         object.__setattr__(self, "quantities", taken)
         object.__setattr__(self, "n", _whole("n", n, 1, MOST_BODIES))
-        if method == "sobol" and self.n > 2**SOBOL_BITS:
+        object.__setattr__(self, "method", method)
+        if method == "saltelli":
+            _check_rows(self.n, len(self.drawn))
+        if method in ("sobol", "saltelli") and self._points > 2**SOBOL_BITS:
             raise ArgumentError(
                 f"n={n}: a Sobol sequence has 2³² = {2**SOBOL_BITS} points; take as many, or "
                 'method="random"'
             )
         object.__setattr__(self, "seed", _whole("seed", seed, 0, 2**SEED_BITS - 1))
-        object.__setattr__(self, "method", method)
 
     def __len__(self) -> int:
         return self.n
@@ -103,6 +110,21 @@ class Design:
     def dimension(self) -> int:
         """Uniforms that a body takes."""
         return sum(quantity.dimension for quantity in self.quantities.values())
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """The names of the quantities that are not the same for all."""
+        return tuple(name for name, q in self.quantities.items() if q.dimension)
+
+    @property
+    def _points(self) -> int:
+        """Of a Sobol sequence."""
+        return self.n // (len(self.drawn) + 2) if self.method == "saltelli" else self.n
+
+    @property
+    def _coordinates(self) -> int:
+        """Of each of its points."""
+        return self.dimension * (2 if self.method == "saltelli" else 1)
 
     def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:
         """The values of bodies first, first + 1, …, first + count − 1.
@@ -129,10 +151,12 @@ class Design:
             return self._grid_part(first, count)
         if self.method == "sobol":
             points = self._sobol_points(first, count)
+        elif self.method == "saltelli":
+            points = self._saltelli_points(first, count)
         drawn, column = {}, 0
         for name, quantity in self.quantities.items():
             d = quantity.dimension
-            if self.method == "sobol":
+            if self.method in ("sobol", "saltelli"):
                 u = points[:, column : column + d]
             else:
                 u = _between_0_and_1(_words(self.seed, name, first, count, d) >> 64 - UNIFORM_BITS)
@@ -151,8 +175,20 @@ class Design:
                 drawn[name] = quantity.draw(np.empty((count, 0)))
         return drawn
 
+    def _saltelli_points(self, first: int, count: int) -> Array:
+        """(count, dimension): of rows A, B, A with B's first quantity, A with B's second, …"""
+        each, d = len(self.drawn) + 2, self.dimension
+        bodies = np.arange(first, first + count)
+        rows, kinds = bodies // each, bodies % each
+        start = int(rows[0])
+        both = self._sobol_points(start, int(rows[-1]) - start + 1)[rows - start]
+        widths = [self.quantities[name].dimension for name in self.drawn]
+        owner = np.repeat(np.arange(len(widths)), widths)  # of each coordinate
+        from_b = (kinds[:, None] == 1) | (kinds[:, None] == 2 + owner)
+        return np.where(from_b, both[:, d:], both[:, :d])
+
     def _sobol_points(self, first: int, count: int) -> Array:
-        """(count, dimension): point i is point i − 1 with one direction added, bit by bit."""
+        """(count, coordinates): point i is point i − 1 with one direction added, bit by bit."""
         origin, directions = self._sobol
         gray = first ^ first >> 1
         start = origin.copy()
@@ -164,7 +200,7 @@ class Design:
         steps = np.concatenate((start[None], directions[trailing_zeros]))
         leading = np.bitwise_xor.accumulate(steps, axis=0)
         added = UNIFORM_BITS - SOBOL_BITS
-        trailing = _words(self.seed, "", first, count, self.dimension) >> 64 - added
+        trailing = _words(self.seed, "", first, count, self._coordinates) >> 64 - added
         return _between_0_and_1(leading << added | trailing)
 
     @cached_property
@@ -179,11 +215,11 @@ class Design:
         from scipy.stats.qmc import Sobol
 
         most = Sobol.MAXDIM
-        if self.dimension > most:
-            raise ArgumentError(f"the draws take {self.dimension} uniforms; Sobol has {most}")
-        engine = Sobol(self.dimension, bits=SOBOL_BITS, rng=np.random.default_rng(self.seed))
+        if self._coordinates > most:
+            raise ArgumentError(f"the draws take {self._coordinates} uniforms; Sobol has {most}")
+        engine = Sobol(self._coordinates, bits=SOBOL_BITS, rng=np.random.default_rng(self.seed))
         points = [engine.random(1)]
-        bits = (self.n - 1).bit_length()
+        bits = (self._points - 1).bit_length()
         for bit in range(bits):
             if bit == WALKED_BITS:
                 first, walked = _directions(points)
@@ -209,6 +245,21 @@ def _whole(argument: str, value: Any, low: int, high: int) -> int:
     if isinstance(value, (bool, float, str)):
         shown = repr(value)
     raise ArgumentError(f"{argument}={shown}; expected a whole number from {low} to {high}")
+
+
+def _check_rows(n: int, quantities: int) -> None:
+    """Raise ArgumentError unless n bodies are so many rows as Sobol's points are balanced for."""
+    if not quantities:
+        raise ArgumentError('method="saltelli" needs a quantity that is drawn; all are constants')
+    each = quantities + 2
+    rows = n // each
+    if n == rows * each and rows & (rows - 1) == 0:
+        return
+    below = 1 << max(rows, 1).bit_length() - 1
+    raise ArgumentError(
+        f"n={n}: a saltelli design of {quantities} quantities takes {each} bodies times a power of "
+        f"two; the nearest are {each * below} and {2 * each * below}"
+    )
 
 
 def _size_of_grid(quantities: dict[str, Distribution], n: int | None) -> int:

@@ -97,7 +97,9 @@ def index_of(items: Sequence[Any], part: str, of: str) -> int:
     if part.isdecimal() and int(part) < len(items):
         return int(part)
     names = [
-        str(item.get("name") or item.get("type")) if isinstance(item, dict) else str(n)
+        str(item.get("name") or str(item.get("type")).rpartition(":")[2])
+        if isinstance(item, dict)
+        else str(n)
         for n, item in enumerate(items)
     ]
     if part not in names:

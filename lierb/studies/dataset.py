@@ -1,6 +1,7 @@
 """A study's results on the disk: Parquet parts, entered in a manifest once they are safe there.
 
     DIR/study.toml            as it was run
+    DIR/FILE.py               each Python file that the study names, as it was run
     DIR/manifest.json         digest of the study, versions, every finished part with its checksums
     DIR/summary/part-*.parquet, DIR/history/part-*.parquet
     DIR/.lock
@@ -44,6 +45,7 @@ from lierb.extras import require
 from lierb.runs.failures import COLUMNS, Failures
 from lierb.runs.provenance import machine
 from lierb.shown import FAILED, Lines, Shown
+from lierb.studies.code import FILE, Code, read_code, sha256_of_text
 from lierb.studies.files import (
     KEPT,
     RESUME,
@@ -74,7 +76,7 @@ MANIFEST = "manifest.json"
 STUDY = "study.toml"
 LOCK = ".lock"
 UNFINISHED = {  # names of what a process that died may have left, by folder
-    "": re.compile(rf"\.(manifest\.json|study\.toml)\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}"),
+    "": re.compile(rf"\.(manifest\.json|study\.toml|{FILE})\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}"),
     **dict.fromkeys(
         TABLES, re.compile(rf"\.part-{PART}\.parquet\.[0-9a-f]{{8}}{re.escape(TEMPORARY)}")
     ),
@@ -198,21 +200,67 @@ class Dataset(Shown):
         text: str,
         asked: int,
         changes: Mapping[str, Any] | None = None,
+        code: Code | None = None,
+        functions: Mapping[str, str] | None = None,
     ) -> None:
         """Start the folder of a study of so many parts, or of another than was begun in it.
 
-        Raises StudyError for a study.toml of the user's that says another study.
+        code : the texts of its Python files.   functions : as the manifest has them.
+        Raises StudyError for a study.toml, or Python file, of the user's that says something else.
         """
-        begun = self.manifest.get("text")
+        begun, texts = self.manifest.get("text"), code or {}
         if begun and sha256_of(self.folder / STUDY) == begun:
             self.drop([STUDY])
+        for file, digest_begun in self.manifest.get("code", {}).items():
+            if sha256_of(self.folder / file) == digest_begun:
+                self.drop([file])
+        digests = {file: sha256_of_text(text) for file, text in texts.items()}
+        missing = self._missing_code(digests)
         is_there = self.study_text(digest) is not None
         self.manifest = _fresh(digest, study, asked) | {"set": dict(changes or {})}
+        if texts:
+            self.manifest |= {"code": digests, "functions": dict(functions or {})}
         if not is_there:
             self.manifest["text"] = hashlib.sha256(text.encode()).hexdigest()
         self._write_manifest()  # first: a study.toml without one is the user's
+        for file in missing:
+            self.write(file, texts[file].encode())
         if not is_there:
             self.write(STUDY, text.encode())
+
+    def _missing_code(self, digests: Mapping[str, str]) -> list[str]:
+        """Those of these Python files that are not there.
+
+        Raises StudyError for one that is there and another one.
+        """
+        for file, digest in digests.items():
+            path = self.folder / file
+            if os.path.lexists(path) and sha256_of(path) != digest:
+                raise StudyError(
+                    f"{path} is not the file that the study is run with: one of the two was edited "
+                    "since; restore it, or choose another folder for the results"
+                )
+        return [file for file in digests if not os.path.lexists(self.folder / file)]
+
+    def restore_code(self, code: Code) -> list[str]:
+        """Write those of the study's Python files that are missing; which they are.
+
+        Raises StudyError for one that was edited since.
+        """
+        missing = self._missing_code(self.manifest.get("code", {}))
+        for file in missing:
+            self.write(file, code[file].encode())
+        return missing
+
+    def code(self) -> Code:
+        """The texts of the Python files that the results were made with.
+
+        Raises StudyError where one is missing or was edited since.
+        """
+        digests = self.manifest.get("code", {})
+        if missing := self._missing_code(digests):
+            raise StudyError(f"{self.folder / missing[0]} is missing; {RESUME} it again")
+        return read_code(self.folder, digests)
 
     def study_text(self, digest: str | None = None) -> str | None:
         """What study.toml says, the study of that digest or of the manifest; None if there is none.
@@ -259,6 +307,18 @@ class Dataset(Shown):
         if time.monotonic() >= self._next_writing:
             self._write_manifest()
 
+    def end_with(self, last: list[str]) -> None:
+        """Note that no more parts will come: the last one of each setting."""
+        if self.manifest.get("stopped", []) != last:
+            self.manifest["stopped"] = last
+            self._write_manifest()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether no part is missing."""
+        stopped: list[str] = self.manifest.get("stopped", [])
+        return bool(stopped) or len(self.parts) == self.manifest["asked"]
+
     def _write_manifest(self) -> None:
         began = time.monotonic()
         self.manifest["parts"] = dict(sorted(self.parts.items()))
@@ -276,6 +336,7 @@ class Dataset(Shown):
         damaged = [part for part, files in self.parts.items() if not self._is_whole(files)]
         for part in damaged:
             del self.parts[part]
+            self.manifest.pop("stopped", None)
         self.drop_unfinished()
         if damaged:
             self._write_manifest()
@@ -297,6 +358,8 @@ class Dataset(Shown):
             for part, files in claims["parts"].items() if self._is_whole(files)
         }  # fmt: skip
         fresh = _fresh(study.digest(), study.model_dump(), asked)
+        if study.files:
+            fresh |= {"code": study.code_digests, "functions": study.fingerprints()}
         self.manifest = fresh | claims | {"parts": parts}
         self._write_manifest()
         return True
@@ -366,10 +429,22 @@ class Dataset(Shown):
             self._require_whole(chosen)
         return ds.dataset([str(self.folder / file) for file in chosen], format="parquet")
 
+    def part_of(self, name: str, part: str, columns: list[str]) -> pa.Table:
+        """Columns of one part of a table."""
+        file = file_of(name, part)
+        self._require_whole([file])
+        return pq.read_table(self.folder / file, columns=columns)
+
     @property
     def trajectories(self) -> int:
         """How many rows the summary has, by the manifest."""
         return sum(entry["rows"] for _, entry in self._summaries())
+
+    def rest(self, remedy: str) -> str:
+        """Why there are fewer parts than were asked for, and what helps; "" where all are there."""
+        if self.manifest.get("stopped"):
+            return f"; enough, by {self.manifest['study']['sample']['stop_when']}"
+        return "" if self.is_complete else f"; {remedy}"
 
     def failures(self) -> Failures | None:
         """The trajectories that failed, by the manifest; None if all are ok."""
@@ -417,7 +492,7 @@ class Dataset(Shown):
         lines = [
             ("settings", settings_told(run["cspace"], run["method"], run["dt"])),
             ("trajectories", str(self.trajectories)),
-            ("parts", f"{done} of {asked}{'' if done == asked else '; resume=True does the rest'}"),
+            ("parts", f"{done} of {asked}{self.rest('resume=True does the rest')}"),
         ]
         if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
             lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))

@@ -15,7 +15,16 @@ from lierb.arrays import Array
 from lierb.errors import StudyError
 from lierb.studies.convergence import Order, observed_order
 from lierb.studies.dataset import Dataset
+from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of, sizes_of
+from lierb.studies.statistics import (
+    PROBABILITIES,
+    Sensitivity,
+    Spread,
+    observed_columns,
+    sensitivities,
+    spreads,
+)
 from lierb.studies.study import Setting, Study
 from lierb.studies.units import each_unit
 
@@ -40,6 +49,8 @@ class Found:
     quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
         there are none, and for an error that the joint has no rows for.
     sizes : of what each of ERRORS is an error of; see `lierb.studies.sizes`.
+    intervals : of each quantile but the largest, the two ends of its confidence interval; see
+        `lierb.studies.statistics`.
     """
 
     setting: Setting
@@ -47,12 +58,13 @@ class Found:
     failed: int
     quantiles: dict[str, Array]
     sizes: dict[str, float]
+    intervals: dict[str, Array]
 
 
 def study_of(dataset: Dataset) -> Study:
     """The study whose results they are."""
     try:
-        return Study.model_validate(dataset.manifest["study"])
+        return Study.model_validate(dataset.manifest["study"]).with_code(dataset.code())
     except ValidationError as error:
         raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
 
@@ -68,14 +80,30 @@ def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, .
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
-    quantiles = {
-        kind: np.quantile(rows[name].to_numpy()[ok], QUANTILES, method="inverted_cdf")
-        if kind in kinds and ok.any()
-        else np.full(len(QUANTILES), np.nan)
-        for kind, name in ERRORS.items()
-    }
+    quantiles, intervals = {}, {}
+    for kind, name in ERRORS.items():
+        values = rows[name].to_numpy()[ok] if kind in kinds else np.empty(0)
+        each = [quantile_of(np.sort(values), p) for p in QUANTILES[:-1]]
+        largest = values.max() if len(values) else np.nan
+        quantiles[kind] = np.array([*(q.value for q in each), largest])
+        intervals[kind] = np.array([(q.low, q.high) for q in each])
     sizes = sizes_of(dataset, study, setting)
-    return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes)
+    return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes, intervals)
+
+
+def quantities(dataset: Dataset) -> list[Spread]:
+    """Quantiles of the errors that there are and of all observables, with confidence intervals."""
+    study = study_of(dataset)
+    units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
+    columns = {name: units[kind] for kind, name in errors_seen(dataset, study).items()}
+    return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
+
+
+def indices(dataset: Dataset) -> list[Sensitivity]:
+    """Sobol's indices of what observables, or else the errors, depend on; [] for other designs."""
+    study = study_of(dataset)
+    columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
+    return list(sensitivities(dataset, study, columns))
 
 
 def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
@@ -188,4 +216,64 @@ def table_of(found: list[Found]) -> Table:
             table.add_row(*heads, label, *quantiles, order)
             heads = [""] * len(heads)
         table.add_section()
+    return table
+
+
+def quantile_told(quantile: Quantile) -> tuple[str, str]:
+    """The quantile, and its interval, with three digits; a dash where there is none."""
+    value, low, high = (
+        "–" if np.isnan(x) else f"{x:.3g}" for x in (quantile.value, quantile.low, quantile.high)
+    )
+    return value, f"{low}…{high}"
+
+
+def with_unit(spread: Spread) -> str:
+    """A quantity's name, its unit, and how many bodies have no number."""
+    name = f"{spread.name}, {spread.unit}" if spread.unit != "1" else spread.name
+    return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
+
+
+def table_of_quantities(found: list[Spread]) -> Table:
+    """For a terminal."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    table.add_column(f"quantiles, their {CONFIDENCE:.0%} intervals", no_wrap=True)
+    for p in PROBABILITIES:
+        table.add_column(f"{p:.0%}", no_wrap=True, justify="right")
+    before = None
+    for each in found:
+        if each.setting != before:
+            table.add_section()
+            table.add_row(each.setting.label)
+            before = each.setting
+        values, intervals = zip(*map(quantile_told, each.quantiles), strict=True)
+        table.add_row(f"  {with_unit(each)}", *values)
+        table.add_row("", *intervals)
+    return table
+
+
+def index_told(index: tuple[float, float, float]) -> tuple[str, str]:
+    """An index of sensitivity and its interval."""
+    value, low, high = ("–" if np.isnan(x) else f"{x:.3f}" for x in index)
+    return value, f"{low}…{high}"
+
+
+def table_of_indices(found: list[Sensitivity]) -> Table:
+    """For a terminal."""
+    from rich import box
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
+    table.add_column("share of the variance due to", no_wrap=True)
+    for column in ("alone", f"{CONFIDENCE:.0%} interval", "in all", f"{CONFIDENCE:.0%} interval"):
+        table.add_column(column, no_wrap=True, justify="right")
+    before = None
+    for each in found:
+        if (each.setting, each.column) != before:
+            table.add_section()
+            table.add_row(f"{each.column}, {each.setting.label}")
+            before = each.setting, each.column
+        table.add_row(f"  {each.quantity}", *index_told(each.first), *index_told(each.total))
     return table

@@ -24,6 +24,7 @@ from pydantic import (
 )
 
 from lierb.errors import StudyError, StudyFileError
+from lierb.studies.code import FILE
 
 FORMAT = 3
 TABLES = ("summary", "history")
@@ -34,6 +35,7 @@ MENDED = f"--resume (resume=True) of its study keeps the parts that are whole; o
 
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 PartName = Annotated[str, Field(pattern=f"^{PART}$")]
+CodeFile = Annotated[str, Field(pattern=f"^{FILE}$")]
 
 
 def file_of(table: str, part: str) -> str:
@@ -76,6 +78,9 @@ class _Manifest(_Checked):
 
     digest : of the study.   text : SHA-256 of study.toml as a run wrote it; None where the user's
     own was there.   set : what was changed of the study's file.   asked : parts in all.
+    stopped : the last part of each setting, of a study that had enough bodies before its time.
+    code : SHA-256 of the Python files that the study names.   functions : fingerprints of what they
+    compute, by what is made of them.
     """
 
     format: Literal[3]
@@ -85,6 +90,9 @@ class _Manifest(_Checked):
     set: dict[str, Any]
     machine: dict[str, str]
     asked: PositiveInt
+    stopped: list[PartName] = []
+    code: dict[CodeFile, Sha256] = {}
+    functions: dict[str, str] = {}
     parts: dict[PartName, dict[str, _Entry]]
 
     @model_validator(mode="after")

@@ -147,8 +147,9 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
     """With what its bodies drew behind, in its units."""
     for name, values in batch.draws.items():
         column = _column(np.ascontiguousarray(values))
-        unit = {"unit": unit_of(name, study, batch.problem.joint)}
-        table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=unit), column)
+        unit = unit_of(name, study, batch.problem.joint)
+        told = {"unit": unit} if unit else None
+        table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=told), column)
     return table
 
 

@@ -24,15 +24,22 @@ from lierb.studies.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    index_told,
+    indices,
     least_drawn,
     ok_columns,
     orders,
+    quantile_told,
+    quantities,
     shown,
     some_rows,
     study_of,
+    with_unit,
 )
 from lierb.studies.parts import parts_of
+from lierb.studies.quantiles import CONFIDENCE
 from lierb.studies.replays import chosen, replayed, told
+from lierb.studies.statistics import PROBABILITIES
 from lierb.studies.study import Setting, Study
 from lierb.studies.symbols import labelled
 
@@ -92,6 +99,22 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         failed=dataset.failures(),
         predictions=_predictions(study),
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
+        probabilities=[f"{p:.0%}" for p in PROBABILITIES],
+        confidence=f"{CONFIDENCE:.0%}",
+        quantities=[
+            (each.setting, with_unit(each), [quantile_told(q) for q in each.quantiles])
+            for each in quantities(dataset)
+        ],
+        indices=[
+            (
+                each.setting,
+                each.column,
+                each.quantity,
+                index_told(each.first),
+                index_told(each.total),
+            )
+            for each in indices(dataset)
+        ],
         ordered=len(set(study.integrate.dt)) > 1,
         errors=[_error_rows(found, each) for each in found],
         figures=[_drawn_sheet(name, sheet) for name, sheet in sheets(dataset)],

@@ -10,20 +10,25 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.model import Problem
 from lierb.runs.failures import Failures, told_elsewhere, warn_of
 from lierb.runs.progress import Progress, check_progress, reporter
 from lierb.runs.provenance import machine
+from lierb.sampling import Design
 from lierb.studies.changes import written
 from lierb.studies.cluster import spread
+from lierb.studies.code import is_loading
 from lierb.studies.dataset import STUDY, Dataset, Stored, parquet_files, part_named
+from lierb.studies.from_python import study_of
 from lierb.studies.parts import Part, Parts, parts_of
 from lierb.studies.sources import as_file, path_given
+from lierb.studies.stopping import Bodies
 from lierb.studies.study import Setting, Study, tables_of
 from lierb.studies.study_file import plain_changes
 
@@ -36,8 +41,35 @@ REPLAY = (
 )
 
 
+@overload
 def run(
     study: Study | str | Path,
+    out: str | Path,
+    /,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+) -> Dataset: ...
+@overload
+def run(
+    study: Study | str | Path,
+    *,
+    out: str | Path,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+) -> Dataset: ...
+@overload
+def run(
+    study: Problem,
+    design: Design,
     out: str | Path,
     *,
     changes: Mapping[str, Any] | None = None,
@@ -46,10 +78,29 @@ def run(
     progress: Progress = None,
     client: Client | None = None,
     gather: bool = False,
+    **settings: Any,
+) -> Dataset: ...
+def run(
+    study: Study | Problem | str | Path,
+    design: Any = None,
+    out: Any = None,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+    **settings: Any,
 ) -> Dataset:
     """Run a study into a folder, part by part; memory does not grow with the study.
 
+    `run(study, out, …)` or `run(problem, design, out, …)`.
+
     study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
+    problem, design : a lierb.Problem and the lierb.sampling.Design that draws its numbers; with
+        dt, t_end and other settings of `lierb.study_of`, which says more. The files with the
+        problem's own functions are copied into the folder.
     changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
         folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
@@ -73,12 +124,14 @@ def run(
         raise ArgumentError("gather=True is for the workers of a cluster; give client=")
     if client is not None and client.asynchronous:
         raise ArgumentError("client= is asynchronous; run takes a Client that waits")
+    study, out = _given(study, design, out, settings)
     given, text = _loaded(study, changes or {})
     dataset = Dataset(out)
     with dataset.locked():
         parts = _opened(dataset, given, text, changes or {}, resume)
-        done = parts.body_steps(dataset.parts)
-        left = (part for part in parts if part.name not in dataset.parts)
+        in_turn = InTurn(given, parts, dataset)
+        in_turn.enter({})
+        done, left = parts.body_steps(dataset.parts), in_turn.left()
         with reporter(progress, parts.body_steps()) as report, _interruptible() as stopping:
 
             def tell(within: int) -> None:
@@ -90,15 +143,110 @@ def run(
                 finished = spread(client, given, left, dataset, threads, gather, stopping)
             with closing(finished):
                 for name, files in finished:
-                    dataset.enter(name, files)
-                    done += parts.body_steps([name])
+                    done += parts.body_steps(in_turn.enter({name: files}))
                     tell(0)
-        if len(dataset.parts) < parts.total:
+        if not in_turn.is_complete:
             raise KeyboardInterrupt
+        in_turn.end()
         dataset.drop_unfinished()
         _left_by_a_kill(dataset)  # nothing is, now
     warn_of(dataset.failures(), REPLAY, stacklevel=3)
     return dataset
+
+
+def _given(
+    study: Any, design: Any, out: Any, settings: Mapping[str, Any]
+) -> tuple[Study | str | Path, Any]:
+    """The study and the folder, of either way to call `run`."""
+    if file := is_loading():
+        raise StudyError(
+            f"{file} runs a study when it is loaded for its functions; put that under "
+            'if __name__ == "__main__":'
+        )
+    if isinstance(study, Problem):
+        if design is None or out is None:
+            raise ArgumentError(
+                "a problem is run as lierb.run(problem, design, out, dt=…, t_end=…)"
+            )
+        return study_of(study, design, **settings), out
+    if design is not None and out is not None:
+        raise ArgumentError("a study is run as lierb.run(study, out)")
+    for key in settings:
+        raise ArgumentError(f"{key} is a setting of the study; give it in changes=")
+    return study, design if out is None else out
+
+
+class InTurn:
+    """Which parts of a study are run, and entered.
+
+    With a rule when to stop (`lierb.studies.stopping`), parts are entered in their order: of what
+    workers did beyond the last one of a setting nothing is left.
+    """
+
+    def __init__(self, study: Study, parts: Parts, dataset: Dataset) -> None:
+        self.parts, self.dataset, self.rule = parts, dataset, study.stopping_rule
+        self.held: dict[str, list[Stored]] = {}
+        self.last: dict[Setting, str] = {}  # parts, of settings that need no more
+        self.waiting = iter(parts)
+        self.next = next(self.waiting, None)
+        self.bodies = Bodies(self.rule) if self.rule else None
+
+    @property
+    def is_complete(self) -> bool:
+        if self.rule is None:
+            return len(self.dataset.parts) == self.parts.total
+        return self.next is None
+
+    def left(self) -> Iterator[Part]:
+        """What is to be done, as far as is known when the next one is asked for."""
+        for part in self.parts:
+            is_there = part.name in self.dataset.parts or part.name in self.held
+            if not is_there and part.setting not in self.last:
+                yield part
+
+    def enter(self, done: dict[str, list[Stored]]) -> list[str]:
+        """Enter parts that are done, and those that waited for them; which they are."""
+        if self.rule is None:
+            for name, files in done.items():
+                self.dataset.enter(name, files)
+            return list(done)
+        self.held |= done
+        entered = []
+        while self.next is not None:
+            part = self.next
+            if part.name not in self.dataset.parts:
+                if part.name not in self.held:
+                    break
+                self.dataset.enter(part.name, self.held.pop(part.name))
+                entered.append(part.name)
+            self._count(part)
+        self._drop()
+        return entered
+
+    def _count(self, part: Part) -> None:
+        """Ask the rule about all bodies up to a part, and go on to the next one."""
+        assert self.rule is not None
+        assert self.bodies is not None
+        self.bodies.add(self.dataset.part_of("summary", part.name, self.bodies.columns))
+        is_enough = self.rule.holds(self.bodies)
+        self.next = next(self.waiting, None)
+        while is_enough and self.next is not None and self.next.setting == part.setting:
+            self.next = next(self.waiting, None)
+        if self.next is None or self.next.setting != part.setting:
+            self.last[part.setting] = part.name
+            self.bodies = Bodies(self.rule)
+
+    def _drop(self) -> None:
+        """Delete what was done and is not wanted."""
+        for name in list(self.held):
+            part = self.parts.named(name)
+            if part is not None and part.setting in self.last:
+                self.dataset.drop([file.aside for file in self.held.pop(name)])
+
+    def end(self) -> None:
+        """Note which parts were the last ones, where some were left out."""
+        if len(self.dataset.parts) < self.parts.total:
+            self.dataset.end_with(list(self.last.values()))
 
 
 def _here(
@@ -131,16 +279,23 @@ def integrate_batches(
     known = ("summary", "history") if given.integrate.save_every else ("summary",)
     if table not in known:
         raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
-    design, parts = given.design, parts_of(given)
+    design, parts, rule = given.design, parts_of(given), given.stopping_rule
     seen: Failures | None = None
 
     def made() -> Iterator[pa.Table]:
         nonlocal seen
+        bodies: dict[Setting, Bodies] = {}
         for part in parts:
+            if rule is not None:
+                known = bodies.setdefault(part.setting, Bodies(rule))
+                if known.count and rule.holds(known):
+                    continue
             tables = part.tables(given, design, threads)
             if failures := Failures.of(tables["summary"]):
                 own = replace(failures, setting=part.setting.label)
                 seen = Failures.joined([seen, own] if seen else [own], parts.trajectories)
+            if rule is not None:
+                known.add(tables["summary"])
             yield tables[table]
 
     tables = made()
@@ -234,10 +389,13 @@ def _opened(
         )
     _left_by_a_kill(dataset, parts if is_same else None)
     if not dataset.parts:
-        dataset.begin(study.digest(), study.model_dump(), text, parts.total, changes)
+        dataset.begin(
+            study.digest(), study.model_dump(), text, parts.total, changes,
+            study.code, study.fingerprints() if study.files else {},
+        )  # fmt: skip
         dataset.drop_unfinished()
     else:
-        _resumed(dataset, text)
+        _resumed(dataset, study, text)
     dataset.drop(_left_by_a_kill(dataset, parts))
     return parts
 
@@ -257,7 +415,7 @@ def _read(dataset: Dataset, study: Study, asked: int, resume: bool) -> None:
         )
 
 
-def _resumed(dataset: Dataset, text: str) -> None:
+def _resumed(dataset: Dataset, study: Study, text: str) -> None:
     """Look at what is there; write what is missing of it but for parts."""
     if dataset.manifest["machine"] != machine():
         warnings.warn(
@@ -271,6 +429,10 @@ def _resumed(dataset: Dataset, text: str) -> None:
             f"{dataset.folder / STUDY} was missing; it is written again", StudyWarning, stacklevel=4
         )
         dataset.write(STUDY, text.encode())
+    for file in dataset.restore_code(study.code):
+        warnings.warn(
+            f"{dataset.folder / file} was missing; it is written again", StudyWarning, stacklevel=4
+        )
     dataset.drop_damaged()
 
 
@@ -294,7 +456,14 @@ def _left_by_a_kill(dataset: Dataset, own: Parts | None = None) -> list[str]:
 def _differences(dataset: Dataset, study: Study) -> str:
     there, here = dict(tables_of(dataset.manifest["study"])), dict(tables_of(study.model_dump()))
     keys = [k for k in there | here if there.get(k) != here.get(k) and k != "name"]
-    return ", ".join(f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:5])
+    told = [f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:5]]
+    before = dataset.manifest.get("code", {})
+    told += [
+        f"{file} was edited since, or is another file"
+        for file, digest in study.code_digests.items()
+        if before.get(file, digest) != digest
+    ]
+    return ", ".join(told)
 
 
 @contextmanager

@@ -23,10 +23,16 @@ def examples() -> dict[str, str]:
 
 
 def example(name: str) -> str:
-    """The TOML text of an example. Raises UnknownNameError."""
+    """The TOML text of an example, or the Python file FILE.py that one names.
+
+    Raises UnknownNameError.
+    """
     known = sorted(path.stem for path in _folder().glob("*.toml"))
+    files = sorted(path.name for path in _folder().glob("*.py"))
+    if name in files:
+        return (_folder() / name).read_text(encoding="utf-8")
     if name not in known:
-        raise unknown_name("example", name, known)
+        raise unknown_name("example", name, (*known, *files))
     text = (_folder() / f"{name}.toml").read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith(SCHEMA))

@@ -2,7 +2,7 @@
 
     [body]         mass, inertia, com; or solid = "box" … with its size and density
     [joint]        type and frames, as `lierb.joints` takes them
-    [problem]      gravity, forces
+    [problem]      gravity, forces, constraints, observables
     [initial]      omega, point_velocity, twist, velocities; coordinates, rotation, place
     [sample]       n, seed, method; and for each sampled quantity a table [sample.SECTION.KEY]
     [integrate]    cspace, method, dt: one value or several, run as a product; t_end, record, …
@@ -23,21 +23,24 @@ from difflib import get_close_matches
 from itertools import islice, product
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tomli_w
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
     NonNegativeInt,
     PositiveInt,
+    PrivateAttr,
     ValidationError,
     WithJsonSchema,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from lierb import api, bodies, forces, joints
 from lierb.arrays import (
@@ -60,7 +63,17 @@ from lierb.sampling import Design, inertia_of
 from lierb.sampling.distributions import DISTRIBUTIONS, as_distribution
 from lierb.shown import FAILED, Lines, Shown, counted
 from lierb.studies.changes import applied, index_of, path_of, written
+from lierb.studies.code import (
+    EXPECTED,
+    PATTERN,
+    Code,
+    function_of,
+    named,
+    read_code,
+    sha256_of_text,
+)
 from lierb.studies.sources import LONGEST_STUDY, path_given
+from lierb.studies.stopping import Rule, rule_of
 from lierb.studies.study_file import (
     LARGEST,
     TOO_LARGE,
@@ -71,9 +84,9 @@ from lierb.studies.study_file import (
     shortened,
     tables_in,
 )
-from lierb.user_elements import Force
 
 NOTHING = "nothing"  # a design draws something
+ELEMENTS = ("forces", "constraints", "observables")
 PREVIEW = 8  # bodies that are made when a study is checked
 MOST_SETTINGS = 1000  # each is looked at when a study is checked
 MOST_FORCES = 100  # all are in one kernel
@@ -165,27 +178,78 @@ class JointSection(Section):
         return made
 
 
-class ForceSection(BaseModel):
-    """A force of `lierb.forces`, with its parameters; `name` if there are several of a type."""
+def _type_of_force(given: str) -> str:
+    if given in forces.FORCE_UNITS or named(given):
+        return given
+    known = ", ".join(map(repr, forces.FORCE_UNITS))
+    raise PydanticCustomError("type_of_force", f"input should be {known} or {EXPECTED}")
+
+
+def _type_of_function(given: str) -> str:
+    if named(given):
+        return given
+    raise PydanticCustomError("type_of_function", f"input should be {EXPECTED}")
+
+
+OF_FUNCTION = {"type": "string", "pattern": PATTERN}
+OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
+
+
+class ElementSection(BaseModel):
+    """What a problem has in a list; with its parameters, and a `name` if there are several."""
 
     model_config = SECTION | ConfigDict(extra="allow")
 
-    type: Literal[tuple(forces.FORCE_UNITS)]  # type: ignore[valid-type]
+    table: ClassVar[str]
+    type: Annotated[str, AfterValidator(_type_of_function), WithJsonSchema(OF_FUNCTION)]
     name: str | None = None
 
     @property
     def label(self) -> str:
-        return self.name or self.type
+        return self.name or self.type.rpartition(":")[2]
 
-    def make(self, sampled: dict[str, Array]) -> Force:
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        """What it describes, by a function of lierb's or of the study's files."""
         values = dict(self.model_extra or {}) | sampled
-        made: Force = _called(f"forces.{self.label}", getattr(forces, self.type), values)
-        return made
+        if named(self.type):
+            return function_of(self.table, self.type, code)(**values)
+        return _called(f"{self.table}.{self.label}", getattr(forces, self.type), values)
+
+
+class ForceSection(ElementSection):
+    """A force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
+
+    table = "forces"
+    type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
+
+
+class ConstraintSection(ElementSection):
+    """A function with `@lierb.constraint` in a file beside the study."""
+
+    table = "constraints"
+
+
+class ObservableSection(ElementSection):
+    """A function with `@lierb.observable` in a file beside the study; `name` is its column's."""
+
+    table = "observables"
+
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        made = super().make(sampled, code)
+        return made.named(self.name) if self.name else made
 
 
 class ProblemSection(Section):
     gravity: Vector = [0.0, 0.0, 0.0]
     forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
+    constraints: Annotated[list[ConstraintSection], Field(max_length=MOST_FORCES)] = []
+    observables: Annotated[list[ObservableSection], Field(max_length=MOST_FORCES)] = []
+
+    def elements(self) -> Iterator[tuple[str, ElementSection]]:
+        """Each with the name of its list."""
+        for table in ELEMENTS:
+            for element in getattr(self, table):
+                yield table, element
 
 
 class InitialSection(Section):
@@ -205,23 +269,30 @@ class InitialSection(Section):
 
 
 class SampleSection(BaseModel):
-    """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables."""
+    """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables.
+
+    stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
+    """
 
     model_config = SECTION
 
     n: Count | None = None
     seed: Annotated[NonNegativeInt, Whole] = 0
-    method: Literal["random", "sobol", "grid"] = "random"
+    method: Literal["random", "sobol", "saltelli", "grid"] = "random"
+    stop_when: str | None = None
     body: dict[str, Any] = {}
     joint: dict[str, Any] = {}
     problem: dict[str, Any] = {}
     forces: dict[str, dict[str, Any]] = {}
+    constraints: dict[str, dict[str, Any]] = {}
+    observables: dict[str, dict[str, Any]] = {}
     initial: dict[str, Any] = {}
 
     def quantities(self) -> dict[str, Any]:
         """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
         tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
-        tables |= {f"forces.{name}": table for name, table in self.forces.items()}
+        for kind in ELEMENTS:
+            tables |= {f"{kind}.{name}": table for name, table in getattr(self, kind).items()}
         found = {}
         for section, table in tables.items():
             known = KEYS.get(section)
@@ -302,6 +373,7 @@ class Study(Shown, Section):
     sample: SampleSection = SampleSection(n=1)
     integrate: IntegrateSection
     output: OutputSection = OutputSection()
+    _code: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @classmethod
     def of(
@@ -310,16 +382,24 @@ class Study(Shown, Section):
         source: str = "study",
         text: str = "",
         changes: Mapping[str, Any] | None = None,
+        folder: str | Path | None = None,
+        code: Code | None = None,
     ) -> Study:
         """A study from the tables of its file; `source` and `text` are for messages.
 
         changes : of the tables, by dotted keys (see `lierb.studies.changes`): {"sample.n": 1000}.
+        folder : where the Python files are that it names; or code : their texts, by name. Whatever
+            these files do is done here.
         """
         given = Given(source, text, {})
         try:
             given = Given(source, text, plain_changes(changes or {}))
             tables = applied(plain(tables), given.changes)
             study = cls.model_validate(tables)
+            files = study.files
+            study = study.with_code(
+                read_code(path_given(folder), files) if folder is not None else code or {}
+            )
             study.check()
             study.require_effect(given.changes)
         except ValidationError as error:
@@ -342,7 +422,8 @@ class Study(Shown, Section):
         """
         path = path_given(path)
         text = read(path)
-        return cls.of({"name": path.stem} | tables_in(text, path.name), path.name, text, changes)
+        tables = {"name": path.stem} | tables_in(text, path.name)
+        return cls.of(tables, path.name, text, changes, path.parent)
 
     def check(self) -> None:
         """Make the first bodies, and look at every setting, as a run will."""
@@ -352,9 +433,14 @@ class Study(Shown, Section):
         with _at("sample"):
             design = self.design
             batch = self.batch(0, min(PREVIEW, len(design)), design)
-        labels = [force.label.lower() for force in self.problem.forces]  # SQL ignores case, too
-        if len(set(labels)) < len(labels):
-            raise StudyError("problem.forces: two have the same name; give each a name of its own")
+        if self.sample.stop_when is not None:
+            rule_of(self.sample.stop_when, batch.problem)
+        for table in ELEMENTS:
+            labels = [each.label.lower() for each in getattr(self.problem, table)]  # as SQL has it
+            if len(set(labels)) < len(labels):
+                raise StudyError(
+                    f"problem.{table}: two have the same name; give each a name of its own"
+                )
         with _at("initial"), np.errstate(all="ignore"):
             checks.require_consistent(batch.problem, batch.twist0, batch.pose0, self.integrate.t0)
         for setting in self.settings:
@@ -380,10 +466,11 @@ class Study(Shown, Section):
         drawn = self.sample.quantities()
         for key in changes:
             path = path_of(key)
-            if path[:2] == ("problem", "forces") and len(path) == 4:
-                forces = [force.model_dump() for force in self.problem.forces]
-                force = self.problem.forces[index_of(forces, path[2], "problem.forces")]
-                path = "forces", force.label, path[3]
+            if len(path) == 4 and path[0] == "problem" and path[1] in ELEMENTS:
+                elements = getattr(self.problem, path[1])
+                tables = [each.model_dump() for each in elements]
+                each = elements[index_of(tables, path[2], f"problem.{path[1]}")]
+                path = path[1], each.label, path[3]
             if ".".join(path) in drawn:
                 raise StudyError(
                     f"{key}: has no effect, since each body draws its own; change "
@@ -428,6 +515,40 @@ class Study(Shown, Section):
             "record": tuple(run.record),
         }  # fmt: skip
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The Python files that it names."""
+        there = (named(element.type) for _, element in self.problem.elements())
+        return tuple(sorted({each.file for each in there if each}))
+
+    @property
+    def code(self) -> Code:
+        """Their texts, by name."""
+        return {file: self._code[file] for file in self.files if file in self._code}
+
+    @property
+    def stopping_rule(self) -> Rule | None:
+        """With how many bodies it ends before its time."""
+        text = self.sample.stop_when
+        return None if text is None else rule_of(text, self.batch(0, 1).problem)
+
+    def with_code(self, code: Code) -> Study:
+        """The study with these texts of its Python files."""
+        made = self.model_copy()
+        made._code = dict(code)
+        return made
+
+    def fingerprints(self) -> dict[str, str]:
+        """Of the functions in its files, by the names of what they make: what they compute."""
+        problem = self.batch(0, 1).problem
+        made = {table: getattr(problem, table) for table in ELEMENTS}
+        return {
+            f"{table}.{section.label}": " ".join(f.fingerprint for f in element.kind.functions)
+            for table, elements in made.items()
+            for section, element in zip(getattr(self.problem, table), elements, strict=True)
+            if named(section.type)
+        }
+
     def batch(self, first: int, count: int, design: Design | None = None) -> Batch:
         """Bodies first … first + count, made and started."""
         draws = (design or self.design).draw(first, count)
@@ -441,31 +562,34 @@ class Study(Shown, Section):
             body = self.body.make(own.pop("body", {}))
         with _at("joint"):
             joint = self.joint.make(own.pop("joint", {}))
-        acting = []
-        for force in self.problem.forces:
-            with _at("problem.forces"):
-                drawn = own.pop(f"forces.{force.label}", {})
-                acting.append(force.make(drawn))
+        made: dict[str, list[Any]] = {table: [] for table in ELEMENTS}
+        for table, element in self.problem.elements():
+            with _at(f"problem.{table}"):
+                drawn = own.pop(f"{table}.{element.label}", {})
+                made[table].append(element.make(drawn, self._code))
             for key, values in drawn.items():
-                _require_shape(
-                    f"forces.{force.label}.{key}", values.shape[1:], acting[-1].kind.shapes[key]
-                )
+                shape = made[table][-1].kind.shapes[key]
+                _require_shape(f"{table}.{element.label}.{key}", values.shape[1:], shape)
         with _at("problem"):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
-            problem = Problem(body, joint, gravity, acting)
+            problem = Problem(body, joint, gravity, **made)
         with _at("initial"):
             initial = self.initial.given() | own.pop("initial", {})
             twist0, pose0 = _started(problem, initial, self.integrate.t0)
         if own:
-            names = [force.label for force in self.problem.forces]
-            raise StudyError(f"sample.{next(iter(own))}: there is no such force; known: {names}")
+            table, _, _ = next(iter(own)).partition(".")
+            names = [each.label for each in getattr(self.problem, table)]
+            raise StudyError(
+                f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: "
+                f"{names}"
+            )
         if twist0.ndim == 1:
             twist0 = np.broadcast_to(twist0, (count, 6))
         return Batch(problem, twist0, pose0, draws)
 
     def changed(self, changes: Mapping[str, Any]) -> Study:
         """The study with changes by dotted keys."""
-        return Study.of(self._tables(), changes=changes) if changes else self
+        return Study.of(self._tables(), changes=changes, code=self._code) if changes else self
 
     def to_toml(self) -> str:
         """The text of a file that says the same."""
@@ -478,15 +602,31 @@ class Study(Shown, Section):
         """Whether a draw is what its key takes: else bodies might be taken for components."""
         if section == "body" and key == "inertia" and shape == (3, 3):
             return
-        if not section.startswith("forces."):
+        if section.partition(".")[0] not in ELEMENTS:
             _require_shape(
                 path, shape, SHAPES.get(key, (3,)), free=key in ("coordinates", "velocities")
             )
 
     def digest(self) -> str:
         """Of everything that the results depend on."""
-        text = json.dumps(self.model_dump(exclude={"name"}), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        tables = self.model_dump(exclude={"name"})
+        for section in (
+            "problem",
+            "sample",
+        ):  # so that studies without have the digest that they had
+            for table in ("constraints", "observables"):
+                if not tables[section][table]:
+                    del tables[section][table]
+        if self.sample.stop_when is None:
+            del tables["sample"]["stop_when"]
+        if self.code:
+            tables["code"] = self.code_digests
+        return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
+
+    @property
+    def code_digests(self) -> dict[str, str]:
+        """SHA-256 of its Python files."""
+        return {file: sha256_of_text(text) for file, text in self.code.items()}
 
 
 BODIES = ("body", "bodies")
@@ -626,8 +766,8 @@ class Given:
     def place(self, path: tuple[Any, ...]) -> str:
         """Where a key was given: the file's line, and what of its table was changed."""
         keys = [path_of(key) for key in self.changes]
-        if path[:1] == ("forces",):  # its parameters are in a table of [[problem.forces]]
-            path = ("problem", "forces", *path[2:])
+        if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
+            path = ("problem", path[0], *path[2:])
         names = tuple(map(str, path))
         line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
         place = f"{self.source}:{line}" if line else self.source

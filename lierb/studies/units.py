@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lierb import forces
 from lierb.joints import Joint
-from lierb.studies.study import Study
+from lierb.studies.study import ELEMENTS, Study
 
 UNITS = {
     "mass": "kg", "inertia": "kg m²", "second_moments": "kg m²", "com": "m", "size": "m",
@@ -17,14 +17,15 @@ UNITS = {
 
 
 def unit_of(quantity: str, study: Study, joint: Joint) -> str:
-    """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas.
+    """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas; ""
+    of a parameter of a function of the user's, which has the unit that the user thinks of.
 
     joint : the study's, whose coordinates are angles or lengths.
     """
     section, _, key = quantity.rpartition(".")
-    if section.startswith("forces."):
-        types = {f"forces.{force.label}": force.type for force in study.problem.forces}
-        return forces.FORCE_UNITS[types[section]][key]
+    if section.partition(".")[0] in ELEMENTS:
+        types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
+        return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
     if key in ("coordinates", "velocities"):
         of_each = ["m" if name.startswith("d") else "rad" for name in joint.coordinate_names]
         return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)

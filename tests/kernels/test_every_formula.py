@@ -109,6 +109,11 @@ def pulling(t, R, r, omega, v):
     return 0.0 * omega, R.T @ (-2.0 * r)
 
 
+@lierb.observable
+def height(r, params, t):
+    return r[2] * r[2] + t
+
+
 @pulling.potential
 def well(R, r):
     return r @ r
@@ -139,6 +144,9 @@ def runs():
         problem = lierb.Problem(problem.body, problem.joint, problem.gravity, **{added: [force]})
         options = {"check": "off"} if added == "constraints" else {}
         yield problem, problem.project(twist), options
+    problem, twist = tilted("revolute")
+    problem = lierb.Problem(problem.body, problem.joint, observables=height())
+    yield problem, twist, {"save_every": 1, "measure_every": 2}
 
 
 def go_through_all(before_each):

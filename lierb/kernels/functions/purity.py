@@ -29,6 +29,8 @@ from lierb.kernels.functions.fingerprint import (
     refusal_of_call,
 )
 
+# Traces of which one leaves the random generators as they are: other threads may draw meanwhile.
+TRIES = 20
 MARK = "__lierb_traced__"  # among the globals of functions that are traced
 # They may do what they like on a user's behalf: look a warning's line up in its file, say.
 TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "importlib")
@@ -36,13 +38,42 @@ TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "
 
 def require_repeatable(run: Callable[[], str]) -> None:
     """Raise UnfitFunctionError unless `run`, which gives a trace's text, does the same twice."""
-    with _watching():
-        first = run()
+    for tried in range(1, TRIES + 1):
+        try:
+            with _other_states(tried), _watching():
+                first = run()
+            break
+        except _DrawingError:
+            if tried == TRIES:
+                raise
     if run() != first:
         raise UnfitFunctionError(
             "it does not do the same when it is called again: it reads or changes something beside "
             f"its arguments (a random generator, a clock, a counter); {ALONE}"
         )
+
+
+@contextmanager
+def _other_states(tried: int) -> Iterator[None]:
+    """From the second try on, states of the random generators that a function cannot have set."""
+    if tried == 1:
+        yield
+        return
+    state, is_numpy = random.getstate(), "numpy.random" in sys.modules
+    legacy = np.random.get_state() if is_numpy else None  # noqa: NPY002
+    random.seed(f"lierb, try {tried}")
+    if is_numpy:
+        np.random.seed(0xA5A5A500 + tried)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        random.setstate(state)
+        if legacy is not None:
+            np.random.set_state(legacy)  # noqa: NPY002
+
+
+class _DrawingError(UnfitFunctionError):
+    """Somebody has drawn random numbers while a function was traced."""
 
 
 @contextmanager
@@ -63,7 +94,7 @@ def _watching() -> Iterator[None]:
     if found.refused is not None:  # and the function has caught it
         raise UnfitFunctionError(found.refused)
     if _random_states() != before:
-        raise UnfitFunctionError(
+        raise _DrawingError(
             "it draws random numbers: they would be the same constants for every body and in every "
             f"step; {ALONE}: sample a parameter instead"
         )

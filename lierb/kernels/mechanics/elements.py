@@ -245,6 +245,29 @@ def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
+# ---- observables -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class UserObservable(Element):
+    """A number that the user wants to know of a motion, and that does nothing to it."""
+
+    does_work: ClassVar = False
+    function: Function
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        return UserFrame.of(frames), tuple(given.values())
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return ZERO
+
+    def value(self, placed: Any, x: Motion) -> Any:
+        frame = UserFrame(*placed[0])
+        r, place = frame.pose(x.q, x.place)
+        omega, v = frame.twist(x.omega, x.v)
+        return self.function(placed[1], x.time, r, place, omega, v)
+
+
 # ---- all elements of a body -------------------------------------------------------------------
 
 

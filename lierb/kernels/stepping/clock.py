@@ -56,6 +56,17 @@ def seen_at(clock: Any, step: Any) -> Any:
 
 
 @shared
+def share_of(clock: Any, step: Any) -> Any:
+    """Of the whole time, what a measured step counts for in a mean, by the trapezoidal rule: half
+    the way from the measured step before it to the one after it.
+    """
+    every = clock.measure_every
+    before = max(step - 1, 0) // every * every
+    after = min(step + every, clock.steps)
+    return 0.5 * (after - before) / clock.steps
+
+
+@shared
 def ahead_of(clock: Any, step: Any, stop: Any) -> Any:
     """The next step that is measured, saved or tidied, or `stop` if that is earlier; and whether
     this one is tidied: rounding is taken off before it, unless a run just starts with it.

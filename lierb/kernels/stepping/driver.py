@@ -39,6 +39,7 @@ from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
     branch,
+    flatten,
     load,
     maximum,
     plain,
@@ -61,7 +62,7 @@ from lierb.kernels.numbers.vec import (
     mat_vec_add,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, time_of
+from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
 from lierb.kernels.stepping.formulations import LARGEST, accelerate
 from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, STATE, inputs_of
 from lierb.kernels.stepping.measures import (
@@ -71,6 +72,17 @@ from lierb.kernels.stepping.measures import (
     SUMMARY,
     Measure,
     measured,
+)
+from lierb.kernels.stepping.observables import (
+    KEEPS,
+    Kept,
+    columns_of,
+    kept_of,
+    may_raise,
+    nothing_kept,
+    observables_of,
+    observed,
+    with_value,
 )
 from lierb.kernels.stepping.plan import Plan
 from lierb.kernels.stepping.stepper import (
@@ -94,8 +106,8 @@ ARRAYS = {
     "varying": "int64, [1][columns of inputs in which trajectories differ]",
     "inputs": "[thread][column][lane], where each thread brings a block's numbers together",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
-    "summary": "[SUMMARY][trajectory]",
-    "history": "[`history_measures`][time][trajectory]",
+    "summary": "[SUMMARY, then KEEPS of each observable][trajectory]",
+    "history": "[`history_measures`, then observables][time][trajectory]",
     **dict.fromkeys(
         (field.name for field in POSE_AND_TWIST.fields),
         "[time, or the last one alone][trajectory][component]",
@@ -154,10 +166,19 @@ class Record(NamedTuple):
     status: Any
     failed_step: Any
     dropped: Any  # at the start; see `BodyConstants`
+    observed: tuple[Kept, ...] = ()
 
 
-MARKS = STATE.count + len(KEPT) + len(Record._fields) - 1  # column of what functions have raised
-CARRIED_COLUMNS = MARKS + 1
+MARKS = STATE.count + len(KEPT) + len(Record._fields) - 2  # column of what functions have raised
+WATCHED = MARKS + 1  # the first of what is kept of observables
+
+
+def carried_columns(plan: Plan) -> int:
+    return WATCHED + len(Kept._fields) * len(observables_of(plan))
+
+
+def summary_columns(plan: Plan) -> int:
+    return SUMMARY.count + len(KEEPS) * len(observables_of(plan))
 
 
 # ---- formulas on one block ---------------------------------------------------------------------
@@ -255,11 +276,15 @@ def initial_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
 def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
     """Nothing kept so far, as numbers of the state's own type."""
     nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
-    energy = _observed(plan, body, state, nothing)["energy"]
+    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
+    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
+    seen = measured(plan, body, pose, velocity, kinetic_energy, state.work, nothing)
+    energy = seen["energy"]
     dropped = plan.formulation.dropped(body, chart_of(plan, state), state.v_or_mu)
     if plan.calls_functions:
         calls.set_marks(nothing + float(calls.CLEAR))
-    return Record((nothing,) * len(KEPT), energy, nothing, nothing, nothing + dropped)
+    watched = nothing_kept(plan, nothing)
+    return Record((nothing,) * len(KEPT), energy, nothing, nothing, nothing + dropped, watched)
 
 
 def resumed_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
@@ -282,7 +307,9 @@ def _state_of(plan: Plan, numbers: Any, pitch: Any) -> State:
 
 def load_record(plan: Plan, carried: Any, first: Any) -> Record:
     numbers = _columns(plan, carried, range(STATE.count, MARKS), first)
-    record = Record(tuple(numbers[: len(KEPT)]), *numbers[len(KEPT) :])
+    watched = _columns(plan, carried, range(WATCHED, carried_columns(plan)), first)
+    kept, (energy, status, step, dropped) = tuple(numbers[: len(KEPT)]), numbers[len(KEPT) :]
+    record = Record(kept, energy, status, step, dropped, kept_of(tuple(watched)))
     if plan.calls_functions:
         before = load(carried, (MARKS, first), plan.lanes)
         pending = where(before > calls.SILENT, float(calls.HEARD), float(calls.CLEAR))
@@ -291,9 +318,12 @@ def load_record(plan: Plan, carried: Any, first: Any) -> Record:
 
 
 def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    numbers = (*_numbers_of(state), *record.kept, *record[1:], *_raised_in_call(plan, record))
+    kept, *more, watched = record
+    numbers = (*_numbers_of(state), *kept, *more, *_raised_in_call(plan, record))
     for c, number in enumerate(numbers):
         store(carried, (c, first), number, plan.lanes)
+    for c, number in enumerate(flatten(watched)):
+        store(carried, (WATCHED + c, first), number, plan.lanes)
 
 
 def _numbers_of(state: State) -> tuple[Any, ...]:
@@ -386,7 +416,9 @@ def _advanced(
 
 
 def heard(plan: Plan, record: Record, k: Any) -> Record:
-    """The record, where a function has raised since the last step: asked for λ or the reaction."""
+    """The record, where a function has raised since the last step: asked for λ or the reaction, or
+    an observable.
+    """
     if not plan.calls_functions:
         return record  # never
     fresh = (calls.marks(record.status) > calls.SILENT) & (record.status == OK)
@@ -467,24 +499,29 @@ def tidy(plan: Plan, body: BodyConstants, state: State) -> State:
     return state._replace(chart=tidied(plan, body, state.chart))
 
 
-def _observed(
-    plan: Plan, body: BodyConstants, state: State, time: Any, first_energy: Any = ZERO
-) -> dict[str, Any]:
-    """Every measure, by name."""
-    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
-    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
-    return measured(plan, body, pose, velocity, kinetic_energy, state.work, time, first_energy)
-
-
 def observe(
-    plan: Plan, body: BodyConstants, state: State, record: Record, k: Any, time: Any
+    plan: Plan,
+    body: BodyConstants,
+    state: State,
+    record: Record,
+    k: Any,
+    time: Any,
+    share: Any = ZERO,
 ) -> tuple[tuple[Any, ...], Record]:
-    """The measures of a history at step k, and the record with what is kept of all of them.
+    """The measures and observables of a history at step k, and the record with what is kept of
+    them.   share : of the run's time, that the step counts for in means.
 
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    now = _observed(plan, body, state, time, record.first_energy)
+    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
+    values = observed(plan, body, pose, velocity, time)
+    if may_raise(plan):
+        record = heard(plan, record, k)
+    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
+    now = measured(
+        plan, body, pose, velocity, kinetic_energy, state.work, time, record.first_energy
+    )
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
     fine = _are_finite(*(sizes[name] for name in MUST_BE_FINITE))
     so_far = (record.status, record.failed_step)
@@ -503,7 +540,24 @@ def observe(
         else:
             kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
-    return shown, record._replace(kept=tuple(kept), status=status, failed_step=failed_step)
+    pairs = zip(record.observed, values, strict=True)
+    return (*shown, *values), record._replace(
+        kept=tuple(kept),
+        status=status,
+        failed_step=failed_step,
+        observed=tuple(with_value(old, value, share, alive) for old, value in pairs),
+    )
+
+
+def without_measures(plan: Plan, record: Record, seen: Record) -> Record:
+    """The record after a step that is saved and not measured.   seen : as `observe` has it."""
+    if not may_raise(plan):
+        return record
+    raised = (seen.status == RAISED) & (record.status == OK)
+    return record._replace(
+        status=where(raised, seen.status, record.status),
+        failed_step=where(raised, seen.failed_step, record.failed_step),
+    )
 
 
 def store_measures(
@@ -580,7 +634,9 @@ def store_summary(plan: Plan, record: Record, summary: Any, column: Any) -> None
     r = record
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
     numbers = (*kept, r.status, r.failed_step, *_raised_in_call(plan, r))
-    scatter(summary, 1, [(c, column) for c in range(len(numbers))], numbers, plan.lanes)
+    watched = tuple(x for kept in r.observed for x in columns_of(kept))
+    places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
+    scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
 
 
 def store_start(plan: Plan, inputs: Any, summary: Any, column: Any, time: Any) -> None:
@@ -608,7 +664,7 @@ for _formula in (
     load_body, initial_state, initial_record, resumed_state, load_state, load_record,
     store_carried, advance, advance_still, has_still, is_still, is_gentle, advance_gently, tidy,
     observe, store_measures, store_state, store_forces, store_summary, store_start, store_end,
-    heard,
+    heard, without_measures,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -654,9 +710,8 @@ def _integrate_block(plan, body, inputs, first, job, clock):
         time = time_of(clock, k)
         measure, save, row = seen_at(clock, k)
         if fresh and (measure or save):
-            shown, seen = observe(plan, body, state, record, k, time)
-            if measure:
-                record = seen
+            shown, seen = observe(plan, body, state, record, k, time, share_of(clock, k))
+            record = seen if measure else without_measures(plan, record, seen)
             if save:
                 store_measures(plan, record, shown, history, row, column)
                 store_forces(plan, body, state, record, multipliers, reactions, row, column, time)

@@ -238,7 +238,7 @@ class Subgroup:
         velocity = self.velocity(body, momentum)
         k = quaternion.angle_coefficients(x)
         applied = Applied(ZERO6, ZERO)
-        if self.plan.elements:
+        if self.plan.acting:
             pose = quaternion.pose(quaternion.compose_exp(chart, x, k))
             at = self.plan.space.kinematics(body, pose, velocity)._replace(time=time)
             applied = applied_to(body, self.plan.elements, at.motion)

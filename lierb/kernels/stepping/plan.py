@@ -8,7 +8,7 @@ from typing import Any
 
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
-from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.elements import Element, UserObservable
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
@@ -26,7 +26,8 @@ class Plan(Tag):
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
     reaction: bool = False  # whether the joint's wrench is
-    elements: tuple[Element, ...] = ()  # forces beside gravity, and constraints beside the joint's
+    # Forces beside gravity, constraints beside the joint's, and observables.
+    elements: tuple[Element, ...] = ()
     # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
     # subgroup joint's constant gain, by which poses stay in the subgroup.
     solver: str = "saddle"
@@ -67,6 +68,11 @@ class Plan(Tag):
         return any(element.does_work for element in self.elements)
 
     @cached_property
+    def acting(self) -> tuple[Element, ...]:
+        """The elements that do something to the motion."""
+        return tuple(e for e in self.elements if not isinstance(e, UserObservable))
+
+    @cached_property
     def calls_functions(self) -> bool:
         """Whether functions of the user's are called body by body, and so may raise."""
         return any(not f.is_traced for element in self.elements for f in element.functions)
@@ -76,8 +82,8 @@ class Plan(Tag):
         """Whether steps are so little work that it pays to try them without branches. What is but
         tried asks no function that may raise.
         """
-        asks = self.is_local and not self.calls_functions
-        return asks and self.formulation.takes_gentle_steps
+        calls = any(not f.is_traced for element in self.acting for f in element.functions)
+        return self.is_local and not calls and self.formulation.takes_gentle_steps
 
 
 @lru_cache(256)

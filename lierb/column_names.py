@@ -1,0 +1,53 @@
+"""Names that columns of a run's tables have already, and so no observable."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from lierb.errors import ArgumentError
+from lierb.joints import MOST_ROWS
+from lierb.kernels.stepping.layout import POSE_AND_TWIST
+from lierb.kernels.stepping.measures import KEPT, MEASURES
+from lierb.kernels.stepping.observables import KEEPS
+from lierb.user_elements import Observable
+
+AXES = ("x", "y", "z")
+COMPONENTS = {  # of vectors, in data frames
+    "rotation": tuple(i + j for i in AXES for j in AXES),
+    "position": AXES,
+    "omega": AXES,
+    "v": AXES,
+    "reaction": tuple(f"{what}_{i}" for what in ("torque", "force") for i in AXES),
+}
+COUNTS = ("trajectory", "step", "t", "status")
+SETTING = ("cspace", "method", "dt")  # of a study
+MULTIPLIERS = "lambda"
+
+
+def _taken() -> Iterator[str]:
+    yield from (*COUNTS, *SETTING, MULTIPLIERS, "reaction")
+    yield from (field.name for field in POSE_AND_TWIST.fields)
+    yield from (measure.name for measure in MEASURES)
+    yield from (f"{measure.name}_{how}" for measure, how in KEPT)
+    yield from (f"{name}_{part}" for name, parts in COMPONENTS.items() for part in parts)
+    yield from (f"{MULTIPLIERS}_{i + 1}" for i in range(MOST_ROWS))
+
+
+TAKEN = frozenset(_taken())
+
+
+def require_free(observables: Iterable[Observable]) -> None:
+    """Raise ArgumentError for a column that there is already; SQL is blind to case, so are we."""
+    seen: dict[str, str] = {}
+    for each in observables:
+        for column in (each.name, *(f"{each.name}_{how}" for how in KEEPS)):
+            owner = "lierb's own" if column.lower() in TAKEN else seen.get(column.lower())
+            if owner:
+                raise ArgumentError(
+                    f"observables: {each.name} would have the column {column}, which is {owner}; "
+                    f'give it another name: {each.name}(…).named("…")'
+                )
+        seen |= dict.fromkeys(
+            (each.name.lower(), *(f"{each.name}_{how}".lower() for how in KEEPS)),
+            f"that of {each.name}",
+        )

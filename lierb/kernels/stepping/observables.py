@@ -1,0 +1,94 @@
+"""Functions of the user's that watch the motion, and what is kept of their values.
+
+They are asked at the times at which measures are taken, and nothing of the motion depends on them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from lierb.kernels.mechanics.elements import UserObservable
+from lierb.kernels.mechanics.newton_euler import BodyConstants
+from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.stepper import Pose
+
+INF, NAN = float("inf"), float("nan")
+KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observable
+
+
+class Kept(NamedTuple):
+    """What is remembered of an observable along a trajectory.
+
+    total, lost : the mean so far, a sum, and what rounding took of it (Kahan's).
+    """
+
+    least: Any
+    largest: Any
+    total: Any
+    lost: Any
+    last: Any
+
+
+@lru_cache(64)
+def observables_of(plan: Plan) -> tuple[UserObservable, ...]:
+    """In the order of their columns."""
+    return tuple(e for e in plan.elements if isinstance(e, UserObservable))
+
+
+def may_raise(plan: Plan) -> bool:
+    """Whether one of them is called body by body."""
+    return any(not each.function.is_traced for each in observables_of(plan))
+
+
+def observed(
+    plan: Plan, body: BodyConstants, pose: Pose, velocity: Vec, time: Any
+) -> tuple[Any, ...]:
+    """Each one's value."""
+    if not observables_of(plan):
+        return ()
+    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
+    pairs = zip(plan.elements, body.elements, strict=True)
+    return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
+
+
+def nothing_kept(plan: Plan, like: Any) -> tuple[Kept, ...]:
+    """Before the first value.   like : zero, a number of the body's own kind."""
+    fresh = Kept(like + INF, like - INF, like, like, like + NAN)
+    return (fresh,) * len(observables_of(plan))
+
+
+def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
+    """From numbers side by side."""
+    width = len(Kept._fields)
+    return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
+
+
+def with_value(kept: Kept, value: Any, share: Any, alive: Any) -> Kept:
+    """With one value more; a NaN stays, in the extremes as in the mean.
+
+    share : of the run's time, which the value counts for in the mean.
+    alive : whether the body has not failed; after a failure there is neither mean nor end.
+    """
+    now = where(alive, value, NAN)
+    is_number = now == now
+    least = where(is_number, where(now < kept.least, now, kept.least), now)
+    largest = where(is_number, where(now > kept.largest, now, kept.largest), now)
+    added = fma(share, now, -kept.lost)
+    total = kept.total + added
+    return Kept(
+        where(alive, least, kept.least),
+        where(alive, largest, kept.largest),
+        total,
+        (total - kept.total) - added,
+        now,
+    )
+
+
+def columns_of(kept: Kept) -> tuple[Any, ...]:
+    """The numbers of KEEPS; NaN where there was no value."""
+    seen = kept.least <= kept.largest  # false for NaN
+    extremes = where(seen, (kept.least, kept.largest), (NAN, NAN))
+    return (*extremes, kept.total, kept.last)

@@ -1,0 +1,322 @@
+"""What studies say of quantiles, and when they have enough bodies."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from math import comb
+
+import numpy as np
+import pytest
+from command import invoke
+from studies import hashes, sorted_rows, tables
+
+import lierb
+from lierb.errors import StudyError, UnknownNameError
+from lierb.studies import cluster
+from lierb.studies.dataset import Dataset
+from lierb.studies.findings import findings, indices, quantities
+from lierb.studies.quantiles import quantile_of, share_width
+from lierb.studies.statistics import percentiles_over_time
+from lierb.studies.study import Study
+
+RULE = "width of 50% of energy_drift_max < 12%"
+
+
+def study(n: int = 400, part: int = 20, **sample) -> Study:
+    """Heavy tops in two settings, of which one is enough much sooner."""
+    changed = tables()
+    changed["sample"] |= {"n": n} | sample
+    changed["integrate"] |= {"cspace": ["SE3"], "t_end": 0.05}
+    changed["output"]["part"] = part
+    return Study.of(changed)
+
+
+# ---- intervals ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("probability", [0.05, 0.5, 0.95])
+@pytest.mark.parametrize("n", [20, 100, 1000])
+def test_quantile_interval_has_its_confidence(probability, n):
+    """By exact binomial sums: that so many of n are below the population's quantile."""
+    found = quantile_of(np.arange(n, dtype=float), probability)
+    terms = [comb(n, k) * probability**k * (1.0 - probability) ** (n - k) for k in range(n + 1)]
+    first = -1.0 if np.isnan(found.low) else found.low
+    last = float(n) if np.isnan(found.high) else found.high
+    # x[i] ≤ q < x[j] means that i + 1 to j numbers are below q.
+    inside = sum(terms[int(first) + 1 : int(last) + 1])
+    assert inside >= 0.95
+    # No end can be moved inwards: each tail would have more than 2.5 %.
+    if first >= 0.0:
+        assert sum(terms[: int(first) + 2]) > 0.025
+    if last < n:
+        assert sum(terms[int(last) :]) > 0.025
+
+
+def test_quantile_of_too_few_has_no_interval():
+    found = quantile_of(np.arange(10.0), 0.95)
+    assert (found.value, np.isnan(found.high), np.isnan(found.width)) == (9.0, True, True)
+    assert np.isnan(quantile_of(np.empty(0), 0.5).value)
+
+
+def test_share_width_is_that_of_the_rule_of_three():
+    """None of n: up to 1 − 0.025^(1/n)."""
+    assert share_width(0, 100) == pytest.approx(1.0 - 0.025 ** (1.0 / 100.0), rel=1e-12)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    place = tmp_path_factory.mktemp("statistics") / "out"
+    lierb.run(study(), place)
+    dataset = Dataset(place)
+    dataset.read()
+    return dataset
+
+
+def test_findings_have_intervals(whole):
+    rows = sorted_rows(whole.folder)
+    for found in findings(whole):
+        values = [r["position_error_max"] for r in rows if r["dt"] == found.setting.dt]
+        ordered = np.sort(values)
+        for q, (low, high) in zip((0.5, 0.95), found.intervals["position"], strict=True):
+            wanted = quantile_of(ordered, q)
+            assert (low, high) == (wanted.low, wanted.high)
+            assert low <= wanted.value <= high
+
+
+def test_show_prints_intervals(whole):
+    (first, *_) = quantities(whole)
+    shown = invoke("show", whole.folder).stdout
+    assert "quantiles, their 95% intervals" in shown
+    assert first.name in shown
+    assert f"{first.quantiles[1].low:.3g}…{first.quantiles[1].high:.3g}" in shown
+
+
+# ---- enough bodies -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    place = tmp_path_factory.mktemp("stopped") / "out"
+    lierb.run(study(stop_when=RULE), place)
+    return place
+
+
+def last_needed(folder, whole, dt) -> int:
+    """Bodies of a setting after which the rule holds for the first time, part by part."""
+    rows = [r for r in sorted_rows(whole.folder) if r["dt"] == dt]
+    for n in range(20, 401, 20):
+        found = quantile_of(np.sort([r["energy_drift_max"] for r in rows[:n]]), 0.5)
+        if found.width < 0.12 * found.value:
+            return n
+    return 400
+
+
+def test_stop_when_ends_each_setting_where_the_rule_holds(stopped, whole):
+    rows = sorted_rows(stopped)
+    counts = {dt: sum(r["dt"] == dt for r in rows) for dt in (1e-3, 2e-3)}
+    assert counts == {dt: last_needed(stopped, whole, dt) for dt in counts}
+    assert all(20 < count < 400 for count in counts.values())
+    wanted = [r for r in sorted_rows(whole.folder) if r["trajectory"] < counts[r["dt"]]]
+    assert rows == wanted
+
+
+def test_stop_when_is_told(stopped):
+    done = len(list((stopped / "summary").iterdir()))
+    shown = invoke("show", stopped).stdout
+    assert f"{done} of 40 parts; enough, by {RULE}" in " ".join(shown.split())
+    dataset = Dataset(stopped)
+    dataset.read()
+    assert "enough, by" in str(dataset)
+
+
+def test_resume_of_a_study_that_stopped_does_nothing(stopped, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(stopped, out)
+    lierb.run(study(stop_when=RULE), out, resume=True)
+    assert hashes(out) == hashes(stopped)
+
+
+def test_resume_stops_at_the_same_part(stopped, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(stopped, out)
+    files = sorted((out / "summary").iterdir())
+    for file in (files[1], files[-1]):
+        file.unlink()
+    lierb.run(study(stop_when=RULE), out, resume=True)
+    assert hashes(out) == hashes(stopped)
+
+
+@pytest.mark.slow
+def test_workers_stop_at_the_same_part(stopped, tmp_path):
+    pytest.importorskip("distributed")
+    with cluster.local_client(2) as client:
+        lierb.run(study(stop_when=RULE), tmp_path / "out", client=client)
+    assert hashes(tmp_path / "out") == hashes(stopped)
+
+
+def test_batches_stop_at_the_same_part(stopped):
+    count = lierb.integrate_batches(study(stop_when=RULE)).read_all().num_rows
+    assert count == len(sorted_rows(stopped))
+
+
+def test_stop_when_that_never_holds_runs_all(whole, tmp_path):
+    lierb.run(study(stop_when="width of 99.9% of energy_drift_max < 1e-30"), tmp_path / "out")
+    for name, digest in hashes(whole.folder).items():
+        if name.startswith("summary"):
+            assert hashes(tmp_path / "out")[name] == digest
+    assert "stopped" not in json.loads((tmp_path / "out" / "manifest.json").read_text())
+
+
+def test_stop_when_of_failures(tmp_path):
+    """Of 20 bodies none fails: up to 0.168; of 40, to 0.088."""
+    lierb.run(study(stop_when="width of failed < 0.1"), tmp_path / "out")
+    assert len(sorted_rows(tmp_path / "out")) == 2 * 40
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        ("width of 95% of energy_drft_max < 1", "Did you mean 'energy_drift_max'"),
+        ("width of 95% of status < 1", "column='status' is unknown"),
+        ("width of 100% of work_final < 1", "expected more than 0 and less than 100"),
+        ("width of 95% of work_final < 0", "expected a positive bound"),
+        ("width of failed < 1%", "expected \"width of 95% of COLUMN"),
+        ("width of 95% of failed < 1", "expected \"width of 95% of COLUMN"),
+        ("width of work_final < 1", "expected \"width of 95% of COLUMN"),
+        ("95% of work_final < 1", "expected \"width of 95% of COLUMN"),
+        ("width of 95% of work_final > 1", "expected \"width of 95% of COLUMN"),
+    ],
+)  # fmt: skip
+def test_stop_when_refuses_what_is_no_rule(rule, told):
+    with pytest.raises(StudyError, match=f"sample.stop_when: .*{told}"):
+        study(stop_when=rule)
+
+
+def test_digest_of_a_study_without_a_rule_is_as_before():
+    assert study(stop_when=RULE).digest() != study().digest()
+    whole = study().model_dump(exclude={"name"})
+    assert whole["sample"].pop("stop_when") is None
+    assert whole["problem"].pop("constraints") == whole["problem"].pop("observables") == []
+    assert whole["sample"].pop("constraints") == whole["sample"].pop("observables") == {}
+    import hashlib
+
+    text = json.dumps(whole, sort_keys=True)
+    assert study().digest() == hashlib.sha256(text.encode()).hexdigest()
+
+
+# ---- over time ---------------------------------------------------------------------------------
+
+
+def test_percentiles_over_time_are_those_of_the_history(tmp_path, monkeypatch):
+    changed = study(n=30).changed({"integrate.save_every": 10, "integrate.dt": 1e-3})
+    dataset = lierb.run(changed, tmp_path / "out")
+    history = dataset.table("history").to_table().to_pandas()
+    (setting,) = changed.settings
+    whole = percentiles_over_time(dataset, "energy_drift", setting, (5, 50, 97.5))
+    monkeypatch.setattr(lierb.studies.statistics, "MOST_NUMBERS", 60)  # two times at once
+    assert percentiles_over_time(dataset, "energy_drift", setting, (5, 50, 97.5)) == whole
+    for row in whole.to_pylist():
+        values = np.sort(history[history["step"] == row["step"]]["energy_drift"])
+        assert row["bodies"] == 30
+        assert (row["p5"], row["p50"], row["p97.5"]) == (values[1], values[14], values[29])
+    assert whole["t"].to_pylist() == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05]
+    assert whole.schema.field("p50").metadata[b"unit"] == b"J"
+    with pytest.raises(UnknownNameError, match="Did you mean 'energy_drift'"):
+        percentiles_over_time(dataset, "energy_drft", setting)
+
+
+# ---- sensitivity -------------------------------------------------------------------------------
+
+ROWS = 256
+
+
+def uniform(low, high) -> dict:
+    return {"distribution": "uniform", "low": low, "high": high}
+
+
+def sensitive(**sample) -> Study:
+    """A free body that is thrown: where it is after 1 s is r = v t, so that r₁² is v₁²."""
+    return Study.of(
+        {
+            "body": {"mass": 1.0, "inertia": [1.0, 1.0, 1.0]},
+            "joint": {"type": "free"},
+            "problem": {"observables": [{"type": "python:seen.py:reach"}]},
+            "sample": {
+                "n": 4 * ROWS, "method": "saltelli", "seed": 5,
+                "initial": {
+                    "point_velocity": uniform([1, 0, 0], [3, 0, 0]),
+                    "place": uniform([0, 0, 0], [1, 0, 0]),
+                },
+            } | sample,
+            "integrate": {"dt": 0.25, "t_end": 1.0, "method": "Euler", "measure_every": 4},
+            "output": {"part": 100},
+        },
+        code={"seen.py": SEEN},
+    )  # fmt: skip
+
+
+SEEN = """\
+import lierb
+
+@lierb.observable(unit="m")
+def reach(r):
+    return r[0]
+"""
+
+
+def test_indices_are_those_of_a_sum(tmp_path):
+    """r = r₀ + v t, both uniform, of widths 1 and 2: variances 1/12 and 4/12, no interaction."""
+    lierb.run(sensitive(), tmp_path / "out")
+    dataset = Dataset(tmp_path / "out")
+    dataset.read()
+    found = {(i.column, i.quantity): i for i in indices(dataset)}
+    for name, share in (("initial.place", 0.2), ("initial.point_velocity", 0.8)):
+        index = found["reach_final", name]
+        assert index.rows == ROWS
+        for value, low, high in (index.first, index.total):
+            assert value == pytest.approx(share, abs=0.05)  # 256 points of a Sobol sequence
+            assert low <= value <= high
+    shown = invoke("show", tmp_path / "out").stdout
+    assert "share of the variance due to" in shown
+    assert f"{found['reach_final', 'initial.place'].total.value:.3f}" in shown
+
+
+def test_indices_are_of_whole_rows_before_what_is_missing(tmp_path):
+    lierb.run(sensitive(), tmp_path / "out")
+    dataset = Dataset(tmp_path / "out")
+    dataset.read()
+    del dataset.manifest["parts"]["00-0000000700"]  # rows 175 to 199
+    assert {i.rows for i in indices(dataset)} == {128}
+
+
+def test_saltelli_design_swaps_one_quantity_at_a_time():
+    design = sensitive().design
+    drawn = design.draw()
+    rows = {name: values.reshape(ROWS, 4, -1) for name, values in drawn.items()}
+    place, speed = rows["initial.place"], rows["initial.point_velocity"]
+    for values, own, other in ((place, 2, 3), (speed, 3, 2)):
+        np.testing.assert_array_equal(values[:, own], values[:, 1])  # B's
+        np.testing.assert_array_equal(values[:, other], values[:, 0])  # A's
+        assert (values[:, 0] != values[:, 1]).any(axis=1).all()
+    part = design.draw(101, 57)
+    for name, values in part.items():
+        np.testing.assert_array_equal(values, drawn[name][101:158])
+
+
+def test_saltelli_design_has_independent_halves():
+    """Mean and correlation of a Sobol sequence's points: far below 1/√n."""
+    rows = sensitive().design.draw()["initial.place"].reshape(ROWS, 4, 3)[..., 0]
+    assert rows[:, :2].mean(axis=0) == pytest.approx([0.5, 0.5], abs=0.01)
+    assert abs(np.corrcoef(rows[:, 0], rows[:, 1])[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("n", [1, 1000, 4 * 3, 5 * 256])
+def test_saltelli_design_refuses_other_numbers_of_bodies(n):
+    with pytest.raises(StudyError, match="takes 4 bodies times a power of two; the nearest are"):
+        sensitive(n=n)
+
+
+def test_saltelli_design_refuses_constants_alone():
+    with pytest.raises(lierb.errors.ArgumentError, match="all are constants"):
+        lierb.sampling.Design({"x": 1.0}, n=4, method="saltelli")

@@ -1,0 +1,494 @@
+"""Studies of the user's own physics: functions in a file beside them, problems made in Python."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import invoke
+from studies import hashes, sorted_rows
+
+import lierb
+from lierb.errors import ArgumentError, ForceError, StudyError, StudyWarning, UnknownNameError
+from lierb.studies import cluster
+from lierb.studies.dataset import Dataset
+from lierb.studies.findings import findings
+from lierb.studies.manifest import sealed
+from lierb.studies.running import replay
+from lierb.studies.study import Study
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+CODE = (EXAMPLES / "attitude.py").read_text(encoding="utf-8")
+TEXT = """\
+[body]
+mass = 120.0
+inertia = [19.0, 17.0, 14.0]
+
+[joint]
+type = "free"
+
+[[problem.forces]]
+type = "python:attitude.py:controller"
+most = 0.1
+
+[[problem.observables]]
+type = "python:attitude.py:pointing_error"
+
+[sample]
+n = 40
+seed = 2
+
+[sample.forces.controller.damping]
+distribution = "uniform"
+low = 2.0
+high = 6.0
+
+[sample.initial.rotation]
+distribution = "rotation"
+
+[integrate]
+dt = 0.2
+t_end = 4.0
+save_every = 10
+
+[output]
+part = 16
+"""
+MANY = TEXT.replace("n = 40", "n = 6000").replace("part = 16", "part = 200")
+
+
+@pytest.fixture
+def folder(tmp_path) -> Path:
+    """Of the study and its file."""
+    return written(tmp_path / "study")
+
+
+def written(folder: Path, text: str = TEXT, code: str = CODE) -> Path:
+    folder.mkdir()
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    (folder / "attitude.py").write_text(code, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """The results of TEXT, run without a break in one process."""
+    place = tmp_path_factory.mktemp("whole")
+    lierb.run(written(place / "study") / "study.toml", place / "out")
+    return place / "out"
+
+
+# ---- a run like any other ----------------------------------------------------------------------
+
+
+def test_run_copies_the_file_and_says_what_it_was(whole):
+    assert (whole / "attitude.py").read_text(encoding="utf-8") == CODE
+    manifest = json.loads((whole / "manifest.json").read_text())
+    assert manifest["code"] == {"attitude.py": hashes(whole)["attitude.py"]}
+    made = Study.load(whole / "study.toml").batch(0, 1).problem
+    assert manifest["functions"] == {
+        "forces.controller": made.forces[0].kind.function.fingerprint,
+        "observables.pointing_error": made.observables[0].kind.function.fingerprint,
+    }
+
+
+def test_observables_of_a_study_are_columns(whole):
+    table = Dataset(whole)
+    table.read()
+    history = table.table("history").to_table()
+    assert history.schema.field("pointing_error").metadata[b"unit"] == b"rad"
+    rows = sorted_rows(whole)
+    errors = np.array(history["pointing_error"]).reshape(-1, 1).ravel()
+    least, largest = (min(r["pointing_error_min"] for r in rows), errors.max())
+    assert 0.0 <= least <= errors.min()
+    assert largest <= max(r["pointing_error_max"] for r in rows) <= np.pi
+    field = table.table().schema.field("sample.forces.controller.damping")
+    assert b"unit" not in (field.metadata or {})  # which the user alone knows
+
+
+def test_the_folder_of_results_is_a_study_of_its_own(whole, tmp_path):
+    again = tmp_path / "moved"
+    shutil.copytree(whole, again)
+    lierb.run(again / "study.toml", tmp_path / "anew")
+    assert hashes(tmp_path / "anew") == hashes(whole)
+    dataset = Dataset(again)
+    dataset.read()
+    assert findings(dataset)[0].bodies == 40
+
+
+def test_replay_has_the_studys_row(whole):
+    ((_, tables),) = replay(whole / "study.toml", 17)
+    (row,) = tables["summary"].to_pylist()
+    wanted = sorted_rows(whole)[17]
+    assert {name: row[name] for name in wanted} == wanted
+    assert tables["history"].num_rows == 21
+
+
+def test_resume_does_what_is_missing(whole, folder, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    for file in (out / "summary").glob("*16.parquet"):
+        file.unlink()
+    (out / "attitude.py").unlink()
+    with pytest.warns(StudyWarning, match=r"attitude\.py was missing; it is written again"):
+        lierb.run(folder / "study.toml", out, resume=True)
+    assert hashes(out) == hashes(whole)
+
+
+@pytest.mark.parametrize("gather", [False, True], ids=["shared", "gather"])
+@pytest.mark.slow
+def test_workers_have_the_file_and_give_the_same_bytes(gather, whole, folder, tmp_path):
+    pytest.importorskip("distributed")
+    with cluster.local_client(2) as client:
+        lierb.run(folder / "study.toml", tmp_path / "out", client=client, gather=gather)
+    assert hashes(tmp_path / "out") == hashes(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_a_run_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
+    folder, out = written(tmp_path / "study", MANY), tmp_path / "out"
+    command = [sys.executable, "-m", "lierb", "run", str(folder / "study.toml"), "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and len(list(out.glob("history/part*"))) < 3:
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(timeout=60) == -signal.SIGKILL
+    left = Dataset(out)
+    left.read()
+    assert 0 < len(left.parts) < 30
+    lierb.run(folder / "study.toml", out, resume=True)
+    lierb.run(folder / "study.toml", tmp_path / "whole")
+    assert hashes(out) == hashes(tmp_path / "whole")
+
+
+def test_the_example_is_what_it_names(tmp_path):
+    for name in ("attitude.toml", "attitude.py"):
+        given = name.removesuffix(".toml")
+        (tmp_path / name).write_bytes(invoke("example", given).stdout_bytes)
+    assert (tmp_path / "attitude.py").read_text(encoding="utf-8") == CODE
+    study = Study.load(tmp_path / "attitude.toml", {"sample.n": 3, "integrate.t_end": 4.0})
+    assert study.files == ("attitude.py",)
+    assert lierb.integrate_batches(study).read_all().num_rows == 3
+
+
+# ---- edited since ------------------------------------------------------------------------------
+
+
+def test_resume_notices_an_edited_file(whole, folder, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    (folder / "attitude.py").write_text(CODE.replace("stiffness=0.3", "stiffness=0.4"))
+    with pytest.raises(StudyError, match=r"another study: attitude\.py was edited since"):
+        lierb.run(folder / "study.toml", out, resume=True)
+
+
+def test_resume_notices_an_edited_copy(whole, folder, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    with (out / "attitude.py").open("a") as file:
+        file.write("# a comment\n")
+    with pytest.raises(StudyError, match=r"out/attitude\.py is not the file that the study is run"):
+        lierb.run(folder / "study.toml", out, resume=True)
+    with pytest.raises(StudyError, match=r"another study: attitude\.py was edited since"):
+        lierb.run(out / "study.toml", out, resume=True)
+    dataset = Dataset(out)
+    dataset.read()
+    with pytest.raises(StudyError, match=r"attitude\.py is not the file"):
+        findings(dataset)
+    (out / "attitude.py").unlink()
+    with pytest.raises(StudyError, match=r"attitude\.py is missing; --resume"):
+        findings(dataset)
+
+
+def test_manifest_names_no_file_outside_its_folder(whole, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(whole, out)
+    manifest = json.loads((out / "manifest.json").read_text())
+    manifest["code"]["../attitude.py"] = manifest["code"].pop("attitude.py")
+    (out / "manifest.json").write_bytes(sealed(manifest))
+    with pytest.raises(StudyError, match=r"manifest\.json is damaged \(code\.\.\./attitude"):
+        Dataset(out).read()
+
+
+def test_run_does_not_overwrite_a_file_of_the_users(folder, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "attitude.py").write_text("mine = 1\n")
+    with pytest.raises(StudyError, match="choose another folder"):
+        lierb.run(folder / "study.toml", out)
+    assert (out / "attitude.py").read_text() == "mine = 1\n"
+
+
+# ---- what is refused ---------------------------------------------------------------------------
+
+FORCE = "python:attitude.py:controller"
+TYPES = {
+    "path": (
+        "python:../attitude.py:controller",
+        "input should be 'constant_wrench'.* or \"python:",
+    ),
+    "absolute": ("python:/tmp/attitude.py:controller", "input should be"),
+    "no name": ("python:attitude.py", "input should be"),
+    "dotted": ("python:attitude.py:np.zeros", "input should be"),
+    "absent file": ("python:other.py:controller", r"other\.py is not in .*, beside the study"),
+    "absent name": ("python:attitude.py:contrller", r"attitude\.py defines no contrller"),
+    "observable": (
+        "python:attitude.py:pointing_error",
+        r"pointing_error in attitude\.py is <.*>; expected a function with @lierb\.wrench",
+    ),
+    "module": ("python:attitude.py:np", r"np in attitude\.py is <module"),
+}
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_type_that_names_no_function_is_refused(name, folder):
+    kind, told = TYPES[name]
+    (folder / "study.toml").write_text(TEXT.replace(FORCE, kind))
+    with pytest.raises(StudyError, match=told) as raised:
+        Study.load(folder / "study.toml")
+    assert str(raised.value).startswith("study.toml:")
+
+
+@pytest.mark.parametrize("table", ["constraints", "observables"])
+def test_type_of_lierbs_own_forces_is_none_of_others(table, folder):
+    text = TEXT + f'\n[[problem.{table}]]\ntype = "drag"\n'
+    (folder / "study.toml").write_text(text)
+    with pytest.raises(StudyError, match=r'input should be "python:FILE\.py:NAME"'):
+        Study.load(folder / "study.toml")
+
+
+CODES = {
+    "syntax": ("def f(:\n", r"attitude\.py:1: "),
+    "raises": ("x = 1\nraise KeyError('no')\n", r"line 2, .raise KeyError.*: KeyError"),
+    "exits": ("import sys\nsys.exit(3)\n", r"attitude\.py: line 2, .*: SystemExit"),
+    "sibling": ("import beside\n", r"attitude\.py:1: it imports beside, which lies beside it"),
+    "sibling's name": ("from beside import x\n", "it imports beside"),
+    "relative": ("from . import beside\n", r"it imports \."),
+    "its place": ("import pathlib\nhere = pathlib.Path(__file__)\n", "NameError"),
+    "a run": (
+        "import lierb\nlierb.run('study.toml', 'out')\n",
+        r"attitude\.py runs a study when it is loaded .* if __name__ == \"__main__\":",
+    ),
+    "plain function": (
+        "def controller(t, R, r, omega, v):\n    return r, r\n", r"with @lierb\.wrench before it",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_file_that_cannot_be_loaded_is_refused(name, folder):
+    code, told = CODES[name]
+    (folder / "attitude.py").write_text(code)
+    (folder / "beside.py").write_text("x = 1\n")
+    with pytest.raises(StudyError, match=told):
+        Study.load(folder / "study.toml")
+
+
+def test_file_that_is_no_text_is_refused(folder):
+    (folder / "attitude.py").write_bytes(b"# \xff\n")
+    with pytest.raises(StudyError, match="save it as UTF-8"):
+        Study.load(folder / "study.toml")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links as POSIX has them")
+def test_nothing_outside_the_folder_is_run(folder, tmp_path):
+    (tmp_path / "outside.py").write_text("raise SystemExit('it ran')\n")
+    (folder / "attitude.py").unlink()
+    (folder / "attitude.py").symlink_to(tmp_path / "outside.py")
+    with pytest.raises(StudyError, match="nothing outside the study's folder is run"):
+        Study.load(folder / "study.toml")
+
+
+def test_parameter_that_is_none_is_refused(folder):
+    (folder / "study.toml").write_text(TEXT.replace("most = 0.1", "mast = 0.1"))
+    with pytest.raises(StudyError, match=r"parameter='mast' is unknown.*Did you mean 'most'"):
+        Study.load(folder / "study.toml")
+    (folder / "study.toml").write_text(TEXT.replace("forces.controller.d", "forces.contrller.d"))
+    with pytest.raises(
+        StudyError, match=r"contrller: there is no such force; known: .'controller'"
+    ):
+        Study.load(folder / "study.toml")
+
+
+def test_study_without_a_folder_says_so():
+    with pytest.raises(StudyError, match=r"Study\.of\(…, folder=…\)"):
+        Study.of(Study.load(EXAMPLES / "attitude.toml").model_dump())
+    loaded = Study.load(EXAMPLES / "attitude.toml")
+    assert Study.of(loaded.model_dump(), folder=EXAMPLES) == loaded
+
+
+def test_settings_of_functions_can_be_changed(folder):
+    changes = {"problem.forces.controller.most": 0.2, "problem.observables.0.name": "off_axis"}
+    study = Study.load(folder / "study.toml", changes)
+    problem = study.batch(0, 2).problem
+    assert problem.forces[0].parameters["most"] == 0.2
+    assert problem.observables[0].name == "off_axis"
+    with pytest.raises(StudyError, match=r"each body draws its own; change sample\.forces\.contro"):
+        Study.load(folder / "study.toml", {"problem.forces.controller.damping": 1.0})
+
+
+def test_digest_is_of_the_file_too(folder):
+    before = Study.load(folder / "study.toml").digest()
+    (folder / "attitude.py").write_text(CODE + "\n")
+    assert Study.load(folder / "study.toml").digest() != before
+
+
+def test_constraints_of_a_study_are_held(folder):
+    code = "@lierb.constraint\ndef level(R, r):\n    return r[2]\n"
+    (folder / "attitude.py").write_text(CODE + code)
+    text = TEXT + '\n[[problem.constraints]]\ntype = "python:attitude.py:level"\n'
+    (folder / "study.toml").write_text(text)
+    assert (
+        Study.load(folder / "study.toml").batch(0, 2).problem.rows[0].element.function.name
+        == "level"
+    )
+
+
+# ---- problems and designs made in Python -------------------------------------------------------
+
+QUANTITIES = {
+    "forces.controller.damping": lierb.sampling.Uniform(2.0, 6.0),
+    "initial.rotation": lierb.sampling.Rotation(),
+}
+SETTINGS = {"dt": 0.2, "t_end": 4.0, "save_every": 10, "part": 16}
+SATELLITE = lierb.Body(120.0, (19.0, 17.0, 14.0))
+
+
+def imported(folder: Path):
+    """attitude.py, imported as a user's script does."""
+    found = importlib.util.spec_from_file_location("attitude", folder / "attitude.py")
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def pointing(attitude, **more) -> lierb.Problem:
+    return lierb.Problem(
+        SATELLITE, lierb.joints.free(), forces=attitude.controller(most=0.1),
+        observables=attitude.pointing_error(), **more,
+    )  # fmt: skip
+
+
+def test_problem_and_design_run_to_the_bytes_of_the_file(whole, folder, tmp_path):
+    problem, design = pointing(imported(folder)), lierb.sampling.Design(QUANTITIES, n=40, seed=2)
+    dataset = lierb.run(problem, design, tmp_path / "out", **SETTINGS)
+    assert dataset.trajectories == 40
+    found, wanted = hashes(tmp_path / "out"), hashes(whole)
+    for name in found.keys() - {"manifest.json", "study.toml"}:
+        assert found[name] == wanted[name]
+    draws = design.draw()["forces.controller.damping"]
+    rows = sorted_rows(tmp_path / "out")
+    assert [row["sample.forces.controller.damping"] for row in rows] == draws.tolist()
+    lierb.run(problem, design, tmp_path / "out", resume=True, **SETTINGS)
+    assert hashes(tmp_path / "out") == found
+
+
+def test_study_of_a_problem_makes_the_same_problem():
+    """Every number to the bit, whatever the joint and the forces."""
+    held = lierb.joints.screw(axis=(1.0, 2.0, 3.0), body_point=(0.1, 0.2, 0.3), pitch=0.07)
+    acting = [
+        lierb.forces.drag(0.1, 0.2, point=(0.1, 0.0, 0.0)),
+        lierb.forces.drag(angular=0.3),
+        lierb.forces.constant_wrench(force=(1.0, 2.0, 3.0), frame="body"),
+        lierb.forces.constant_wrench(torque=(1.0, 2.0, 3.0)),
+        lierb.forces.motor(torque=0.1),
+        lierb.forces.torsional_spring(stiffness=2.0),
+    ]
+    body = lierb.Body(2.0, np.diag((0.3, 0.2, 0.4)) + 0.01, (0.01, 0.02, 0.03))
+    given = lierb.Problem(body, held, (0.1, 0.2, -9.8), acting)
+    design = lierb.sampling.Design({"initial.velocities": [1.0]}, n=2)
+    study = lierb.study_of(given, design, dt=1e-3, t_end=0.1, cspace=["SE3", "reduced"])
+    made = study.batch(0, 2).problem
+    assert made.kinds == given.kinds
+    for name, array in given.quantities.items():
+        np.testing.assert_array_equal(made.quantities[name], array)
+    for one, other in zip(given.elements, made.elements, strict=True):
+        for name, array in one.parameters.items():
+            np.testing.assert_array_equal(other.parameters[name], array)
+    assert [force.label for force in study.problem.forces[:2]] == ["drag", "drag_2"]
+    assert Study.of(study.model_dump()) == study
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "told"),
+    [
+        ({"design": None}, ArgumentError, "design=None; expected a lierb.sampling.Design"),
+        ({"steps": 3}, UnknownNameError, "setting='steps' is unknown"),
+        ({"initial": {"omga": 1}}, UnknownNameError, "initial='omga' is unknown"),
+        ({"quantities": {"omega": 1.0}}, StudyError, "'omega' is no quantity of a problem"),
+        ({"quantities": {"joint.axis": (1.0, 0.0, 0.0)}}, StudyError, "a joint that is made has"),
+        ({"quantities": {"forces.drag.linear": 1.0}}, StudyError, "there is no such force"),
+        ({"body": lierb.Body([1.0, 2.0], (1.0, 1.0, 1.0))}, StudyError, "mass has numbers of"),
+        (
+            {"forces": lierb.forces.motor(lambda t: t), "joint": lierb.joints.revolute()},
+            StudyError, "motor is made of a function of time",
+        ),
+    ],
+)  # fmt: skip
+def test_problem_that_no_file_can_say_is_refused(given, kind, told):
+    body, joint = given.pop("body", SATELLITE), given.pop("joint", lierb.joints.free())
+    problem = lierb.Problem(body, joint, forces=given.pop("forces", ()))
+    design = lierb.sampling.Design(given.pop("quantities", {"body.mass": 1.0}), n=2)
+    with pytest.raises(kind, match=told):
+        lierb.study_of(problem, **{"design": design, "dt": 0.1, "t_end": 1.0} | given)
+
+
+def test_sobol_design_is_taken_in_the_order_of_names():
+    problem = lierb.Problem(SATELLITE, lierb.joints.free())
+    names = {"initial.omega": lierb.sampling.Direction(), "body.mass": lierb.sampling.Uniform(1, 2)}
+    design = lierb.sampling.Design(names, n=8, method="sobol")
+    with pytest.raises(StudyError, match=r"give them so, body\.mass, initial\.omega"):
+        lierb.study_of(problem, design, dt=0.1, t_end=1.0)
+
+
+def test_function_that_cannot_be_loaded_again_is_refused(tmp_path):
+    @lierb.observable
+    def inner(t):
+        return t
+
+    design = lierb.sampling.Design({"body.mass": 1.0}, n=2)
+    problem = lierb.Problem(SATELLITE, lierb.joints.free(), observables=inner())
+    with pytest.raises(StudyError, match="inner is defined inside another function"):
+        lierb.study_of(problem, design, dt=0.1, t_end=1.0)
+    known: dict = {}
+    exec("import lierb\n@lierb.observable\ndef typed(t):\n    return t\n", known)
+    problem = lierb.Problem(SATELLITE, lierb.joints.free(), observables=known["typed"]())
+    with pytest.raises(StudyError, match=r"typed is defined in '<string>', .*%%writefile"):
+        lierb.study_of(problem, design, dt=0.1, t_end=1.0)
+
+
+def test_function_that_differs_from_its_file_is_refused(folder):
+    problem = pointing(imported(folder))
+    (folder / "attitude.py").write_text(CODE.replace("params.stiffness * turn", "0.5 * turn"))
+    design = lierb.sampling.Design(QUANTITIES, n=4)
+    with pytest.raises(StudyError, match="controller is another function in its file"):
+        lierb.study_of(problem, design, dt=0.2, t_end=4.0)
+
+
+def test_run_says_how_it_is_called(folder, tmp_path):
+    problem = lierb.Problem(SATELLITE, lierb.joints.free())
+    with pytest.raises(ArgumentError, match=r"lierb\.run\(problem, design, out, dt=…, t_end=…\)"):
+        lierb.run(problem, tmp_path / "out")
+    with pytest.raises(ArgumentError, match=r"lierb\.run\(study, out\)"):
+        lierb.run(folder / "study.toml", "x", tmp_path / "out")
+    with pytest.raises(ArgumentError, match="out=None; expected the path of a folder"):
+        lierb.run(folder / "study.toml")
+    with pytest.raises(ArgumentError, match="dt is a setting of the study; give it in changes="):
+        lierb.run(folder / "study.toml", tmp_path / "out", dt=1.0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_functions_of_a_study_are_named_in_errors(folder):
+    (folder / "attitude.py").write_text(CODE.replace("np.zeros(3)", "np.random.normal(3)"))
+    with pytest.raises((StudyError, ForceError), match=r"line 13, .*it draws random numbers"):
+        Study.load(folder / "study.toml")
