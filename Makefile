@@ -14,7 +14,7 @@ OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help install demo test test-oldest lint faults bench bench-peers clean
+.PHONY: help install demo docs picture test test-oldest lint faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -24,6 +24,13 @@ install: $(VENV)/.dev  ## make the environment in .venv, with everything for dev
 
 demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in results/paper
 	$(BIN)/lierb paper --out results/paper $(ARGS)
+
+docs: $(VENV)/.docs  ## build the site in docs/_build/html; its notebooks run, a warning is an error
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html $(ARGS)
+	@echo "docs/_build/html/index.html"
+
+picture: $(VENV)/.docs  ## draw the picture of the front page again
+	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png
 
 test: $(VENV)/.dev  ## run the tests, on up to four cores
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
@@ -47,16 +54,17 @@ bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the 
 	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
 
 clean:  ## remove what make made: the environment, results, caches, builds
-	rm -rf $(VENV) $(OLDEST) results build dist .benchmarks .coverage htmlcov
+	rm -rf $(VENV) $(OLDEST) results build dist docs/_build .benchmarks .coverage htmlcov
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find lierb tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Each stamp is redone when pyproject.toml changes, and only then.
 $(VENV)/.demo: EXTRAS := cli,plot
 $(VENV)/.dev: EXTRAS := dev
+$(VENV)/.docs: EXTRAS := docs
 $(VENV)/.peers: EXTRAS := dev,peers
 $(OLDEST)/.test: EXTRAS := test
-$(VENV)/.demo $(VENV)/.dev $(VENV)/.peers $(OLDEST)/.test: pyproject.toml
+$(VENV)/.demo $(VENV)/.dev $(VENV)/.docs $(VENV)/.peers $(OLDEST)/.test: pyproject.toml
 	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
 		echo "lierb needs Python 3.11 to 3.14, and '$(or $(PYTHON),python3)' is not one." >&2; \
 		echo "Name one that is:  make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }
