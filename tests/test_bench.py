@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -135,3 +136,58 @@ def test_the_front_page_shows_the_stored_run():
     for label, speed, error in shown:
         (row,) = (row for row in tables if row[0] == label)
         assert (speed, error.removesuffix(" |")) == (row[1], row[4])
+
+
+# ---------------------------------------------------------------- docs/theory.md
+
+LABELS = {"H_p⋉R²": "helical_planar", "pin-in-slot": "pin_in_slot"}
+LEFT_BY_ROUNDING = 2e-14  # m: what the page says is left where it only says "kept"
+
+
+def _theory_rows(head: str) -> list[list[str]]:
+    """The rows of the table of docs/theory.md whose first line begins with `head`."""
+    text = (BENCH.parent / "docs" / "theory.md").read_text(encoding="utf-8")
+    lines = text[text.index(head) :].splitlines()[2:]
+    table = lines[: next(i for i, line in enumerate(lines) if not line.startswith("|"))]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+
+
+def _drift() -> dict:
+    stored = max((BENCH / "results").glob("drift-*.json"))
+    return json.loads(stored.read_text(encoding="utf-8"))
+
+
+def _as_shown(cell: str, values: list[float]) -> bool:
+    """Whether the numbers of a cell are these, to the digits that are shown."""
+    shown = re.findall(r"[0-9.]+(?:e-?[0-9]+)?", cell.removeprefix("kept:"))
+    digits = [len(x.partition("e")[0].partition(".")[2]) for x in shown]
+    found = [float(f"{x:.{n}e}") for x, n in zip(values, digits)]
+    return len(shown) == 2 and found == [float(x) for x in shown]
+
+
+def test_theory_shows_the_stored_drift():
+    stored = _drift()
+    rows = _theory_rows("| joint | SE(3) | SO(3)×R³ |")
+    assert len(rows) == 8
+    for label, *cells in rows:
+        name = LABELS.get(label, label)
+        for key, cell in zip(("SE3", "SO3xR3", "origin"), cells, strict=True):
+            values = stored["drift"][name][f"{key} position"]
+            if cell == "kept":
+                assert max(values) < LEFT_BY_ROUNDING, (label, key)
+            elif key == "SE3" and cell.startswith("kept"):
+                assert _as_shown(cell, stored["frames"][name]["position"]), (label, cell)
+            else:
+                assert cell == "–" or _as_shown(cell, values), (label, key, cell, values)
+
+
+def test_theory_shows_the_stored_rounding():
+    stored = _drift()["rounding"]
+    rows = _theory_rows("| joint | SE(3), `solver")
+    assert len(rows) == 5
+    for name, *cells in rows:
+        for key, cell in zip(("saddle", "auto"), cells, strict=True):
+            assert _as_shown(cell, stored[name][key]), (name, key, cell)
+    assert (
+        max(max(run[f"{key} RᵀR"]) for run in stored.values() for key in ("saddle", "auto")) < 4e-15
+    )
