@@ -22,7 +22,7 @@ def main(wheel: str) -> None:
     said = _printed("--version")
     assert lierb.__version__ in said, said
     listed = {line.split()[0] for line in _printed("example").splitlines()}
-    assert listed == NAMES, listed
+    assert listed >= NAMES, listed
     for name in NAMES:
         study = lierb.Study.of(tomllib.loads(_printed("example", name)))
         assert study.batch(0, 2).twist0.shape == (2, 6)
