@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 from importlib.resources import files
@@ -15,6 +16,8 @@ sys.path.insert(0, str(HERE / "_ext"))
 os.environ["DOCS"] = str(HERE)
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
 os.environ["COLUMNS"] = "100"
+
+logging.getLogger("traitlets").setLevel(logging.WARNING)  # which notebook runs, says Sphinx
 
 project = "lierb"
 author = "The lierb developers"
