@@ -292,6 +292,18 @@ class Study(Shown, Section):
     """A study, checked when it is made; see the module for its tables.
 
     Raises StudyError (a ValueError) that names what is wrong.
+
+    >>> import lierb
+    >>> study = lierb.Study.of({
+    ...     "body": {"solid": "box", "size": [0.1, 0.2, 0.3], "mass": 1.0},
+    ...     "joint": {"type": "revolute", "axis": [0, 1, 0]},
+    ...     "sample": {"n": 100, "initial": {"omega": {
+    ...         "distribution": "normal", "mean": [0, 3, 0], "std": 0.1,
+    ...     }}},
+    ...     "integrate": {"dt": 1e-3, "t_end": 1.0},
+    ... })
+    >>> study.batch(0, 100).twist0.shape
+    (100, 6)
     """
 
     name: str = "study"
@@ -314,18 +326,6 @@ class Study(Shown, Section):
         """A study from the tables of its file; `source` and `text` are for messages.
 
         changes : of the tables, by dotted keys (see `lierb.studies.changes`): {"sample.n": 1000}.
-
-        >>> import lierb
-        >>> study = lierb.Study.of({
-        ...     "body": {"solid": "box", "size": [0.1, 0.2, 0.3], "mass": 1.0},
-        ...     "joint": {"type": "revolute", "axis": [0, 1, 0]},
-        ...     "sample": {"n": 100, "initial": {"omega": {
-        ...         "distribution": "normal", "mean": [0, 3, 0], "std": 0.1,
-        ...     }}},
-        ...     "integrate": {"dt": 1e-3, "t_end": 1.0},
-        ... })
-        >>> study.batch(0, 100).twist0.shape
-        (100, 6)
         """
         given = Given(source, text, {})
         try:
