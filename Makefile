@@ -14,7 +14,7 @@ OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help install demo test test-oldest lint faults bench bench-peers clean
+.PHONY: help install demo docs picture test test-oldest lint dist faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -25,6 +25,13 @@ install: $(VENV)/.dev  ## make the environment in .venv, with everything for dev
 demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in results/paper
 	$(BIN)/lierb paper --out results/paper $(ARGS)
 
+docs: $(VENV)/.docs  ## build the site in docs/_build/html; its notebooks run, a warning is an error
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html $(ARGS)
+	@echo "docs/_build/html/index.html"
+
+picture: $(VENV)/.docs  ## draw the picture of the front page again
+	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png
+
 test: $(VENV)/.dev  ## run the tests, on up to four cores
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
 
@@ -32,10 +39,21 @@ test-oldest: $(OLDEST)/.test  ## run the tests with every dependency at its lowe
 	NUMBA_CACHE_DIR=$(abspath $(OLDEST))/cache \
 		$(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 $(ARGS)
 
-lint: $(VENV)/.dev  ## ruff, mypy and the import contracts
+lint: $(VENV)/.dev  ## ruff, mypy, the import contracts and the spelling
 	$(BIN)/ruff check .
+	$(BIN)/codespell
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+dist: $(VENV)/.publish  ## build sdist and wheel, check them, install the wheel where nothing is
+	rm -rf dist
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*.whl dist/*.tar.gz
+	"$(PYTHON)" -m venv dist/empty
+	dist/empty/bin/python -m pip install --quiet --disable-pip-version-check \
+		"$$(echo dist/*.whl)[study]"
+	cd dist && NUMBA_CACHE_DIR=empty/cache empty/bin/python ../tests/installed.py *.whl
+	rm -rf dist/empty
 
 faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; most of an hour)
 	cd tests && $(abspath $(BIN))/python -m faults --out ../results/faults $(ARGS)
@@ -47,16 +65,18 @@ bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the 
 	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
 
 clean:  ## remove what make made: the environment, results, caches, builds
-	rm -rf $(VENV) $(OLDEST) results build dist .benchmarks .coverage htmlcov
+	rm -rf $(VENV) $(OLDEST) results build dist docs/_build .benchmarks .coverage htmlcov
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find lierb tests bench -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Each stamp is redone when pyproject.toml changes, and only then.
 $(VENV)/.demo: EXTRAS := cli,plot
 $(VENV)/.dev: EXTRAS := dev
+$(VENV)/.docs: EXTRAS := docs
 $(VENV)/.peers: EXTRAS := dev,peers
+$(VENV)/.publish: EXTRAS := publish
 $(OLDEST)/.test: EXTRAS := test
-$(VENV)/.demo $(VENV)/.dev $(VENV)/.peers $(OLDEST)/.test: pyproject.toml
+$(VENV)/.demo $(VENV)/.dev $(VENV)/.docs $(VENV)/.peers $(VENV)/.publish $(OLDEST)/.test: pyproject.toml
 	@"$(PYTHON)" -c '$(SUPPORTED)' 2>/dev/null || { \
 		echo "lierb needs Python 3.11 to 3.14, and '$(or $(PYTHON),python3)' is not one." >&2; \
 		echo "Name one that is:  make $(MAKECMDGOALS) PYTHON=/path/to/python3.12" >&2; exit 1; }

@@ -53,6 +53,10 @@ def cylinder(
     """A circular cylinder about e₃.
 
     radius, length : number or (n,), m.   mass or density : number or (n,).
+
+    >>> import lierb
+    >>> lierb.bodies.cylinder(0.1, 0.3, mass=2.0).inertia.diagonal().round(6).tolist()
+    [0.02, 0.02, 0.01]
     """
     r, h = as_positive("radius", radius, "m"), as_positive("length", length, "m")
     batch_size(radius=r, length=h)
@@ -71,6 +75,10 @@ def rod(
     """A slender cylinder along e₃, of a radius: without one it had no inertia about its axis.
 
     length, radius : number or (n,), m.   mass or density : number or (n,).
+
+    >>> import lierb
+    >>> lierb.bodies.rod(0.6, 0.01, mass=0.5).inertia.diagonal().round(6).tolist()
+    [0.015012, 0.015012, 2.5e-05]
     """
     return cylinder(radius, length, mass=mass, density=density)
 
@@ -82,6 +90,10 @@ def sphere(
     """A ball.
 
     radius : number or (n,), m.   mass or density : number or (n,).
+
+    >>> import lierb
+    >>> lierb.bodies.sphere([0.1, 0.2], density=1000.0).mass.round(3).tolist()
+    [4.189, 33.51]
     """
     r = as_positive("radius", radius, "m")
     masses = _mass(mass, density, 4.0 / 3.0 * np.pi * r**3)

@@ -230,6 +230,10 @@ def spring_damper(
 
     Its force on the body is −(k (ℓ − length) + c ℓ̇) along the line; nothing where ℓ = 0. The
     spring's ½k(ℓ − length)² counts in the energy, what the damper takes in the work.
+
+    >>> import lierb
+    >>> lierb.forces.spring_damper(ground_point=(0.0, 0.0, 1.0), stiffness=[10.0, 20.0], length=0.5)
+    <spring_damper: body_point, ground_point, stiffness, damping, length>
     """
     return SpringDamper().force(
         body_point=body_point, ground_point=ground_point, stiffness=stiffness, damping=damping,
@@ -280,6 +284,10 @@ def torsional_spring(
     The spring knows the pose, not how it came about: it turns back to `angle` the shorter way, so
     that its torque jumps half a turn from there. It counts in the energy, ½kφ². For joints that
     keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
+
+    >>> import lierb
+    >>> lierb.forces.torsional_spring(stiffness=0.5, damping=[0.0, 0.01])
+    <torsional_spring: stiffness, damping, angle>
     """
     return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
 
@@ -316,6 +324,10 @@ def drag(
 
     linear : N s/m.   quadratic : N s²/m².   angular : N m s, for a torque −angular·ω.
     point : (3,) or (n, 3), m, in the body frame.
+
+    >>> import lierb
+    >>> lierb.forces.drag(linear=0.1, quadratic=[0.0, 0.02])
+    <drag: linear, quadratic, angular, point>
     """
     return Drag().force(linear=linear, quadratic=quadratic, angular=angular, point=point)
 

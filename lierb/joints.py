@@ -406,6 +406,10 @@ class JointType:
 
         Without ground_frame the ground's joint frame is turned like the body's: the joint closes at
         R = I. Raises ArgumentError, or PoseError for a frame that is no rigid motion.
+
+        >>> import lierb
+        >>> lierb.joints.screw(body_point=(0.1, 0.0, 0.0), pitch=0.02).coordinate_names
+        ('phi',)
         """
         given = {"pitch": pitch, "length": length, "slot": slot, "second_axis": second_axis}
         for option, value in given.items():

@@ -53,31 +53,67 @@ class Group:
         """The X with exp X = C and ‖ξ‖ ≤ π, (…, dim).
 
         At ‖ξ‖ = π the component of ξ largest in size is positive (the first, where several are).
+
+        >>> import lierb
+        >>> lierb.lie.so3.log(lierb.lie.so3.exp([0.1, -0.2, 0.3])).round(12).tolist()
+        [0.1, -0.2, 0.3]
         """
         return self._call("log", C)
 
     def compose(self, C1: Any, C2: Any) -> Array:
-        """The product C₁C₂ of the group."""
+        """The product C₁C₂ of the group.
+
+        >>> import lierb
+        >>> shift, turn = lierb.lie.se3.exp([[0, 0, 0, 1, 0, 0], [0, 0, 1, 0, 0, 0]])
+        >>> lierb.lie.se3.compose(shift, turn)[:3, 3].tolist()
+        [1.0, 0.0, 0.0]
+        """
         return self._call("compose", C1, C2)
 
     def inverse(self, C: Any) -> Array:
-        """C⁻¹."""
+        """C⁻¹.
+
+        >>> import lierb
+        >>> lierb.lie.se3.inverse(lierb.lie.se3.exp([0, 0, 0, 1.0, 2.0, 3.0]))[:3, 3].tolist()
+        [-1.0, -2.0, -3.0]
+        """
         return self._call("inverse", C)
 
     def Ad(self, C: Any, X: ArrayLike | None = None) -> Array:
-        """Ad_C X, (…, dim); without X the matrix Ad_C, (…, dim, dim)."""
+        """Ad_C X, (…, dim); without X the matrix Ad_C, (…, dim, dim).
+
+        >>> import lierb
+        >>> lierb.lie.se3.Ad(lierb.lie.se3.exp([0, 0, 0, 1.0, 0, 0]), [0, 0, 1.0, 0, 0, 0]).tolist()
+        [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
+        """
         return self._call("Ad", C, X) if X is not None else self._matrix("Ad", C, 2)
 
     def ad(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
-        """The bracket [X, Y] = ad_X Y, (…, dim); without Y the matrix ad_X."""
+        """The bracket [X, Y] = ad_X Y, (…, dim); without Y the matrix ad_X.
+
+        >>> import lierb
+        >>> lierb.lie.so3.ad([1.0, 0, 0], [0, 1.0, 0]).tolist()
+        [0.0, 0.0, 1.0]
+        """
         return self._call("ad", X, Y) if Y is not None else self._matrix("ad", X, 1)
 
     def dexp(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
-        """Right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X; without Y its matrix."""
+        """Right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X; without Y its matrix.
+
+        >>> import lierb
+        >>> lierb.lie.se3.dexp([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).shape
+        (6, 6)
+        """
         return self._call("dexp", X, Y) if Y is not None else self._matrix("dexp", X, 1)
 
     def dexpinv(self, X: ArrayLike, V: ArrayLike | None = None) -> Array:
-        """dexp_X⁻¹ V for ‖ξ‖ < 2π; without V its matrix."""
+        """dexp_X⁻¹ V for ‖ξ‖ < 2π; without V its matrix.
+
+        >>> import lierb
+        >>> X, V = [0.1, 0.2, 0.3], [1.0, -1.0, 0.5]
+        >>> lierb.lie.so3.dexpinv(X, lierb.lie.so3.dexp(X, V)).round(12).tolist()
+        [1.0, -1.0, 0.5]
+        """
         return self._call("dexpinv", X, V) if V is not None else self._matrix("dexpinv", X, 1)
 
     @property

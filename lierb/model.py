@@ -236,6 +236,11 @@ class Problem(Shown):
     observables : made by `lierb.observable`: columns of the results.
 
     Raises ForceError for a force about a joint axis that the joint does not have.
+
+    >>> import lierb
+    >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=[1.0, 2.0])
+    >>> lierb.Problem(box, lierb.joints.free(), forces=lierb.forces.drag(linear=0.1)).batch_size()
+    2
     """
 
     body: Body
@@ -469,6 +474,12 @@ class Problem(Shown):
         twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : as in `integrate`.
         t0 : s, at which a motor is to have its speed.
         Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 0.0, 1.0))
+        >>> wheel = lierb.Problem(lierb.bodies.cylinder(0.3, 0.05, mass=2.0), hinge)
+        >>> wheel.project((1.0, 2.0, 3.0, 4.0, 5.0, 6.0)).round(9).tolist()
+        [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
         """
         twists, start = as_numbers("twist", twist, (6,)), as_number("t0", t0)
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)

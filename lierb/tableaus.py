@@ -35,6 +35,10 @@ class ButcherTableau:
     c : (s,), optional; must be the row sums of A.   name, order, source: for people.
 
     Raises ArgumentError unless A is strictly lower triangular, Σ_j A_ij = c_i and Σ b_i = 1.
+
+    >>> import lierb
+    >>> lierb.ButcherTableau(A=[[], [2 / 3]], b=[1 / 4, 3 / 4], name="Ralston", order=2).stages
+    2
     """
 
     A: Sequence[Sequence[float]]

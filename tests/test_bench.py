@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -61,8 +62,132 @@ def test_every_peer_has_what_a_peer_needs():
 @pytest.mark.skipif(not STORED, reason="no run is stored")
 def test_the_readme_shows_the_last_stored_run():
     run = json.loads(STORED[-1].read_text(encoding="utf-8"))
-    readme = (BENCH.parent / "README.md").read_text(encoding="utf-8")
-    tables = [line for line in report.markdown(run).splitlines() if line.startswith("| ")]
-    assert len(tables) > 20
-    missing = [line for line in tables if line not in readme]
-    assert not missing
+    readme = (BENCH / "README.md").read_text(encoding="utf-8")
+    figure = STORED[-1].with_suffix(".png")
+    assert figure.exists()
+    assert len(report.markdown(run).splitlines()) > 40
+    assert report.embedded(readme, run, f"results/{figure.name}") == readme
+
+
+def test_tables_have_no_place_in_a_page_without_marks():
+    with pytest.raises(ValueError, match="are missing"):
+        report.embedded("# A page\n", {}, "figure.png")
+
+
+CPP = {
+    "saddle point, spherical": ("lierb/saddle-tilted", "cpp/general-fixed", "cpp/general"),
+    "saddle point, revolute": (
+        "lierb/saddle-revolute-tilted", "cpp/general-fixed-revolute", "cpp/general-revolute",
+    ),
+    "saddle point, universal": (
+        "lierb/saddle-universal-tilted", "cpp/general-fixed-universal", "cpp/general-universal",
+    ),
+    "constant gain, spherical": ("lierb/gain-tilted", "cpp/reduced"),
+}  # fmt: skip
+
+
+def _readme_row(label: str) -> list[str]:
+    """The cells of a table's row, numbers without their units."""
+    text = (BENCH / "README.md").read_text(encoding="utf-8")
+    line = next(x for x in text.splitlines() if x.startswith(f"| {label} |"))
+    return [cell.split()[0] for cell in line.strip("|").split("|")[1:]]
+
+
+@pytest.mark.parametrize(("label", "names"), CPP.items())
+def test_the_readme_shows_the_stored_run_with_cpp(label, names):
+    (stored,) = (BENCH / "results").glob("cpp-*.json")
+    run = json.loads(stored.read_text(encoding="utf-8"))
+    expected = [report._cell(report._speed(run, name)) for name in names]
+    assert _readme_row(label)[: len(expected)] == expected
+
+
+OWN = {
+    "from the start of a process to its first result, kernel on the disk": (
+        "first_result[warm]", 1,
+    ),
+    "the same, kernel compiled first": ("first_result[cold]", 1),
+    "one call with one body and ten steps": ("one_body_ten_steps[None]", 1e-3),
+    "memory beside inputs and outputs, 10⁴ bodies": ("growth[10000-False]", "growth_MB"),
+    "memory beside inputs and outputs, 4·10⁵ bodies": ("growth[400000-False]", "growth_MB"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("label", "entry"), OWN.items())
+def test_the_readme_shows_the_stored_runs_of_lierb_alone(label, entry):
+    name, unit = entry
+    runs = ("2026-11-22T195542-icelake-server-L8", "2026-11-23T024553-znver4-L8")
+    for run, shown in zip(runs, _readme_row(label), strict=True):
+        stored = json.loads((BENCH / f"results/{run}.json").read_text(encoding="utf-8"))
+        found = stored["benchmarks"][name]
+        value = found[unit] if isinstance(unit, str) else found["seconds"] / unit
+        digits = len(shown.partition(".")[2])
+        assert f"{value:.{digits}f}" == shown, run
+
+
+def test_the_front_page_shows_the_stored_run():
+    """Its rows are rows of the tables of the last run, without some columns."""
+    run = json.loads(STORED[-1].read_text(encoding="utf-8"))
+    tables = [line.split(" | ") for line in report.markdown(run).splitlines()]
+    page = (BENCH.parent / "README.md").read_text(encoding="utf-8").splitlines()
+    shown = [
+        line.split(" | ") for line in page if line.startswith("| ") and "body-steps" not in line
+    ]
+    assert len(shown) == 5
+    for label, speed, error in shown:
+        (row,) = (row for row in tables if row[0] == label)
+        assert (speed, error.removesuffix(" |")) == (row[1], row[4])
+
+
+# ---------------------------------------------------------------- docs/theory.md
+
+LABELS = {"H_p⋉R²": "helical_planar", "pin-in-slot": "pin_in_slot"}
+LEFT_BY_ROUNDING = 2e-14  # m: what the page says is left where it only says "kept"
+
+
+def _theory_rows(head: str) -> list[list[str]]:
+    """The rows of the table of docs/theory.md whose first line begins with `head`."""
+    text = (BENCH.parent / "docs" / "theory.md").read_text(encoding="utf-8")
+    lines = text[text.index(head) :].splitlines()[2:]
+    table = lines[: next(i for i, line in enumerate(lines) if not line.startswith("|"))]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+
+
+def _drift() -> dict:
+    stored = max((BENCH / "results").glob("drift-*.json"))
+    return json.loads(stored.read_text(encoding="utf-8"))
+
+
+def _as_shown(cell: str, values: list[float]) -> bool:
+    """Whether the numbers of a cell are these, to the digits that are shown."""
+    shown = re.findall(r"[0-9.]+(?:e-?[0-9]+)?", cell.removeprefix("kept:"))
+    digits = [len(x.partition("e")[0].partition(".")[2]) for x in shown]
+    found = [float(f"{x:.{n}e}") for x, n in zip(values, digits)]
+    return len(shown) == 2 and found == [float(x) for x in shown]
+
+
+def test_theory_shows_the_stored_drift():
+    stored = _drift()
+    rows = _theory_rows("| joint | SE(3) | SO(3)×R³ |")
+    assert len(rows) == 8
+    for label, *cells in rows:
+        name = LABELS.get(label, label)
+        for key, cell in zip(("SE3", "SO3xR3", "origin"), cells, strict=True):
+            values = stored["drift"][name][f"{key} position"]
+            if cell == "kept":
+                assert max(values) < LEFT_BY_ROUNDING, (label, key)
+            elif key == "SE3" and cell.startswith("kept"):
+                assert _as_shown(cell, stored["frames"][name]["position"]), (label, cell)
+            else:
+                assert cell == "–" or _as_shown(cell, values), (label, key, cell, values)
+
+
+def test_theory_shows_the_stored_rounding():
+    stored = _drift()["rounding"]
+    rows = _theory_rows("| joint | SE(3), `solver")
+    assert len(rows) == 5
+    for name, *cells in rows:
+        for key, cell in zip(("saddle", "auto"), cells, strict=True):
+            assert _as_shown(cell, stored[name][key]), (name, key, cell)
+    assert (
+        max(max(run[f"{key} RᵀR"]) for run in stored.values() for key in ("saddle", "auto")) < 4e-15
+    )

@@ -332,6 +332,8 @@ def test_a_wheel_has_the_examples_and_names_itself(tmp_path):
     assert [line.split()[0] for line in listed.splitlines()] == sorted(FILES)
     printed = subprocess.run([*command, "satellite"], check=True, **options).stdout
     assert tomllib.loads(printed.decode())["sample"]["n"] == 20_000
+    schema = site / "lierb" / "examples" / "study.schema.json"
+    assert schema.read_bytes() == (ROOT / "docs" / "study.schema.json").read_bytes()
 
 
 # ---------------------------------------------------------------- as a process

@@ -14,7 +14,11 @@ from cases import slow_but
 import lierb
 
 ROOT = Path(__file__).parent.parent
-PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+BUILT = ROOT / "docs" / "_build"
+PAGES = [
+    *sorted(page for page in (ROOT / "docs").rglob("*.md") if not page.is_relative_to(BUILT)),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md")),
+]
 QUICK = [page for page in PAGES if page.stem not in ("forces", "theory")]  # these: nine kernels
 
 SPAN = re.compile(r"`([^`\n]+)`")

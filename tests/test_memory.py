@@ -98,7 +98,7 @@ def test_draws_that_do_not_fit_are_refused(bodies):
 
 
 def test_estimate_is_what_the_tables_hold(monkeypatch):
-    """Not less, and hardly more: a process's growth is measured in docs/architecture.md."""
+    """Not less, and at most a tenth more."""
     estimated = []
 
     def seen(*given):

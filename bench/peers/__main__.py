@@ -1,4 +1,4 @@
-"""`make bench-peers`: run every peer, store what was found, print the tables, draw the diagram.
+"""`make bench-peers`: run every peer, store what was found, write the tables and the diagram.
 
     python -m peers                   all peers, from bench/
     python -m peers --only cpp lierb  some of them
@@ -25,6 +25,7 @@ import peers
 from peers import report
 
 RESULTS = Path(__file__).parent.parent / "results"
+README = Path(__file__).parent.parent / "README.md"  # has the tables of the last whole run
 TIMEOUT = 600  # s, for one measurement
 NOT_PEERS = {"__init__", "__main__", "equations", "heavy_top", "reference", "report", "worker"}
 
@@ -34,7 +35,7 @@ def main() -> None:
     names = sorted(m.name for m in pkgutil.iter_modules(peers.__path__) if m.name not in NOT_PEERS)
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PEER")
     parser.add_argument("--passes", type=int, default=2, help="through the whole list; default 2")
-    parser.add_argument("--report", type=Path, help="print the tables of a stored run")
+    parser.add_argument("--report", type=Path, help="write the tables of a stored run")
     given = parser.parse_args()
     if given.report is None:
         run = measured(given.only, given.passes)
@@ -48,6 +49,11 @@ def main() -> None:
     figure = path.with_suffix(".png")
     report.draw(run, figure)
     print(f"\nstored in {path} and {figure}")
+    if given.only == names:  # of some peers alone the tables would not be whole
+        page = README.read_text(encoding="utf-8")
+        page = report.embedded(page, run, f"results/{figure.name}")
+        README.write_text(page, encoding="utf-8")
+        print(f"written into {README}")
 
 
 def measured(names: list[str], passes: int) -> dict[str, Any]:

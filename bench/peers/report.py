@@ -39,6 +39,15 @@ def rate(found: dict[str, Any], seconds: str) -> float:
     return found["bodies"] * STEPS / found[seconds] / 1e6
 
 
+def embedded(text: str, run: dict[str, Any], figure: str) -> str:
+    """`text` with this run's tables and figure between its two marks."""
+    before, mark, rest = text.partition("<!-- peers -->\n")
+    _, end, after = rest.partition("<!-- /peers -->")
+    if not (mark and end):
+        raise ValueError("no place for the tables: <!-- peers --> and <!-- /peers --> are missing")
+    return f"{before}{mark}{markdown(run)}\n\n![Work and precision]({figure})\n{end}{after}"
+
+
 def markdown(run: dict[str, Any]) -> str:
     machine, before, after = run["machine"], run["before"], run["after"]
     lines = [

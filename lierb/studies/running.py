@@ -274,6 +274,17 @@ def integrate_batches(
     table : "summary", or "history" if the study has `save_every`.
     Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for. At the end
     one FailedTrajectoryWarning says how many trajectories failed, if any did.
+
+    >>> import lierb
+    >>> study = lierb.Study.of({
+    ...     "body": {"mass": 6.075, "inertia": [0.0126563, 0.0468281, 0.0569531]},
+    ...     "joint": {"type": "spherical", "body_point": [-0.15, 0.0375, 0.0]},
+    ...     "initial": {"omega": [6.28, 3.14, 0.63]},
+    ...     "sample": {"n": 5},
+    ...     "integrate": {"dt": 1e-3, "t_end": 0.1},
+    ... })
+    >>> sum(batch.num_rows for batch in lierb.integrate_batches(study))
+    5
     """
     given, _ = _loaded(study, {})
     known = ("summary", "history") if given.integrate.save_every else ("summary",)

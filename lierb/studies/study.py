@@ -363,6 +363,18 @@ class Study(Shown, Section):
     """A study, checked when it is made; see the module for its tables.
 
     Raises StudyError (a ValueError) that names what is wrong.
+
+    >>> import lierb
+    >>> study = lierb.Study.of({
+    ...     "body": {"solid": "box", "size": [0.1, 0.2, 0.3], "mass": 1.0},
+    ...     "joint": {"type": "revolute", "axis": [0, 1, 0]},
+    ...     "sample": {"n": 100, "initial": {"omega": {
+    ...         "distribution": "normal", "mean": [0, 3, 0], "std": 0.1,
+    ...     }}},
+    ...     "integrate": {"dt": 1e-3, "t_end": 1.0},
+    ... })
+    >>> study.batch(0, 100).twist0.shape
+    (100, 6)
     """
 
     name: str = "study"

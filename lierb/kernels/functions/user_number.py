@@ -316,6 +316,10 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition holds, `b` elsewhere: for functions given to lierb, instead of `if`.
 
     Numbers, or tuples and arrays of them. Both are computed.
+
+    >>> import lierb
+    >>> lierb.where(2.0 > 1.0, 10.0, 20.0)
+    10.0
     """
     if any(isinstance(x, np.ndarray) for x in (condition, a, b)) or isinstance(condition, list):
         return np.where(condition, a, b)
