@@ -487,7 +487,7 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("lierb.studies.figures.figures", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.studies.report.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.report.sheets", lambda _dataset: iter(()))
     monkeypatch.setattr("lierb.studies.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
     file = {"report": "report.html", "plot": "figures"}[name]

@@ -377,6 +377,8 @@ class Study(Shown, Section):
     (100, 6)
     """
 
+    model_config = SECTION | ConfigDict(json_schema_extra={"description": "A study of lierb."})
+
     name: str = "study"
     body: BodySection
     joint: JointSection
