@@ -89,4 +89,4 @@ PIP = $(@D)/bin/python -m pip install --quiet --disable-pip-version-check
 INSTALL = $(PIP)
 # uv can take the oldest releases, of those that have a wheel for this Python; pip cannot.
 $(OLDEST)/.test: INSTALL = $(PIP) uv && $(@D)/bin/python -m uv pip install --quiet --python $(@D) \
-	--upgrade --resolution lowest-direct --only-binary :all:
+	--upgrade --resolution lowest-direct --only-binary :all: --no-binary lierb
