@@ -29,7 +29,8 @@ from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
-from lierb.plots import COLOURS, STYLE  # noqa: E402
+from lierb.colours import COLOURS  # noqa: E402
+from lierb.plots import STYLE  # noqa: E402
 
 if TYPE_CHECKING:
     from lierb.result import Result

@@ -20,6 +20,7 @@ import lierb
 from lierb.animation import shapes
 from lierb.animation.gaps import gap_of
 from lierb.animation.page import FRAMES, MOST_VIEWS
+from lierb.colours import CSPACE_COLOURS
 from lierb.errors import ArgumentError, FailedTrajectoryWarning
 
 MOST_BYTES = 40_000  # of the page without its scene
@@ -183,6 +184,21 @@ def test_gap_of_a_ball_joint_is_how_far_its_points_are_apart(spun):
 
 
 # ---- the scene ---------------------------------------------------------------------------------
+
+
+def test_cspaces_have_their_colours_and_trajectories_dashes(spun):
+    """In whatever order they stand, and as figures draw them."""
+    for order in (spun, dict(reversed(spun.items()))):
+        views = lierb.animate(order).scene["views"]
+        found = {(view["title"], view["colour"], view["dash"]) for view in views}
+        assert found == {
+            (f"{space}, trajectory {number}", CSPACE_COLOURS[space], number)
+            for number in (0, 1) for space in spun
+        }  # fmt: skip
+    alone = spun["SO3xR3"].animate().scene["views"]
+    assert alone[0]["colour"] == CSPACE_COLOURS["SO3xR3"]
+    assert alone[1]["colour"] not in (CSPACE_COLOURS["SE3"], CSPACE_COLOURS["SO3xR3"])
+    assert [view["dash"] for view in alone] == [0, 0]
 
 
 def test_scene_has_the_results_poses_in_single_precision(spun):
@@ -428,7 +444,7 @@ def test_a_marker_is_drawn_where_the_pose_says_to_a_pixel(spun, tmp_path, factor
     script = SEEK.replace("TIMES", str(result.t[rows].tolist())).replace("FACTOR", str(factor))
     page = tmp_path / "page.html"
     views = animation.scene["views"]
-    views[0]["title"] = ""  # its swatch is as blue
+    views[0] |= {"title": "", "colour": "#0072B2"}  # not the gap's red; a swatch were as blue
     page.write_text(animation.html() + script, encoding="utf-8")
     shown = subprocess.run(
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",

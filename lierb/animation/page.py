@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.animation.scene import RECORD, scene_of
+from lierb.animation.scene import RECORD, cspace_of, scene_of, settings_of
 from lierb.animation.shapes import Shape
 from lierb.arrays import Array, as_numbers, is_whole
+from lierb.colours import CSPACE_NAMES
 from lierb.errors import ArgumentError, items_of, told
 from lierb.model import Problem
 from lierb.shown import counted
@@ -151,8 +152,8 @@ def _named(results: Any) -> dict[str, Result]:
         if not hasattr(result, "summary") or not hasattr(result, "history"):
             raise ArgumentError(f"results has {told(result)}; expected {RESULTS}")
         if name is None:
-            space = _told(result).get("options", {}).get("cspace", "")
-            name = SPACES.get(space, space) if len(given) > 1 else ""
+            space = cspace_of(result) or ""
+            name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
         if result.history is None or "position" not in result.history.column_names:
             raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
         found[name if name not in found else f"{name} ({number + 1})"] = result
@@ -161,14 +162,7 @@ def _named(results: Any) -> dict[str, Result]:
     return found
 
 
-SPACES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
 RESULTS = "what lierb.integrate returned, one or several"
-
-
-def _told(result: Result) -> dict[str, Any]:
-    """What the metadata of its tables tell."""
-    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return found
 
 
 def _problem_of(name: str, result: Any, given: Problem | None) -> Problem:
@@ -216,7 +210,7 @@ def _views(
 
 
 def _title(result: Result) -> str:
-    known = _told(result)
+    known = settings_of(result)
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else ["lierb"]
     if options:
