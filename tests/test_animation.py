@@ -228,6 +228,14 @@ def test_magnified_the_largest_gap_is_seen(spun):
     assert exact == 1.0  # there is nothing but rounding
 
 
+def test_magnify_is_where_the_slider_begins(spun):
+    """And it reaches that far."""
+    asked = {factor: lierb.animate(spun["SE3"], magnify=factor).scene for factor in (1, 1e4)}
+    assert {f: (s["magnified"], s["magnify"]) for f, s in asked.items()} == {
+        1: (1.0, 1.0), 1e4: (1e4, 1e4),
+    }  # fmt: skip
+
+
 def test_long_histories_are_thinned_and_keep_their_largest_errors(spun):
     result = spun["SO3xR3"]
     assert len(result.t) < FRAMES
@@ -322,6 +330,7 @@ def test_arguments_are_checked(spun):
     for wrong, told in (
         ({"trajectories": 2}, "expected 0 … 1"), ({"trajectories": []}, "empty"),
         ({"frames": 1}, "at least 2"), ({"trail": (1.0, 2.0)}, r"expected \(3,\)"),
+        ({"magnify": 0.5}, "a number, 1 …"), ({"magnify": "10"}, "a number, 1 …"),
     ):  # fmt: skip
         with pytest.raises(ArgumentError, match=told):
             result.animate(**wrong)

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lierb
+from lierb.colours import CSPACE_COLOURS
 
 body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
 pivot = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))
@@ -24,12 +25,12 @@ for method, marker in (("Euler", "o"), ("Heun", "s"), ("RK4", "D")):
             for dt in steps
         ]
         errors[cspace] = [run.summary["position_error_max"][0].as_py() for run in runs]
-    ax.plot(steps, errors["SO3xR3"], marker=marker, color="#D55E00")
+    ax.plot(steps, errors["SO3xR3"], marker=marker, color=CSPACE_COLOURS["SO3xR3"])
     ax.annotate(f"{method}", (steps[0], errors["SO3xR3"][0]), xytext=(8, -3),
-                textcoords="offset points", color="#D55E00")  # fmt: skip
-    ax.plot(steps, errors["SE3"], marker=marker, color="#0072B2", markersize=4)
-ax.annotate("SO(3)×R³: with the method's order", (6e-4, 1e-7), color="#D55E00", weight="bold")
-ax.annotate("SE(3): zero, whatever the method and the step", (6e-4, 2e-17), color="#0072B2",
+                textcoords="offset points", color=CSPACE_COLOURS["SO3xR3"])  # fmt: skip
+    ax.plot(steps, errors["SE3"], marker=marker, color=CSPACE_COLOURS["SE3"], markersize=4)
+ax.annotate("SO(3)×R³: with the method's order", (6e-4, 1e-7), color=CSPACE_COLOURS["SO3xR3"], weight="bold")
+ax.annotate("SE(3): zero, whatever the method and the step", (6e-4, 2e-17), color=CSPACE_COLOURS["SE3"],
             xytext=(0, 0), textcoords="offset points", weight="bold", va="bottom")  # fmt: skip
 ax.set_xscale("log")
 ax.set_yscale("symlog", linthresh=1e-16)

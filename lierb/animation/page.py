@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.animation.scene import RECORD, cspace_of, scene_of, settings_of
+from lierb.animation.scene import MOST_MAGNIFIED, RECORD, cspace_of, scene_of, settings_of
 from lierb.animation.shapes import Shape
 from lierb.arrays import Array, as_numbers, is_whole
 from lierb.colours import CSPACE_NAMES
@@ -81,6 +81,7 @@ def animate(
     shape: Shape | None = None,
     trail: bool | ArrayLike = True,
     frames: int = FRAMES,
+    magnify: float = 1.0,
     title: str | None = None,
 ) -> Animation:
     """A moving picture of trajectories, side by side on one clock and under one camera.
@@ -95,7 +96,7 @@ def animate(
     trail : whether the centre of mass leaves one (of a body that turns about it, a corner), or the
         point of the body that does, (3,), m.
     frames : of a trajectory, at most; of longer histories some are left out, evenly.
-    title : default: joint and method.
+    magnify : by how much the gap is magnified at first.   title : default: joint and method.
 
     The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
     curve below has the joint's errors. Returns an Animation, which a notebook shows.
@@ -122,7 +123,7 @@ def animate(
     scene = scene_of(
         list(_views(named, problems, chosen)),
         title=_title(next(iter(named.values()))) if title is None else str(title),
-        shape=shape, trail=point, frames=int(frames),
+        shape=shape, trail=point, frames=int(frames), magnified=_factor(magnify),
     )  # fmt: skip
     count = min(result.summary.num_rows for result in named.values())
     if trajectories is None and len(chosen) < count:
@@ -216,6 +217,13 @@ def _title(result: Result) -> str:
     if options:
         parts += [options["method"], f"dt = {options['dt']:g} s"]
     return ", ".join(parts)
+
+
+def _factor(given: Any) -> float:
+    is_number = isinstance(given, (int, float, np.number)) and not isinstance(given, bool)
+    if not (is_number and 1.0 <= given <= MOST_MAGNIFIED):
+        raise ArgumentError(f"magnify={told(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
+    return float(given)
 
 
 def _point(given: ArrayLike) -> Array:

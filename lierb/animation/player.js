@@ -585,6 +585,7 @@ function start(scene) {
   }
   const length = end - begin || 1; // s; the whole takes a quarter of a minute where real time does not suit
   pace(length >= 2 && length <= 60 ? 0 : Math.round(Math.log2(length / 15)));
+  magnify(scene.magnified);
   play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   requestAnimationFrame(tick);
   const seen = (n, point) => project(camera, layout(scene.views.length, stage.clientWidth, stage.clientHeight)[n], scene.views[n].centre || scene.centre, point);

@@ -2,8 +2,8 @@
 
     scene   title, up (3), centre (3) and radius of what is seen, size of its bodies, m; floor: how
             high along up it is drawn, m, or null; follow: whether the camera goes with the bodies;
-            magnify: the slider's largest factor; curves: names and labels; colours, of
-            views' further bodies; notes; views
+            magnify: the slider's largest factor, magnified: its first; curves: names and labels;
+            colours: of views' further bodies; notes; views
     view    title, colour, t, bodies, joints, errors: side by side with the others, on the same
             clock; dash: which of the view's colour it is, from 0, as lines tell apart
     body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), place; trail: a point
@@ -68,6 +68,7 @@ def scene_of(
     shape: Shape | None,
     trail: Array | bool,
     frames: int,
+    magnified: float = 1.0,
 ) -> dict[str, Any]:
     """The scene of these trajectories, a view for each.
 
@@ -99,7 +100,8 @@ def scene_of(
         "size": float(size),
         "floor": None if follow or not is_heavy else float((points @ first).min()),
         "follow": follow,
-        "magnify": _largest_factor(max(gaps), size),
+        "magnify": max(_largest_factor(max(gaps), size), magnified),
+        "magnified": magnified,
         "curves": {name: CURVES[name] for name in CURVES if any(name in of for of in curves)},
         "colours": list(COLOURS),
         "notes": notes,
