@@ -163,7 +163,7 @@ def test_quantity_is_a_value_or_a_range(array, item_axes, text):
 
 # ---- completion --------------------------------------------------------------------------------
 
-STUDIES = {"Study", "integrate_batches", "run"}
+STUDIES = {"Study", "integrate_batches", "run", "study_of"}
 
 
 def public():
