@@ -6,6 +6,7 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
+from io import BytesIO
 from itertools import cycle
 from typing import IO, Any
 
@@ -64,7 +65,7 @@ def error_figure(
     """
     least = LEAST * 10.0 ** round(math.log10(size or 1.0))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 4.6), layout="constrained")
+        figure = ShownFigure(figsize=(9.6, 4.6), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
         panels = figure.subplots(1, len(cspaces), sharey=True, squeeze=False)[0]
         lowest, highest = math.inf, 0.0
@@ -77,6 +78,16 @@ def error_figure(
         _scale(panels, lowest, highest, least)
         figure.supxlabel(subtitle, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows, whether or not somebody has imported pyplot there."""
+
+    def _repr_png_(self) -> bytes:
+        content = BytesIO()
+        with matplotlib.rc_context(STYLE):
+            self.savefig(content, format="png", dpi=100)
+        return content.getvalue()
 
 
 def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) -> None:

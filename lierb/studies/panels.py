@@ -25,7 +25,7 @@ from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator  # noqa: E402
 
 from lierb.colours import CSPACE_NAMES, colours_of  # noqa: E402
-from lierb.plots import MATH_NAMES, MOST, STYLE  # noqa: E402
+from lierb.plots import MATH_NAMES, MOST, STYLE, ShownFigure  # noqa: E402
 
 DASHES = ("-", "--", ":", "-.")
 MOST_TITLE = 60  # characters of a study's name in a title
@@ -73,7 +73,7 @@ def figure_of(sheet: Sheet, study: Study) -> Figure:
     with matplotlib.rc_context(STYLE):
         across = min(sheet.across, len(sheet.panels))
         down = -(-len(sheet.panels) // across)
-        figure = Figure(
+        figure = ShownFigure(
             figsize=(max(7.5, 4.2 * across), sheet.height * down + 1.0), layout="constrained"
         )
         name = study.name if len(study.name) <= MOST_TITLE else f"{study.name[:MOST_TITLE]}…"
