@@ -29,7 +29,8 @@ from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 
-from lierb.plots import COLOURS, STYLE  # noqa: E402
+from lierb.colours import COLOURS  # noqa: E402
+from lierb.plots import STYLE, ShownFigure  # noqa: E402
 
 if TYPE_CHECKING:
     from lierb.result import Result
@@ -312,7 +313,7 @@ def _drawn(found: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -
     panels = [panel for panel in found if panel is not None]
     across = min(ACROSS, len(panels)) or 1
     down = -(-len(panels) // across) or 1
-    figure = Figure(figsize=(4.2 * across, 2.7 * down + 0.5), layout="constrained")
+    figure = ShownFigure(figsize=(4.2 * across, 2.7 * down + 0.5), layout="constrained")
     axes = list(figure.subplots(down, across, squeeze=False).ravel())
     one_by_one = len(chosen) <= MOST_LINES
     for panel, each in zip(axes, panels):

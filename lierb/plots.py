@@ -6,6 +6,8 @@ import math
 import os
 import warnings
 from collections.abc import Sequence
+from io import BytesIO
+from itertools import cycle
 from typing import IO, Any
 
 import numpy as np
@@ -20,9 +22,9 @@ import matplotlib  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-# Okabe and Ito's colours, told apart with any colour vision; from the coarsest step to the finest.
-COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-CSPACE_NAMES = {"SO3xR3": r"$SO(3)\times\mathbb{R}^3$", "SE3": r"$SE(3)$"}
+from lierb.colours import STEP_COLOURS  # noqa: E402
+
+MATH_NAMES = {"SO3xR3": r"$SO(3)\times\mathbb{R}^3$", "SE3": r"$SE(3)$"}
 UNITS = {"position": "m", "rotation": "1"}
 
 LEAST = 1e-18
@@ -63,19 +65,29 @@ def error_figure(
     """
     least = LEAST * 10.0 ** round(math.log10(size or 1.0))
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.6, 4.6), layout="constrained")
+        figure = ShownFigure(figsize=(9.6, 4.6), layout="constrained")
         figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold")
         panels = figure.subplots(1, len(cspaces), sharey=True, squeeze=False)[0]
         lowest, highest = math.inf, 0.0
         for panel, cspace in zip(panels, cspaces):
             runs = _of(errors, cspace), _of(summary, cspace)
             low, high = _draw_panel(panel, *runs, quantity, least)
-            panel.set_title(CSPACE_NAMES.get(cspace, cspace), loc="left")
+            panel.set_title(MATH_NAMES.get(cspace, cspace), loc="left")
             lowest, highest = min(lowest, low), max(highest, high)
         panels[0].set_ylabel(f"{quantity} error [{UNITS[quantity]}]")
         _scale(panels, lowest, highest, least)
         figure.supxlabel(subtitle, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows, whether or not somebody has imported pyplot there."""
+
+    def _repr_png_(self) -> bytes:
+        content = BytesIO()
+        with matplotlib.rc_context(STYLE):
+            self.savefig(content, format="png", dpi=100)
+        return content.getvalue()
 
 
 def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) -> None:
@@ -102,7 +114,7 @@ def _draw_panel(
     """Draw the lines of one c-space; return the smallest and the largest value drawn."""
     lowest, highest = math.inf, 0.0
     runs = zip(summary["dt"].to_pylist(), summary[f"{quantity}_error_max"].to_pylist())
-    for (dt, largest), colour in zip(sorted(runs, reverse=True), COLOURS):
+    for (dt, largest), colour in zip(sorted(runs, reverse=True), cycle(STEP_COLOURS)):
         run = errors.filter(pc.equal(errors["dt"], dt))
         # The start is left out: the joint is closed there, its error is nothing but zero.
         t, error = (run[name].to_numpy()[1:] for name in ("t", f"{quantity}_error"))

@@ -20,6 +20,7 @@ import lierb
 from lierb.animation import shapes
 from lierb.animation.gaps import gap_of
 from lierb.animation.page import FRAMES, MOST_VIEWS
+from lierb.colours import CSPACE_COLOURS
 from lierb.errors import ArgumentError, FailedTrajectoryWarning
 
 MOST_BYTES = 40_000  # of the page without its scene
@@ -185,6 +186,21 @@ def test_gap_of_a_ball_joint_is_how_far_its_points_are_apart(spun):
 # ---- the scene ---------------------------------------------------------------------------------
 
 
+def test_cspaces_have_their_colours_and_trajectories_dashes(spun):
+    """In whatever order they stand, and as figures draw them."""
+    for order in (spun, dict(reversed(spun.items()))):
+        views = lierb.animate(order).scene["views"]
+        found = {(view["title"], view["colour"], view["dash"]) for view in views}
+        assert found == {
+            (f"{space}, trajectory {number}", CSPACE_COLOURS[space], number)
+            for number in (0, 1) for space in spun
+        }  # fmt: skip
+    alone = spun["SO3xR3"].animate().scene["views"]
+    assert alone[0]["colour"] == CSPACE_COLOURS["SO3xR3"]
+    assert alone[1]["colour"] not in (CSPACE_COLOURS["SE3"], CSPACE_COLOURS["SO3xR3"])
+    assert [view["dash"] for view in alone] == [0, 0]
+
+
 def test_scene_has_the_results_poses_in_single_precision(spun):
     scene = lierb.animate(spun).scene
     titles = [f"{space}, trajectory {number}" for number in (0, 1) for space in ("SE3", "SO3xR3")]
@@ -210,6 +226,14 @@ def test_magnified_the_largest_gap_is_seen(spun):
     largest = spun["SO3xR3"].summary["position_error_max"].to_numpy().max()
     assert 0.1 < both * largest < 10.0  # m, at bodies of a metre
     assert exact == 1.0  # there is nothing but rounding
+
+
+def test_magnify_is_where_the_slider_begins(spun):
+    """And it reaches that far."""
+    asked = {factor: lierb.animate(spun["SE3"], magnify=factor).scene for factor in (1, 1e4)}
+    assert {f: (s["magnified"], s["magnify"]) for f, s in asked.items()} == {
+        1: (1.0, 1.0), 1e4: (1e4, 1e4),
+    }  # fmt: skip
 
 
 def test_long_histories_are_thinned_and_keep_their_largest_errors(spun):
@@ -306,6 +330,7 @@ def test_arguments_are_checked(spun):
     for wrong, told in (
         ({"trajectories": 2}, "expected 0 … 1"), ({"trajectories": []}, "empty"),
         ({"frames": 1}, "at least 2"), ({"trail": (1.0, 2.0)}, r"expected \(3,\)"),
+        ({"magnify": 0.5}, "a number, 1 …"), ({"magnify": "10"}, "a number, 1 …"),
     ):  # fmt: skip
         with pytest.raises(ArgumentError, match=told):
             result.animate(**wrong)
@@ -428,7 +453,7 @@ def test_a_marker_is_drawn_where_the_pose_says_to_a_pixel(spun, tmp_path, factor
     script = SEEK.replace("TIMES", str(result.t[rows].tolist())).replace("FACTOR", str(factor))
     page = tmp_path / "page.html"
     views = animation.scene["views"]
-    views[0]["title"] = ""  # its swatch is as blue
+    views[0] |= {"title": "", "colour": "#0072B2"}  # not the gap's red; a swatch were as blue
     page.write_text(animation.html() + script, encoding="utf-8")
     shown = subprocess.run(
         [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",

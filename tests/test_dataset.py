@@ -509,6 +509,14 @@ def test_what_is_no_plain_file_is_written_to(tmp_path):
     os.close(reader)
 
 
+def test_a_folder_is_opened_by_its_name(whole, tmp_path):
+    """Without a word about reading it."""
+    assert Dataset(whole).table().count_rows() == Dataset(whole).table(check=False).count_rows() > 0
+    assert Dataset(whole).plot().axes
+    with pytest.raises(StudyError, match="holds no results of a study"):
+        Dataset(tmp_path).table()
+
+
 def test_a_folder_that_is_none_is_named(tmp_path):
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "file", tmp_path / "file" / "out"):

@@ -14,6 +14,7 @@ import pytest
 from studies import sorted_rows, study
 
 import lierb
+from lierb.colours import CSPACE_COLOURS
 from lierb.errors import FailedTrajectoryWarning, UnknownNameError
 from lierb.studies.files import sha256_of
 from lierb.studies.study import Setting
@@ -133,6 +134,16 @@ def test_more_lines_than_a_legend_has_room_for_are_labelled_where_they_end(datas
     assert not panels.figure_of(sheet, many).legends
     with_legend = panels.Sheet("", [lambda axes: None], [panels.looks(given)[0].key])
     assert panels.figure_of(with_legend, given).legends
+
+
+def test_a_cspace_has_its_colour_whatever_stands_before_it(given):
+    for spaces in (["SE3", "SO3xR3"], ["SO3xR3", "SE3"], ["SO3xR3"], ["reduced", "SO3xR3", "SE3"]):
+        for look in panels.looks(given.changed({"integrate.cspace": spaces})):
+            assert look.key.colour == CSPACE_COLOURS[look.setting.cspace]
+    several = given.changed({"integrate.method": ["RK4", "Heun"], "integrate.cspace": ["SE3"]})
+    by_method = {look.setting.method: look.key.colour for look in panels.looks(several)}
+    assert by_method["RK4"] == CSPACE_COLOURS["SE3"]
+    assert by_method["Heun"] not in (CSPACE_COLOURS["SE3"], CSPACE_COLOURS["SO3xR3"])
 
 
 # ---- further columns ---------------------------------------------------------------------------

@@ -100,6 +100,11 @@ def test_save_writes_the_same_bytes_each_time(tmp_path, kind):
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
 
 
+def test_a_figure_shows_itself_in_a_notebook():
+    """As a picture, and without pyplot."""
+    assert draw(drift)._repr_png_().startswith(b"\x89PNG")
+
+
 def test_saved_figures_show_something(tmp_path):
     figure = draw(drift)
     plots.save(figure, tmp_path / "a.png", "png")

@@ -53,7 +53,6 @@ def _documented() -> set[str]:
 
 PUBLIC = _public()
 WITHOUT_EXAMPLE = {
-    "lierb.run",  # leaves a folder; the tutorial and the how-tos run it
     "lierb.bodies.from_mesh",  # needs a mesh, and trimesh
     "lierb.sampling.Distribution",  # what all distributions have in common
     "lierb.joints.JOINTS",

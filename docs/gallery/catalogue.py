@@ -5,6 +5,7 @@ import sys
 import matplotlib.pyplot as plt
 
 import lierb
+from lierb.colours import CSPACE_COLOURS
 
 NEEDS = {"pitch": 0.07, "length": 0.35}
 box = lierb.bodies.box((0.3, 0.15, 0.05), density=2700.0)
@@ -24,7 +25,7 @@ for line, joint in enumerate(joints):
         found = predictions[cspace]
         for place, (row, exact) in enumerate(zip(found.rows, found.rows_exact)):
             ax.scatter(8.5 * column + place, line, s=130, marker="o" if exact else "X",
-                       color="#0072B2" if exact else "#D55E00")  # fmt: skip
+                       color=CSPACE_COLOURS[cspace] if exact else "0.25")  # fmt: skip
             ax.annotate(row, (8.5 * column + place, line), xytext=(0, 8), color="0.3",
                         textcoords="offset points", ha="center", fontsize=6.5)  # fmt: skip
 ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])

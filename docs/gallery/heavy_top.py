@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lierb
+from lierb.colours import CSPACE_COLOURS
 
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))  # kg, kg m²
 PIVOT = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))  # m
@@ -34,7 +35,7 @@ ball.plot_wireframe(
 )
 places = runs["SE3"].position  # (times, tops, 3): of the centre of mass, from the pivot
 axes = places / np.linalg.norm(places, axis=-1, keepdims=True)
-for k, color in enumerate(("#0072B2", "#D55E00", "#009E73")):
+for k, color in enumerate(("#009E73", "#CC79A7", "#E69F00")):
     ball.plot(*axes[:301, k].T, color=color, linewidth=1.3)
     ball.scatter(*axes[300, k], color=color, s=25)
 ball.set_box_aspect((1, 1, 1), zoom=1.65)
@@ -43,7 +44,8 @@ ball.view_init(-12, -50)
 ball.set_title("three tops: the line from pivot to centre of mass, 1.5 s", fontsize=10)
 
 drift = figure.add_subplot(1, 2, 2)
-for cspace, color in (("SO3xR3", "#D55E00"), ("SE3", "#0072B2")):
+for cspace in ("SO3xR3", "SE3"):
+    color = CSPACE_COLOURS[cspace]
     run = runs[cspace]
     t = run.t
     error = run.history["position_error"].to_numpy().reshape(len(t), -1)

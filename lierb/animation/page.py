@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.animation.scene import RECORD, scene_of
+from lierb.animation.scene import MOST_MAGNIFIED, RECORD, cspace_of, scene_of, settings_of
 from lierb.animation.shapes import Shape
 from lierb.arrays import Array, as_numbers, is_whole
+from lierb.colours import CSPACE_NAMES
 from lierb.errors import ArgumentError, items_of, told
 from lierb.model import Problem
 from lierb.shown import counted
@@ -80,6 +81,7 @@ def animate(
     shape: Shape | None = None,
     trail: bool | ArrayLike = True,
     frames: int = FRAMES,
+    magnify: float = 1.0,
     title: str | None = None,
 ) -> Animation:
     """A moving picture of trajectories, side by side on one clock and under one camera.
@@ -94,7 +96,7 @@ def animate(
     trail : whether the centre of mass leaves one (of a body that turns about it, a corner), or the
         point of the body that does, (3,), m.
     frames : of a trajectory, at most; of longer histories some are left out, evenly.
-    title : default: joint and method.
+    magnify : by how much the gap is magnified at first.   title : default: joint and method.
 
     The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
     curve below has the joint's errors. Returns an Animation, which a notebook shows.
@@ -121,7 +123,7 @@ def animate(
     scene = scene_of(
         list(_views(named, problems, chosen)),
         title=_title(next(iter(named.values()))) if title is None else str(title),
-        shape=shape, trail=point, frames=int(frames),
+        shape=shape, trail=point, frames=int(frames), magnified=_factor(magnify),
     )  # fmt: skip
     count = min(result.summary.num_rows for result in named.values())
     if trajectories is None and len(chosen) < count:
@@ -151,8 +153,8 @@ def _named(results: Any) -> dict[str, Result]:
         if not hasattr(result, "summary") or not hasattr(result, "history"):
             raise ArgumentError(f"results has {told(result)}; expected {RESULTS}")
         if name is None:
-            space = _told(result).get("options", {}).get("cspace", "")
-            name = SPACES.get(space, space) if len(given) > 1 else ""
+            space = cspace_of(result) or ""
+            name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
         if result.history is None or "position" not in result.history.column_names:
             raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
         found[name if name not in found else f"{name} ({number + 1})"] = result
@@ -161,14 +163,7 @@ def _named(results: Any) -> dict[str, Result]:
     return found
 
 
-SPACES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
 RESULTS = "what lierb.integrate returned, one or several"
-
-
-def _told(result: Result) -> dict[str, Any]:
-    """What the metadata of its tables tell."""
-    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return found
 
 
 def _problem_of(name: str, result: Any, given: Problem | None) -> Problem:
@@ -216,12 +211,19 @@ def _views(
 
 
 def _title(result: Result) -> str:
-    known = _told(result)
+    known = settings_of(result)
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else ["lierb"]
     if options:
         parts += [options["method"], f"dt = {options['dt']:g} s"]
     return ", ".join(parts)
+
+
+def _factor(given: Any) -> float:
+    is_number = isinstance(given, (int, float, np.number)) and not isinstance(given, bool)
+    if not (is_number and 1.0 <= given <= MOST_MAGNIFIED):
+        raise ArgumentError(f"magnify={told(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
+    return float(given)
 
 
 def _point(given: ArrayLike) -> Array:

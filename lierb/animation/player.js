@@ -173,8 +173,8 @@ if (typeof module !== "undefined")
 if (typeof document !== "undefined") start(JSON.parse(document.getElementById("scene").textContent));
 
 function start(scene) {
-  const COLOURS = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99"];
-  const RGB = COLOURS.map((c) => [1, 3, 5].map((i) => parseInt(c.slice(i, i + 2), 16)));
+  const rgb = (colour) => [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+  const DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3]];
   const TRAIL = 400; // frames
   const $ = (id) => document.getElementById(id);
   const stage = document.querySelector("#stage canvas"), strip = document.querySelector("#strip canvas");
@@ -182,6 +182,9 @@ function start(scene) {
   if (framed) document.documentElement.className = "framed";
 
   for (const view of scene.views) {
+    const others = scene.colours.filter((colour) => colour !== view.colour); // of further bodies
+    view.tints = view.bodies.map((_, i) => rgb(i ? others[(i - 1) % others.length] : view.colour));
+    view.dash = DASHES[view.dash % DASHES.length];
     view.t = floats(view.t);
     for (const joint of view.joints) joint.gap = floats(joint.gap);
     for (const name in view.errors) view.errors[name] = floats(view.errors[name]);
@@ -356,7 +359,7 @@ function start(scene) {
     });
   }
 
-  function drawView(pen, view, n, rect) {
+  function drawView(pen, view, rect) {
     pen.save();
     pen.beginPath();
     pen.rect(rect.x, rect.y, rect.w, rect.h);
@@ -372,7 +375,7 @@ function start(scene) {
     drawFrame(pen, see);
     const polygons = [];
     bodies.forEach((pose, i) => {
-      const colour = RGB[(n + i) % RGB.length];
+      const colour = view.tints[i];
       drawTrail(pen, view, i, k, pose, rect, colour);
       if (pose) faces(view.bodies[i], pose, see, colour, polygons);
     });
@@ -383,8 +386,9 @@ function start(scene) {
     }
     view.joints.forEach((joint, i) =>
       joints[i] && drawJoint(pen, view, joint, joints[i], bodies[joint.child], joint.parent === null ? null : bodies[joint.parent], see));
-    pen.fillStyle = COLOURS[n % COLOURS.length];
-    if (view.title) pen.fillRect(rect.x + 8, rect.y + 8, 11, 11);
+    pen.fillStyle = view.colour;
+    if (view.title && !view.dash.length) pen.fillRect(rect.x + 8, rect.y + 8, 11, 11);
+    else if (view.title) line(pen, [[rect.x + 2, rect.y + 14], [rect.x + 21, rect.y + 14]], view.colour, 3, view.dash);
     pen.fillStyle = "#1a1a1a";
     pen.font = "600 13px system-ui, sans-serif";
     label(pen, view.title, rect.x + 24, rect.y + 18, rect.w - 30);
@@ -402,7 +406,7 @@ function start(scene) {
     const start = Math.abs(scene.up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0], a = unit(add(start, scene.up, -dot(start, scene.up)));
     camera.level = [a, cross(scene.up, a)];
     camera.light = unit(add(add(up, camera.axes.right, -0.5), scene.up));
-    scene.views.forEach((view, n) => drawView(pen, view, n, rects[n]));
+    scene.views.forEach((view, n) => drawView(pen, view, rects[n]));
     for (const rect of rects) if (rect.x > 0) line(pen, [[rect.x, rect.y + 6], [rect.x, rect.y + rect.h - 6]], "#e2e2e2", 1);
     if (floor !== null) {
       pen.fillStyle = "#777";
@@ -467,7 +471,7 @@ function start(scene) {
         const count = scene.views.length;
         scene.views.forEach((view, n) => { // the first the thickest: none hides another
           const points = Array.from(view.errors[name] || [], (x, k) => [across(box, view.t[k]), up(x), x]);
-          line(pen, points.filter((p, k) => p[2] === p[2] && (k || p[2] > 0)), COLOURS[n % COLOURS.length], 1.3 + (2.2 * (count - 1 - n)) / count);
+          line(pen, points.filter((p, k) => p[2] === p[2] && (k || p[2] > 0)), view.colour, 1.3 + (2.2 * (count - 1 - n)) / count, view.dash);
         });
       }
       pen.fillStyle = "#666";
@@ -581,6 +585,7 @@ function start(scene) {
   }
   const length = end - begin || 1; // s; the whole takes a quarter of a minute where real time does not suit
   pace(length >= 2 && length <= 60 ? 0 : Math.round(Math.log2(length / 15)));
+  magnify(scene.magnified);
   play(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
   requestAnimationFrame(tick);
   const seen = (n, point) => project(camera, layout(scene.views.length, stage.clientWidth, stage.clientHeight)[n], scene.views[n].centre || scene.centre, point);

@@ -2,8 +2,10 @@
 
     scene   title, up (3), centre (3) and radius of what is seen, size of its bodies, m; floor: how
             high along up it is drawn, m, or null; follow: whether the camera goes with the bodies;
-            magnify: the slider's largest factor; curves: names and labels; notes; views
-    view    title, t, bodies, joints, errors: side by side with the others, on the same clock
+            magnify: the slider's largest factor, magnified: its first; curves: names and labels;
+            colours: of views' further bodies; notes; views
+    view    title, colour, t, bodies, joints, errors: side by side with the others, on the same
+            clock; dash: which of the view's colour it is, from 0, as lines tell apart
     body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), place; trail: a point
             of the body or null
     joint   name, parent and child: indices of bodies, null for the ground; parent_frame and
@@ -18,6 +20,7 @@ base64; NaN after a failure.
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -29,6 +32,7 @@ from numpy.typing import NDArray
 from lierb.animation.gaps import gap_of
 from lierb.animation.shapes import Shape, equivalent
 from lierb.arrays import Array, assembled, components, pose_matrix
+from lierb.colours import COLOURS, CSPACE_COLOURS, colours_of
 from lierb.errors import ArgumentError
 from lierb.joints import Joint
 from lierb.kernels.groups import so3
@@ -64,6 +68,7 @@ def scene_of(
     shape: Shape | None,
     trail: Array | bool,
     frames: int,
+    magnified: float = 1.0,
 ) -> dict[str, Any]:
     """The scene of these trajectories, a view for each.
 
@@ -74,6 +79,8 @@ def scene_of(
         for name, result, problem, number in named
     ]
     views, swept, sizes, gaps, curves, turns = zip(*looks, strict=True)
+    for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):
+        view |= {"colour": colour, "dash": dash}
     size, points = max(sizes), np.vstack(swept)
     low, high = points.min(axis=0), points.max(axis=0)
     centre = 0.5 * (low + high)
@@ -93,11 +100,36 @@ def scene_of(
         "size": float(size),
         "floor": None if follow or not is_heavy else float((points @ first).min()),
         "follow": follow,
-        "magnify": _largest_factor(max(gaps), size),
+        "magnify": max(_largest_factor(max(gaps), size), magnified),
+        "magnified": magnified,
         "curves": {name: CURVES[name] for name in CURVES if any(name in of for of in curves)},
+        "colours": list(COLOURS),
         "notes": notes,
         "views": list(views),
     }
+
+
+def settings_of(result: Result) -> dict[str, Any]:
+    """What the metadata of its tables tell: the problem and the options."""
+    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
+    return found
+
+
+def cspace_of(result: Result) -> str | None:
+    """The c-space that it was integrated on."""
+    found: str | None = settings_of(result).get("options", {}).get("cspace")
+    return found
+
+
+def _colours(results: Sequence[Result]) -> list[tuple[str, int]]:
+    """A colour and a dash for each: c-spaces have their own, views of one c-space dashes in it.
+
+    Where all are on one c-space, each has a colour of its own.
+    """
+    spaces = [cspace_of(result) for result in results]
+    if len({*spaces}) == 1 or not {*spaces} <= CSPACE_COLOURS.keys():
+        return [(colour, 0) for colour in colours_of(spaces)]
+    return [(CSPACE_COLOURS[str(s)], spaces[:n].count(s)) for n, s in enumerate(spaces)]
 
 
 def encoded(array: Array) -> str:

@@ -187,6 +187,11 @@ class Dataset(Shown):
         """Read the manifest. Raises StudyError where there is none, or no more of one."""
         self.manifest = read_manifest(self.folder / MANIFEST)
 
+    def _read_once(self) -> None:
+        """For whoever opened a folder: `Dataset(folder).table()`."""
+        if not self.manifest:
+            self.read()
+
     @property
     def changes(self) -> dict[str, Any]:
         """What was changed of the study's file when it was run, by dotted keys."""
@@ -419,6 +424,7 @@ class Dataset(Shown):
         check : whether each file is compared with its checksum, once; it is read for that.
         Raises StudyError where there is none, or one is damaged.
         """
+        self._read_once()
         chosen = [
             file for part, files in self.parts.items()
             for file in files if file == file_of(name, part)
@@ -477,6 +483,7 @@ class Dataset(Shown):
         require("plot")
         from lierb.studies.figures import figure
 
+        self._read_once()
         return figure(self, name)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:

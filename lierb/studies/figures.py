@@ -53,7 +53,7 @@ require("plot")
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
-from lierb.plots import CSPACE_NAMES, save  # noqa: E402
+from lierb.plots import MATH_NAMES, save  # noqa: E402
 
 AXES = {
     "position": "position error [m]",
@@ -285,7 +285,7 @@ def order_sheet(dataset: Dataset, study: Study) -> Sheet:
     first = [next(s for s in study.settings if (s.cspace, s.method) == own) for own in spaces]
     keys = []
     for look in looks(study, first):
-        name = CSPACE_NAMES.get(look.setting.cspace, look.setting.cspace)
+        name = MATH_NAMES.get(look.setting.cspace, look.setting.cspace)
         keys.append(Key(f"{name}, {look.setting.method}", look.key.colour))
     panels = [
         partial(_draw_orders, found, list(zip(spaces, keys)), kind, least[kind]) for kind in seen

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from lierb.animation.page import SPACES
 from lierb.arrays import Array
 from lierb.extras import require
 from lierb.studies.study import Setting, Study
@@ -25,7 +24,8 @@ from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter, NullLocator  # noqa: E402
 
-from lierb.plots import COLOURS, CSPACE_NAMES, MOST, STYLE  # noqa: E402
+from lierb.colours import CSPACE_NAMES, colours_of  # noqa: E402
+from lierb.plots import MATH_NAMES, MOST, STYLE, ShownFigure  # noqa: E402
 
 DASHES = ("-", "--", ":", "-.")
 MOST_TITLE = 60  # characters of a study's name in a title
@@ -35,7 +35,7 @@ MOST_BINS = 60
 NO_BODY = "nothing to draw: no body got to its end"
 NO_TIMES = "nothing to draw: no body got as far as the first rows"
 GREY = "#555555"
-PLAIN = {name: SPACES[cspace] for cspace, name in CSPACE_NAMES.items()}
+PLAIN = {name: CSPACE_NAMES[cspace] for cspace, name in MATH_NAMES.items()}
 Draw = Callable[[Axes], None]
 
 
@@ -73,7 +73,7 @@ def figure_of(sheet: Sheet, study: Study) -> Figure:
     with matplotlib.rc_context(STYLE):
         across = min(sheet.across, len(sheet.panels))
         down = -(-len(sheet.panels) // across)
-        figure = Figure(
+        figure = ShownFigure(
             figsize=(max(7.5, 4.2 * across), sheet.height * down + 1.0), layout="constrained"
         )
         name = study.name if len(study.name) <= MOST_TITLE else f"{study.name[:MOST_TITLE]}…"
@@ -127,12 +127,13 @@ def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]
     """Of the settings that are drawn."""
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
     dts = sorted(set(study.integrate.dt), reverse=True)
+    colours = dict(zip(spaces, colours_of([cspace for cspace, _ in spaces])))
     several = len({method for _, method in spaces}) > 1
     shown = list(settings or study.settings)[:MOST_SETTINGS]
     found = []
     for n, setting in enumerate(shown):
-        colour = COLOURS[spaces.index((setting.cspace, setting.method)) % len(COLOURS)]
-        parts = [CSPACE_NAMES.get(setting.cspace, setting.cspace)]
+        colour = colours[setting.cspace, setting.method]
+        parts = [MATH_NAMES.get(setting.cspace, setting.cspace)]
         parts += [setting.method] if several else []
         parts += [f"Δt = {setting.dt:g} s"] if len(dts) > 1 else []
         key = Key(", ".join(parts), colour, DASHES[dts.index(setting.dt) % len(DASHES)])

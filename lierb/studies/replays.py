@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow.compute as pc
 
 from lierb.animation import Animation
-from lierb.animation.page import SPACES
 from lierb.animation.scene import scene_of
+from lierb.colours import CSPACE_NAMES
 from lierb.result import Result
 from lierb.studies.dataset import Dataset
 from lierb.studies.findings import ERRORS, errors_seen, ok_columns
@@ -80,7 +80,7 @@ def replayed(study: Study, picked: Chosen) -> Animation:
             )
             result = Result(tables["summary"], tables["history"])
             ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
-            space = SPACES.get(setting.cspace, setting.cspace)
+            space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
             label = f"{what}: {trajectory}, {space}"
             label += "" if status == "ok" else f", {status} at {t:g} s"
             views.append((label, result, problem, 0))

@@ -117,6 +117,18 @@ def run(
     `client`, for a cluster without workers, one that is lost, or a part whose workers die again
     and again. After Ctrl-C the parts under way are finished first; a second Ctrl-C loses them. One
     FailedTrajectoryWarning says how many trajectories failed, if any did.
+
+    >>> import tempfile
+    >>> import lierb
+    >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, 0.15))
+    >>> spins = lierb.sampling.Direction(length=2.0)
+    >>> design = lierb.sampling.Design({"initial.omega": spins}, n=100)
+    >>> with tempfile.TemporaryDirectory() as out:
+    ...     dataset = lierb.run(lierb.Problem(box, ball), design, out, dt=1e-2, t_end=0.1)
+    ...     table = dataset.table("summary").to_table()
+    >>> table.num_rows, table.schema.field("sample.initial.omega").metadata[b"unit"]
+    (100, b'rad/s')
     """
     check_progress(progress)
     changes = plain_changes(changes or {})

@@ -1,0 +1,36 @@
+"""What each c-space is called and drawn in: the same in every figure and moving picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+# Okabe and Ito's colours, told apart with any colour vision, and three of Tol's.
+COLOURS = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99",
+    "#999933",
+)  # fmt: skip
+CSPACE_COLOURS = dict(zip(("SE3", "SO3xR3", "reduced"), COLOURS))
+CSPACE_NAMES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
+STEP_COLOURS = ("#882255", "#E69F00", "#56B4E9", "#CC79A7", "#44AA99")
+"""Of steps, from the coarsest to the finest, in a panel of one c-space: no c-space's colour."""
+
+
+def colours_of(cspaces: Sequence[str | None]) -> list[str]:
+    """A colour for each of several curves, by their c-spaces; of the first eight no two the same.
+
+    The first one on a c-space has that c-space's; the others have no c-space's.
+
+    >>> colours_of(["SE3", "SE3", "SO3xR3"])
+    ['#0072B2', '#009E73', '#D55E00']
+    """
+    own = {c: CSPACE_COLOURS[c] for c in cspaces if c in CSPACE_COLOURS}
+    kept = {*own.values(), *(CSPACE_COLOURS[cspace] for cspace in CSPACE_NAMES)}
+    left = [colour for colour in COLOURS if colour not in kept]
+    found, others = [], 0
+    for cspace in cspaces:
+        if cspace in own:
+            found.append(own.pop(cspace))
+        else:
+            found.append(left[others % len(left)])
+            others += 1
+    return found
