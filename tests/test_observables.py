@@ -333,3 +333,24 @@ def test_observable_that_raises_leaves_others_alone(fallen, free):
 def test_observables_body_by_body_have_the_same_values(fallen):
     np.testing.assert_array_equal(history(fallen, "touchy")[:, 0], np.arange(9) * 0.125)
     assert column(fallen.summary, "touchy_mean")[0] == 0.5
+
+
+@pytest.mark.slow
+def test_observable_of_time_alone_may_be_called_body_by_body(free):
+    @lierb.observable
+    def quarters(t):
+        if t > 0.8:
+            raise ValueError("too late")
+        counted = 0.0
+        while counted < t:
+            counted += 0.25
+        return counted
+
+    with pytest.warns(ScalarFunctionWarning):
+        problem = lierb.Problem(free.body, free.joint, observables=quarters())
+    with pytest.warns(FailedTrajectoryWarning, match="trajectory 0, raised at t = 0.875 s"):
+        result = lierb.integrate(problem, twist0=TWISTS, save_every=1, **FALL)
+    expected = np.ceil(np.arange(9) / 2) / 4
+    expected[7:] = np.nan
+    np.testing.assert_array_equal(history(result, "quarters"), np.tile(expected, (5, 1)).T)
+    assert column(result.summary, "quarters_max").tolist() == [0.75] * 5
