@@ -10,9 +10,9 @@ const norm = (a) => Math.hypot(a[0], a[1], a[2]);
 const unit = (a) => add([0, 0, 0], a, 1 / (norm(a) || 1));
 const mix = (a, b, s) => a + (b - a) * s;
 
-function floats(text) {
+function floats(text, Kind = Float32Array) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Float32Array(bytes.buffer);
+  return new Kind(bytes.buffer);
 }
 
 function matrix(q) {
@@ -182,7 +182,7 @@ function start(scene) {
   if (framed) document.documentElement.className = "framed";
 
   for (const view of scene.views) {
-    view.t = floats(view.t);
+    view.t = floats(view.t, Float64Array);
     for (const joint of view.joints) joint.gap = floats(joint.gap);
     for (const name in view.errors) view.errors[name] = floats(view.errors[name]);
     for (const body of view.bodies) {
