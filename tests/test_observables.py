@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from cases import column, tilted
@@ -9,6 +11,7 @@ from cases import column, tilted
 import lierb
 from lierb.column_names import TAKEN
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, ForceError, ScalarFunctionWarning
+from lierb.kernels.stepping.observables import Kept, columns_of, with_value
 from lierb.runs import engine
 
 COUNT = 19  # some blocks, the last one not full
@@ -131,6 +134,13 @@ def test_observables_mean_keeps_what_rounding_takes():
     (mean,) = column(lierb.integrate(same, **given).summary, "constant_mean")
     # A plain sum of so many is 5e-15 off; the shares of time are rounded alike, by ½ ulp.
     assert abs(mean - 0.1) < 3e-17
+
+
+def test_mean_of_infinite_values_is_infinite():
+    kept = Kept(math.inf, -math.inf, 0.0, 0.0, math.nan)
+    for value in (1.0, math.inf, 1.0, 1.0):
+        kept = with_value(kept, value, 0.25, alive=True)
+    assert columns_of(kept) == (1.0, math.inf, math.inf, 1.0)
 
 
 def test_bits_of_observables_do_not_depend_on_calls(watched, monkeypatch):

@@ -133,6 +133,18 @@ def test_replay_has_the_studys_row(whole):
     assert tables["history"].num_rows == 21
 
 
+def test_only_tells_long_names_and_their_numbers_apart(whole, tmp_path):
+    printed = invoke("run", whole / "study.toml", "--out", tmp_path, "--only", 17).output
+    damping = sorted_rows(whole)[17]["sample.forces.controller.damping"]
+    assert f"  sample.forces.controller.damping {damping!r}\n" in printed
+
+
+def test_file_with_a_byte_order_mark_is_one_like_any_other(tmp_path):
+    place = written(tmp_path / "marked", code=f"\ufeff{CODE}")
+    made = Study.load(place / "study.toml")
+    assert made.code_digests == {"attitude.py": hashes(place)["attitude.py"]}
+
+
 def test_resume_does_what_is_missing(whole, folder, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(whole, out)
