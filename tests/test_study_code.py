@@ -455,6 +455,12 @@ def test_problem_that_no_file_can_say_is_refused(given, kind, told):
         lierb.study_of(problem, **{"design": design, "dt": 0.1, "t_end": 1.0} | given)
 
 
+def test_study_of_refuses_what_is_no_problem():
+    design = lierb.sampling.Design({"body.mass": 1.0}, n=2)
+    with pytest.raises(ArgumentError, match=r"problem=None; expected a lierb\.Problem"):
+        lierb.study_of(None, design, dt=0.1, t_end=1.0)
+
+
 def test_sobol_design_is_taken_in_the_order_of_names():
     problem = lierb.Problem(SATELLITE, lierb.joints.free())
     names = {"initial.omega": lierb.sampling.Direction(), "body.mass": lierb.sampling.Uniform(1, 2)}

@@ -456,7 +456,8 @@ function start(scene) {
       pen.fillStyle = "#666";
       pen.font = "11px system-ui, sans-serif";
       if (!range) {
-        pen.fillText("exactly 0", box.x, box.y + box.h / 2, box.w);
+        const isNumber = scene.views.some((view) => view.errors[name]?.some(Number.isFinite));
+        pen.fillText(isNumber ? "exactly 0" : "not a number", box.x, box.y + box.h / 2, box.w);
       } else {
         const up = (x) => box.y + box.h * (1 - Math.max(0, Math.log10(Math.max(x, 1e-300)) - range.bottom) / (range.top - range.bottom));
         const every = Math.ceil((range.top - range.bottom) / Math.max(2, Math.floor(box.h / 18)));
