@@ -46,6 +46,7 @@ MOTION = ("angles", "trace", "position", "omega")  # panels of the state
 QUANTILES = (0.05, 0.5, 0.95)
 LABELS = {"lambda": "λ", "omega": "ω", "position": "r", "v": "v"}
 TITLES = {"lambda": "multipliers", "omega": "angular velocity"}
+NO_NUMBER = "nothing to draw: not a number"
 NEAR = 0.02  # of the distances in the body: a centre of mass so near to the joint shows no turn
 
 
@@ -132,7 +133,8 @@ def _panels(
     if set(STATE) <= {*history.column_names}:
         state = State(result, known)
         for name in MOTION:
-            made[name] = getattr(state, name)
+            is_taken = name not in STATE and name in history.column_names  # by an observable
+            made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
     for column in history.schema:
         if column.name in (*KEYS, *STATE[:-1]) or not _is_number(column.type):
             continue
@@ -339,8 +341,9 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
     drawn = [np.abs(s.values[:, chosen]) if panel.is_error else s.values[:, chosen]
              for s in panel.series]  # fmt: skip
     if not any(np.nanmax(np.abs(values), initial=0.0) > 0.0 for values in drawn):
+        told = NO_NUMBER if all(np.isnan(values).all() for values in drawn) else "exactly 0"
         axes.set_yticks([])
-        axes.text(0.5, 0.5, "exactly 0", transform=axes.transAxes, ha="center", va="center")
+        axes.text(0.5, 0.5, told, transform=axes.transAxes, ha="center", va="center")
         drawn = []
     for n, (series, values) in enumerate(zip(panel.series, drawn)):
         dash: Any = "-" if alone or many else DASHES[n % len(DASHES)]

@@ -28,8 +28,8 @@ PLAYER = Path(lierb.animation.__file__).parent / "player.js"
 NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
 
 
-def decoded(text: str, width: int = 1) -> np.ndarray:
-    numbers = np.frombuffer(base64.b64decode(text), "<f4")
+def decoded(text: str, width: int = 1, kind: str = "<f4") -> np.ndarray:
+    numbers = np.frombuffer(base64.b64decode(text), kind)
     return numbers.reshape(-1, width) if width > 1 else numbers
 
 
@@ -212,7 +212,7 @@ def test_scene_has_the_results_poses_in_single_precision(spun):
         poses = decoded(body["poses"], 7)
         np.testing.assert_array_equal(poses[:, :4], result.quaternion[:, number].astype("f4"))
         np.testing.assert_array_equal(poses[:, 4:], result.position[:, number].astype("f4"))
-        np.testing.assert_array_equal(decoded(view["t"]), result.t.astype("f4"))
+        np.testing.assert_array_equal(decoded(view["t"], kind="<f8"), result.t)
         column = result.history["position_error"].to_numpy().reshape(-1, 2)[:, number]
         np.testing.assert_array_equal(
             decoded(view["errors"]["position_error"]), column.astype("f4")
@@ -240,7 +240,7 @@ def test_long_histories_are_thinned_and_keep_their_largest_errors(spun):
     result = spun["SO3xR3"]
     assert len(result.t) < FRAMES
     view = result.animate(trajectories=1, frames=7).scene["views"][0]
-    t, errors = decoded(view["t"]), decoded(view["errors"]["position_error"])
+    t, errors = decoded(view["t"], kind="<f8"), decoded(view["errors"]["position_error"])
     assert len(t) == 7
     assert (t[0], t[-1]) == (0.0, 0.5)
     column = result.history["position_error"].to_numpy().reshape(-1, 2)[:, 1]
@@ -312,6 +312,40 @@ def test_a_body_that_runs_away_leaves_a_page_that_can_be_read():
     scene = result.animate().scene
     json.dumps(scene, allow_nan=False)
     assert np.isinf(decoded(scene["views"][0]["bodies"][0]["poses"], 7)[-1, 4])
+
+
+def test_what_failed_before_it_moved_leaves_a_page():
+    body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free())
+    with pytest.warns(FailedTrajectoryWarning):
+        result = integrate(flight, twist0=(0.0, 0.0, 0.0, 1e200, 0.0, 0.0), dt=0.1, t_end=1.0,
+                           save_every=1)  # fmt: skip
+    assert np.isnan(result.position).all()
+    scene = result.animate().scene
+    json.dumps(scene, allow_nan=False)
+    assert scene["radius"] == pytest.approx(0.5 * np.hypot(0.1, np.hypot(0.2, 0.3)))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e7])
+def test_shapes_of_any_size_have_nine_digits(scale):
+    """A box of 1 nm was rounded to nothing."""
+    body = lierb.bodies.box((scale, 2 * scale, 3 * scale), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free())
+    result = integrate(flight, twist0=(0.0, 0.0, 1.0, scale, 0.0, 0.0), dt=0.1, t_end=1.0,
+                       save_every=1)  # fmt: skip
+    shape = result.animate().scene["views"][0]["bodies"][0]["shape"]
+    edges = np.ptp(shape["vertices"], axis=0)
+    np.testing.assert_allclose(edges, (scale, 2 * scale, 3 * scale), rtol=1e-8)
+
+
+def test_times_long_after_zero_are_told_apart():
+    """Single precision has one number for all of 1e6 … 1e6 + 0.03 s."""
+    body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    flight = lierb.Problem(body, lierb.joints.free())
+    result = integrate(flight, twist0=(0.0, 0.0, 1.0, 1.0, 0.0, 0.0), dt=1e-3, t0=1e6,
+                       t_end=1e6 + 0.01, save_every=1)  # fmt: skip
+    (view,) = result.animate().scene["views"]
+    np.testing.assert_array_equal(decoded(view["t"], kind="<f8"), result.t)
 
 
 # ---- what is refused ---------------------------------------------------------------------------

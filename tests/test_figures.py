@@ -17,12 +17,13 @@ import lierb
 from lierb.colours import CSPACE_COLOURS
 from lierb.errors import FailedTrajectoryWarning, UnknownNameError
 from lierb.studies.files import sha256_of
+from lierb.studies.sizes import as_array
 from lierb.studies.study import Setting
 
 pytest.importorskip("matplotlib")
 from matplotlib.figure import Figure
 
-from lierb.studies import figures, panels, replays, symbols
+from lierb.studies import figures, panels, replays, statistics, symbols
 
 SAVED = {"save_every": 10}
 
@@ -167,6 +168,25 @@ def test_columns_that_nobody_knows_are_drawn_with_their_units(given, tmp_path):
     (axes,) = drawn(done, "quantities")
     assert axes.get_xlabel() == "height max [m]"
     assert axes.get_xscale() == "linear"
+
+
+def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch):
+    """A history may be larger than the memory."""
+    sizes = []
+
+    def counted(table, name):
+        sizes.append(table.num_rows)
+        return as_array(table, name)
+
+    def heights() -> list[np.ndarray]:
+        return [line.get_ydata() for axes in drawn(dataset, "time") for line in axes.lines]
+
+    whole = heights()
+    monkeypatch.setattr(statistics, "as_array", counted)
+    monkeypatch.setattr(statistics, "MOST_NUMBERS", 2 * given.sample.n)
+    for found, wanted in zip(heights(), whole, strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    assert 0 < max(sizes) <= 2 * given.sample.n
 
 
 def test_dataset_plot_names_its_figures(dataset):

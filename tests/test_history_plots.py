@@ -14,7 +14,7 @@ import lierb
 from lierb.errors import ArgumentError, UnknownNameError
 
 pytest.importorskip("matplotlib")
-from lierb.history_plots import MOST_LINES, State
+from lierb.history_plots import MOST_LINES, NO_NUMBER, State
 
 SAVED = {"dt": 1e-3, "t_end": 0.5, "save_every": 10}
 
@@ -97,6 +97,25 @@ def test_what_is_zero_throughout_is_said_to_be(problem):
     (axes,) = result.plot("position_error").axes
     assert [text.get_text() for text in axes.texts] == ["exactly 0"]
     assert axes.get_yscale() == "linear"
+
+
+def test_what_is_no_number_is_not_said_to_be_zero(spun):
+    none = pa.field("height", pa.float64(), metadata={"unit": "m"})
+    history = spun.history.append_column(none, pa.array(np.full(spun.history.num_rows, np.nan)))
+    for trajectories in (0, None):  # lines, and quantiles
+        figure = lierb.Result(spun.summary, history).plot("height", trajectories=trajectories)
+        assert [text.get_text() for text in figure.axes[0].texts] == [NO_NUMBER]
+
+
+def test_observables_named_as_panels_of_the_motion_leave_these(problem, spun):
+    history = spun.history
+    for name in ("angles", "trace"):
+        history = history.append_column(name, pa.array(np.ones(history.num_rows)))
+    result = lierb.Result(spun.summary, history)
+    assert titles(result.plot(["angles", "trace"], trajectories=0)) == ["angles", "trace"]
+    motion = ["angles of the motion", "trace of the motion"]
+    expected = titles(spun.plot(["angles", "trace"], trajectories=0))
+    assert titles(result.plot(motion, trajectories=0, problem=problem)) == expected
 
 
 def test_angle_of_a_hinge_counts_its_turns():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from cases import column, tilted
@@ -9,6 +11,7 @@ from cases import column, tilted
 import lierb
 from lierb.column_names import TAKEN
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, ForceError, ScalarFunctionWarning
+from lierb.kernels.stepping.observables import Kept, columns_of, with_value
 from lierb.runs import engine
 
 COUNT = 19  # some blocks, the last one not full
@@ -131,6 +134,13 @@ def test_observables_mean_keeps_what_rounding_takes():
     (mean,) = column(lierb.integrate(same, **given).summary, "constant_mean")
     # A plain sum of so many is 5e-15 off; the shares of time are rounded alike, by ½ ulp.
     assert abs(mean - 0.1) < 3e-17
+
+
+def test_mean_of_infinite_values_is_infinite():
+    kept = Kept(math.inf, -math.inf, 0.0, 0.0, math.nan)
+    for value in (1.0, math.inf, 1.0, 1.0):
+        kept = with_value(kept, value, 0.25, alive=True)
+    assert columns_of(kept) == (1.0, math.inf, math.inf, 1.0)
 
 
 def test_bits_of_observables_do_not_depend_on_calls(watched, monkeypatch):
@@ -333,3 +343,24 @@ def test_observable_that_raises_leaves_others_alone(fallen, free):
 def test_observables_body_by_body_have_the_same_values(fallen):
     np.testing.assert_array_equal(history(fallen, "touchy")[:, 0], np.arange(9) * 0.125)
     assert column(fallen.summary, "touchy_mean")[0] == 0.5
+
+
+@pytest.mark.slow
+def test_observable_of_time_alone_may_be_called_body_by_body(free):
+    @lierb.observable
+    def quarters(t):
+        if t > 0.8:
+            raise ValueError("too late")
+        counted = 0.0
+        while counted < t:
+            counted += 0.25
+        return counted
+
+    with pytest.warns(ScalarFunctionWarning):
+        problem = lierb.Problem(free.body, free.joint, observables=quarters())
+    with pytest.warns(FailedTrajectoryWarning, match="trajectory 0, raised at t = 0.875 s"):
+        result = lierb.integrate(problem, twist0=TWISTS, save_every=1, **FALL)
+    expected = np.ceil(np.arange(9) / 2) / 4
+    expected[7:] = np.nan
+    np.testing.assert_array_equal(history(result, "quarters"), np.tile(expected, (5, 1)).T)
+    assert column(result.summary, "quarters_max").tolist() == [0.75] * 5

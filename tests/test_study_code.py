@@ -133,6 +133,18 @@ def test_replay_has_the_studys_row(whole):
     assert tables["history"].num_rows == 21
 
 
+def test_only_tells_long_names_and_their_numbers_apart(whole, tmp_path):
+    printed = invoke("run", whole / "study.toml", "--out", tmp_path, "--only", 17).output
+    damping = sorted_rows(whole)[17]["sample.forces.controller.damping"]
+    assert f"  sample.forces.controller.damping {damping!r}\n" in printed
+
+
+def test_file_with_a_byte_order_mark_is_one_like_any_other(tmp_path):
+    place = written(tmp_path / "marked", code=f"\ufeff{CODE}")
+    made = Study.load(place / "study.toml")
+    assert made.code_digests == {"attitude.py": hashes(place)["attitude.py"]}
+
+
 def test_resume_does_what_is_missing(whole, folder, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(whole, out)
@@ -441,6 +453,12 @@ def test_problem_that_no_file_can_say_is_refused(given, kind, told):
     design = lierb.sampling.Design(given.pop("quantities", {"body.mass": 1.0}), n=2)
     with pytest.raises(kind, match=told):
         lierb.study_of(problem, **{"design": design, "dt": 0.1, "t_end": 1.0} | given)
+
+
+def test_study_of_refuses_what_is_no_problem():
+    design = lierb.sampling.Design({"body.mass": 1.0}, n=2)
+    with pytest.raises(ArgumentError, match=r"problem=None; expected a lierb\.Problem"):
+        lierb.study_of(None, design, dt=0.1, t_end=1.0)
 
 
 def test_sobol_design_is_taken_in_the_order_of_names():

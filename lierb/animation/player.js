@@ -10,9 +10,9 @@ const norm = (a) => Math.hypot(a[0], a[1], a[2]);
 const unit = (a) => add([0, 0, 0], a, 1 / (norm(a) || 1));
 const mix = (a, b, s) => a + (b - a) * s;
 
-function floats(text) {
+function floats(text, Kind = Float32Array) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Float32Array(bytes.buffer);
+  return new Kind(bytes.buffer);
 }
 
 function matrix(q) {
@@ -185,7 +185,7 @@ function start(scene) {
     const others = scene.colours.filter((colour) => colour !== view.colour); // of further bodies
     view.tints = view.bodies.map((_, i) => rgb(i ? others[(i - 1) % others.length] : view.colour));
     view.dash = DASHES[view.dash % DASHES.length];
-    view.t = floats(view.t);
+    view.t = floats(view.t, Float64Array);
     for (const joint of view.joints) joint.gap = floats(joint.gap);
     for (const name in view.errors) view.errors[name] = floats(view.errors[name]);
     for (const body of view.bodies) {
@@ -460,7 +460,8 @@ function start(scene) {
       pen.fillStyle = "#666";
       pen.font = "11px system-ui, sans-serif";
       if (!range) {
-        pen.fillText("exactly 0", box.x, box.y + box.h / 2, box.w);
+        const isNumber = scene.views.some((view) => view.errors[name]?.some(Number.isFinite));
+        pen.fillText(isNumber ? "exactly 0" : "not a number", box.x, box.y + box.h / 2, box.w);
       } else {
         const up = (x) => box.y + box.h * (1 - Math.max(0, Math.log10(Math.max(x, 1e-300)) - range.bottom) / (range.top - range.bottom));
         const every = Math.ceil((range.top - range.bottom) / Math.max(2, Math.floor(box.h / 18)));

@@ -13,8 +13,8 @@
             their axes to draw; is_rod; gap (times, 6): see `lierb.animation.gaps`
     errors  of each of curves, how large over time
 
-A view has as many bodies and joints as there are. Arrays over time are float32, little-endian, in
-base64; NaN after a failure.
+A view has as many bodies and joints as there are. Arrays over time are float32, t is float64,
+little-endian, in base64; NaN after a failure.
 """
 
 from __future__ import annotations
@@ -134,7 +134,16 @@ def _colours(results: Sequence[Result]) -> list[tuple[str, int]]:
 
 def encoded(array: Array) -> str:
     """float32, little-endian, in base64."""
-    return base64.b64encode(_single(array).tobytes()).decode()
+    return _text(_single(array))
+
+
+def _text(array: NDArray[Any]) -> str:
+    return base64.b64encode(array.tobytes()).decode()
+
+
+def _rounded(points: Array, size: float) -> Array:
+    """To nine digits of the size, for a shorter page."""
+    return np.asarray(np.round(points, 9 - math.ceil(math.log10(size))))
 
 
 def _single(array: Array) -> NDArray[np.float32]:
@@ -179,12 +188,12 @@ def _view(
     quaternions = _quaternions(poses)
     view = {
         "title": name,
-        "t": encoded(t[rows]),
+        "t": _text(np.ascontiguousarray(t[rows], "<f8")),  # steps of 1e-3 s after days
         "bodies": [
             {
                 "name": "body",
                 "shape": {
-                    "vertices": np.round(seen.vertices, 9).tolist(),
+                    "vertices": _rounded(seen.vertices, seen.size).tolist(),
                     "faces": seen.faces, "marked": seen.marked,
                 },
                 "poses": encoded(np.hstack([quaternions, poses[:, :3, 3]])),
@@ -292,7 +301,7 @@ def _swept(poses: Array, shape: Shape, problem: Problem) -> Array:
         alive = poses[(np.abs(poses) < RUNAWAY).all(axis=(1, 2))]
     corners = shape.vertices[np.unique(np.r_[shape.vertices.argmin(0), shape.vertices.argmax(0)])]
     swept = np.einsum("tij,kj->tki", alive[:, :3, :3], corners) + alive[:, None, :3, 3]
-    points = swept.reshape(-1, 3)
+    points = swept.reshape(-1, 3) if len(alive) else corners  # failed from the start: no place
     return np.vstack([points, problem.joint.ground_frame[:3, 3]]) if problem.joint.rows else points
 
 

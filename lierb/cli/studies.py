@@ -285,7 +285,7 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
         click.echo(f"{setting.label}: {row['status']}, history in {path}")
         for name, value in row.items():
             if isinstance(value, float):
-                click.echo(f"  {name:28}{value!r}")
+                click.echo(f"  {name:27} {value!r}")
 
 
 def _report(dataset: Dataset, path: Path) -> None:

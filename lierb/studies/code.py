@@ -97,7 +97,7 @@ def _text_of(folder: Path, file: str) -> str:
 
 def _parsed(file: str, text: str) -> ast.Module:
     try:
-        return ast.parse(text, file)
+        return ast.parse(text.removeprefix("\ufeff"), file)  # which Python reads over in a file
     except (SyntaxError, ValueError, RecursionError) as error:
         line = getattr(error, "lineno", None)
         raise StudyError(

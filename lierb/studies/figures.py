@@ -44,7 +44,8 @@ from lierb.studies.panels import (
     positive,
     ridges,
 )
-from lierb.studies.sizes import rows_of
+from lierb.studies.sizes import as_array
+from lierb.studies.statistics import percentiles_over_time
 from lierb.studies.study import Setting, Study
 from lierb.studies.symbols import labelled
 from lierb.tableaus import tableau_of
@@ -62,6 +63,7 @@ AXES = {
 }
 FINAL = {"position": "position_error_final", "rotation": "rotation_error_final"}
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
+PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # at each time
 POINTS = 4000  # of a scatter plot, at most
 RANKS = 2000  # points of a distribution function, at most
 KNOWN = {  # columns that other figures have, or that are no results
@@ -401,20 +403,8 @@ def _bands(
     dataset: Dataset, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
 ) -> tuple[Array, Array]:
     """Times, and 5 %, 50 %, 95 % and the largest of `of` the column at each."""
-    table = dataset.table("history").to_table(columns=["step", "t", name], filter=rows_of(setting))
-    steps, values = table["step"].to_numpy(), of(table[name].to_numpy())
-    if not len(steps):
-        return np.empty(0), np.empty((4, 0))
-    order = np.argsort(steps, kind="stable")
-    whole, starts = np.unique(steps[order], return_index=True)
-    groups = np.split(values[order], starts[1:])
-    times = table["t"].to_numpy()[order][starts]
-    bands = np.full((4, len(whole)), np.nan)
-    for n, group in enumerate(groups):
-        alive = group[~np.isnan(group)]
-        if alive.size:
-            bands[:, n] = np.quantile(alive, (0.05, 0.5, 0.95, 1.0))
-    return times, bands
+    found = percentiles_over_time(dataset, name, setting, PERCENTILES, of=of)
+    return as_array(found, "t"), np.stack([as_array(found, f"p{p:g}") for p in PERCENTILES])
 
 
 def _schema(dataset: Dataset, name: str) -> pa.Schema:

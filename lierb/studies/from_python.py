@@ -60,6 +60,8 @@ def study_of(
     lierb.Study 'study': 1000 bodies on a spherical joint
     ...
     """
+    if not isinstance(problem, Problem):
+        raise ArgumentError(f"problem={told(problem)}; expected a lierb.Problem")
     if not isinstance(design, Design):
         raise ArgumentError(f"design={told(design)}; expected a lierb.sampling.Design")
     problem.require_unchanged()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -77,8 +77,12 @@ def percentiles_over_time(
     name: str,
     setting: Setting,
     percentiles: Sequence[float] = (5.0, 50.0, 95.0),
+    *,
+    of: Callable[[Array], Array] = np.asarray,
 ) -> pa.Table:
     """Percentiles of a column of the history, over the bodies that have a number at each time.
+
+    of : what is asked of the numbers first, such as np.abs.
 
     Returns a table of step, t, bodies and a column for each, such as p5 and p97.5, in the column's
     unit. The history may be larger than the memory: so many times are read at once as fit 128 MB.
@@ -98,7 +102,7 @@ def percentiles_over_time(
         some = steps[first : first + most]
         inside = (pc.field("step") >= some[0]) & (pc.field("step") <= some[-1])
         table = history.to_table(columns=["step", name], filter=rows & inside)
-        values, at = as_array(table, name), as_array(table, "step")
+        values, at = of(as_array(table, name)), as_array(table, "step")
         order = np.argsort(at, kind="stable")
         starts = np.searchsorted(at[order], some[1:])
         for group in np.split(values[order], starts):

@@ -540,6 +540,8 @@ def observe(
         else:
             kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
+    # As wide as the block: a function of time alone, called body by body, has one value for it.
+    values = tuple(where(alive, value, NAN) for value in values)
     pairs = zip(record.observed, values, strict=True)
     return (*shown, *values), record._replace(
         kept=tuple(kept),

@@ -69,21 +69,22 @@ def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
 def with_value(kept: Kept, value: Any, share: Any, alive: Any) -> Kept:
     """With one value more; a NaN stays, in the extremes as in the mean.
 
+    value : NaN after a failure, from when there is neither mean nor end.
     share : of the run's time, which the value counts for in the mean.
-    alive : whether the body has not failed; after a failure there is neither mean nor end.
+    alive : whether the body has not failed.
     """
-    now = where(alive, value, NAN)
-    is_number = now == now
-    least = where(is_number, where(now < kept.least, now, kept.least), now)
-    largest = where(is_number, where(now > kept.largest, now, kept.largest), now)
-    added = fma(share, now, -kept.lost)
+    is_number = value == value
+    least = where(is_number, where(value < kept.least, value, kept.least), value)
+    largest = where(is_number, where(value > kept.largest, value, kept.largest), value)
+    added = fma(share, value, -kept.lost)
     total = kept.total + added
+    lost = (total - kept.total) - added
     return Kept(
         where(alive, least, kept.least),
         where(alive, largest, kept.largest),
         total,
-        (total - kept.total) - added,
-        now,
+        where(lost == lost, lost, 0.0),  # ∞ − ∞: an infinite mean stays infinite
+        value,
     )
 
 
