@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from itertools import islice
 from reprlib import Repr
 from typing import Any
 
@@ -72,6 +73,8 @@ class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 
 
+MOST_ITEMS = 10**6  # of an argument's that is run over: an iterator may have no end
+
 _short = Repr()
 _short.maxstring = _short.maxother = _short.maxlong = 100
 _short.maxlevel = 3
@@ -87,11 +90,16 @@ def told(given: object) -> str:
 
 
 def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
-    """What `given` runs over. Raises ArgumentError where it does not."""
+    """What `given` runs over. Raises ArgumentError where it does not, or has no end in sight."""
     try:
-        return tuple(given)
+        items = tuple(islice(given, MOST_ITEMS + 1))
     except Exception as error:  # of objects of the user's, any
         raise ArgumentError(f"{argument}={told(given)}; expected {expected}") from error
+    if len(items) > MOST_ITEMS:
+        raise ArgumentError(
+            f"{argument}={told(given)} has more than {MOST_ITEMS} items; expected {expected}"
+        )
+    return items
 
 
 def require_name(argument: str, got: object, known: Iterable[str]) -> None:

@@ -3,6 +3,7 @@
 import datetime
 import decimal
 import fractions
+import itertools
 import math
 import warnings
 
@@ -978,6 +979,16 @@ def test_name_of_another_type_is_rejected(argument, given):
 @pytest.mark.parametrize("given", [None, 5, (None,), (5,), (np.zeros(2),)], ids=str)
 def test_record_of_another_type_is_rejected(given):
     with pytest.raises(LierbError, match="record"):
+        integrate(record=given, save_every=1)
+
+
+@pytest.mark.parametrize(
+    "given", [itertools.repeat("state"), np.broadcast_to(np.zeros(6), (10**13, 6))],
+    ids=["no end", "ten trillion rows"],
+)  # fmt: skip
+def test_record_without_an_end_in_sight_is_refused(given):
+    """From Python 3.14 on, tuple() takes items one by one until the memory is full."""
+    with pytest.raises(ArgumentError, match=r"^record=.* has more than 1000000 items; expected"):
         integrate(record=given, save_every=1)
 
 
