@@ -226,7 +226,7 @@ class Dataset(Shown):
         if texts:
             self.manifest |= {"code": digests, "functions": dict(functions or {})}
         if not is_there:
-            self.manifest["text"] = hashlib.sha256(text.encode()).hexdigest()
+            self.manifest["text"] = sha256_of_text(text)
         self._write_manifest()  # first: a study.toml without one is the user's
         for file in missing:
             self.write(file, texts[file].encode())

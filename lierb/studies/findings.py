@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,6 @@ from lierb.studies.statistics import (
     spreads,
 )
 from lierb.studies.study import Setting, Study
-from lierb.studies.units import each_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -83,7 +82,8 @@ def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, .
     quantiles, intervals = {}, {}
     for kind, name in ERRORS.items():
         values = rows[name].to_numpy()[ok] if kind in kinds else np.empty(0)
-        each = [quantile_of(np.sort(values), p) for p in QUANTILES[:-1]]
+        ordered = np.sort(values)
+        each = [quantile_of(ordered, p) for p in QUANTILES[:-1]]
         largest = values.max() if len(values) else np.nan
         quantiles[kind] = np.array([*(q.value for q in each), largest])
         intervals[kind] = np.array([(q.low, q.high) for q in each])
@@ -163,24 +163,6 @@ def least_drawn(dataset: Dataset, study: Study) -> dict[str, float]:
     return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}
 
 
-def components(drawn: dict[str, str], rows: dict[str, Array]) -> Iterator[tuple[str, Array]]:
-    """Sampled numbers one by one, but for matrices, by a title with their unit.
-
-    drawn : as `drawn_columns` gives it.   rows : as `ok_columns` does.
-    """
-    for name, unit in drawn.items():
-        values, title = rows[name], name.removeprefix("sample.")
-        if values.ndim == 1:
-            yield _with_unit(title, unit), values
-        elif values.shape[1] <= 6:
-            for i, own in enumerate(each_unit(unit, values.shape[1])):
-                yield _with_unit(f"{title}, {i + 1}", own), values[:, i]
-
-
-def _with_unit(title: str, unit: str) -> str:
-    return title if unit == "1" else f"{title} [{unit}]"
-
-
 # ---- for a terminal ----------------------------------------------------------------------------
 
 
@@ -191,16 +173,23 @@ def shown(error: float) -> str:
     return f"{error:.1e}" if error else "0"
 
 
-def table_of(found: list[Found]) -> Table:
-    """For a terminal."""
+def _empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
+    """One with these columns and no rows."""
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
-    for column in ("c-space", "method", "dt/s", "bodies", "failed", "largest error of"):
+    for column in words:
         table.add_column(column, no_wrap=True)
-    for column in (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"):
+    for column in numbers:
         table.add_column(column, no_wrap=True, justify="right")
+    return table
+
+
+def table_of(found: list[Found]) -> Table:
+    """For a terminal."""
+    words = ("c-space", "method", "dt/s", "bodies", "failed", "largest error of")
+    table = _empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
     for each in found:
         seen, setting = orders(found, each), each.setting
         heads = [
@@ -235,13 +224,8 @@ def with_unit(spread: Spread) -> str:
 
 def table_of_quantities(found: list[Spread]) -> Table:
     """For a terminal."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
-    table.add_column(f"quantiles, their {CONFIDENCE:.0%} intervals", no_wrap=True)
-    for p in PROBABILITIES:
-        table.add_column(f"{p:.0%}", no_wrap=True, justify="right")
+    words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
+    table = _empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
     before = None
     for each in found:
         if each.setting != before:
@@ -262,13 +246,9 @@ def index_told(index: tuple[float, float, float]) -> tuple[str, str]:
 
 def table_of_indices(found: list[Sensitivity]) -> Table:
     """For a terminal."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
-    table.add_column("share of the variance due to", no_wrap=True)
-    for column in ("alone", f"{CONFIDENCE:.0%} interval", "in all", f"{CONFIDENCE:.0%} interval"):
-        table.add_column(column, no_wrap=True, justify="right")
+    interval = f"{CONFIDENCE:.0%} interval"
+    words = ("share of the variance due to",)
+    table = _empty_table(words, ("alone", interval, "in all", interval))
     before = None
     for each in found:
         if (each.setting, each.column) != before:

@@ -13,7 +13,6 @@ A file is checked as a whole before anything runs; what is wrong is named with i
 
 from __future__ import annotations
 
-import hashlib
 import inspect
 import json
 import re
@@ -624,10 +623,8 @@ class Study(Shown, Section):
     def digest(self) -> str:
         """Of everything that the results depend on."""
         tables = self.model_dump(exclude={"name"})
-        for section in (
-            "problem",
-            "sample",
-        ):  # so that studies without have the digest that they had
+        # Studies without have the digest that they had.
+        for section in ("problem", "sample"):
             for table in ("constraints", "observables"):
                 if not tables[section][table]:
                     del tables[section][table]
@@ -635,7 +632,7 @@ class Study(Shown, Section):
             del tables["sample"]["stop_when"]
         if self.code:
             tables["code"] = self.code_digests
-        return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
+        return sha256_of_text(json.dumps(tables, sort_keys=True))
 
     @property
     def code_digests(self) -> dict[str, str]:
