@@ -145,7 +145,8 @@ def integrate(
     count_from = partial(counted, float(t0)) if known is None else known.origin
     clock = Clock(float(dt), steps, measured, saved, *count_from(float(dt)))
     state = None if known is None else known.state
-    inputs = engine.Inputs(problem, poses, twists, count, float(t0), state)
+    starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
+    inputs = engine.Inputs(problem, plan.system.inputs, starts, count, float(t0), state)
     on_violation = "raise" if cspace == "reduced" else check  # there it has no room
 
     def check_start(starts: Array, first: int) -> bool:

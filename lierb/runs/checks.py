@@ -17,7 +17,8 @@ from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics
 from lierb.kernels.mechanics.scale import Tolerances, bearings, start_tolerances
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.stepping.driver import body_of, parameters_of
+from lierb.kernels.stepping.layout import inputs_of
+from lierb.kernels.stepping.one_body import body_of, parameters_of
 from lierb.model import Problem, unfit_rate
 from lierb.runs.engine import Inputs
 
@@ -35,7 +36,8 @@ def require_consistent(
     problem: Problem, twists: Array, poses: Array | None, t0: float = 0.0
 ) -> None:
     """Raise for the first body whose start violates the joint."""
-    inputs = Inputs(problem, poses, twists, len(twists), t0)
+    starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
+    inputs = Inputs(problem, inputs_of(problem.kinds), starts, len(twists), t0)
     found = violation(inputs, np.zeros(inputs.count))
     if found is not None:
         raise found

@@ -25,29 +25,28 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.driver import (
-    MARKS,
     OK,
     RESUMED,
     UNSEEN,
     carried_columns,
     end_columns,
-    history_measures,
+    history_columns,
     integrate_blocks,
     integrate_on_threads,
     job_of,
+    marks_column,
     summary_columns,
 )
-from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, Columns, Field, inputs_of
+from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
-from lierb.kernels.stepping.observables import observables_of
-from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.forks import check_threads
 from lierb.runs.progress import Progress, reporter
 
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
 ZERO_STATE = np.zeros(1)
-STARTS = {field.name: field for field in INPUTS.fields if field.name in ("pose", "twist")}
 
 # In one chunk at the least: what is carried of them stays in the cache beside the state.
 CHUNK_BODIES = 4096
@@ -74,7 +73,7 @@ class _Layout(NamedTuple):
     arrays: tuple[Array, ...]
 
 
-_layouts: WeakKeyDictionary[Problem, _Layout] = WeakKeyDictionary()
+_layouts: WeakKeyDictionary[Problem | Mechanism, _Layout] = WeakKeyDictionary()
 
 
 def _places_of(field: Field, array: Array) -> Places:
@@ -96,11 +95,11 @@ def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
     return offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
 
 
-def _layout(problem: Problem) -> _Layout:
+def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
     """Found once: of a call for one body it takes a tenth of the time."""
     if problem not in _layouts:
-        columns, arrays = inputs_of(problem.kinds), numbers_of(problem)
-        places = np.zeros((columns.count, 2), dtype=np.int64)
+        arrays = numbers_of(problem)
+        places = np.zeros((columns["state"].start, 2), dtype=np.int64)
         for field, part in columns:
             if field.name in arrays:
                 places[part] = _places_of(field, arrays[field.name])
@@ -108,8 +107,10 @@ def _layout(problem: Problem) -> _Layout:
     return _layouts[problem]
 
 
-def numbers_of(problem: Problem) -> dict[str, Array]:
+def numbers_of(problem: Problem | Mechanism) -> dict[str, Array]:
     """What a problem has of the driver's inputs, by field."""
+    if isinstance(problem, Mechanism):
+        return problem.quantities
     parameters = {
         f"{number}.{name}": element.parameters[name]
         for number, element in enumerate(problem.elements)
@@ -122,40 +123,36 @@ def numbers_of(problem: Problem) -> dict[str, Array]:
 class Inputs:
     """Everything about every body, where the user has it.
 
-    poses : (4, 4) or (n, 4, 4); None for the closed joint.   twists : (6,) or (n, 6).
+    columns : what is read, of the plan's system.
+    starts : arrays of poses, (4, 4) or (n, 4, 4), and of twists, (6,) or (n, 6), by field.
     time : s, of the start.
     state : to start from instead of pose and twist, if any: the driver's own, `end_columns` of the
         plan, [column][body or 1].
     """
 
-    problem: Problem
-    poses: Array | None
-    twists: Array
+    problem: Problem | Mechanism
+    columns: Columns
+    starts: dict[str, Array]
     count: int
     time: float = 0.0
     state: Array | None = None
 
     @property
-    def columns(self) -> Columns:
-        return inputs_of(self.problem.kinds)
-
-    @property
     def differ(self) -> bool:
         """Whether bodies do, not only their starts."""
-        return _layout(self.problem).differ
+        return _layout(self.problem, self.columns).differ
 
-    @property
-    def _start(self) -> dict[str, Array]:
-        return {"twist": self.twists} | ({} if self.poses is None else {"pose": self.poses})
-
-    def places(self, plan: Plan) -> Places:
+    def places(self, plan: AnyPlan) -> Places:
         """Of every column: a run that does not go on asks for no state."""
-        places, columns = _layout(self.problem).places.copy(), self.columns
-        for name, array in self._start.items():
-            places[columns[name]] = _places_of(STARTS[name], array)
-        if self.state is None:
-            return places[: columns["state"].start]
+        columns = self.columns
+        places = _layout(self.problem, columns).places
+        fields = {field.name: field for field in columns.fields if field.name in self.starts}
         at = columns["state"].start
+        places = np.concatenate([places, np.empty((columns.count - at, 2), np.int64)])
+        for name, array in self.starts.items():
+            places[columns[name]] = _places_of(fields[name], array)
+        if self.state is None:
+            return places[:at]
         places[at:] = ZERO_STATE.ctypes.data, 0
         for row, column in zip(self.state, end_columns(plan), strict=True):
             places[at + column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
@@ -163,7 +160,7 @@ class Inputs:
 
     def numbers(self, body: int) -> list[np.float64]:
         """Of one body, in the order of the columns, as far as they are there without a run."""
-        arrays, found = numbers_of(self.problem) | self._start, []
+        arrays, found = numbers_of(self.problem) | self.starts, []
         for field, _ in self.columns:
             if field.name in arrays:
                 array = arrays[field.name]
@@ -179,8 +176,9 @@ class Output:
 
     clock : the times of the run.
     summary : [SUMMARY, then KEEPS of each observable][body].
-    history : [measure, then observable][time][body].
-    states, multipliers, reactions : [time][body][component].
+    history : [measure, then observable, then error of a joint][time][body].
+    states : [link, time][body][component]; if not recorded, of the end alone.
+    multipliers : [time][body][row of any joint].   reactions : [joint, time][body][component].
     ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
     raised : what a function of the user's has raised, in words, by body: of the first such body.
     """
@@ -188,20 +186,22 @@ class Output:
     clock: Clock
     summary: Array
     history: Array
-    states: tuple[Array, ...]  # in the order of POSE_AND_TWIST; if not recorded, the end alone
+    states: tuple[Array, ...]  # in the order of POSE_AND_TWIST
     multipliers: Array
     reactions: Array
     ends: Array
     raised: dict[int, str]
+    links: int = 1
 
     @classmethod
-    def empty(cls, plan: Plan, count: int, clock: Clock, with_state: bool) -> Output:
+    def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
         summary, history, *states, multipliers, reactions, ends = map(np.empty, shapes)
-        return cls(clock, summary, history, tuple(states), multipliers, reactions, ends, {})
+        made = (summary, history, tuple(states), multipliers, reactions, ends, {})
+        return cls(clock, *made, links=plan.system.links)
 
     @staticmethod
-    def size(plan: Plan, count: int, rows: int, with_state: bool) -> int:
+    def size(plan: AnyPlan, count: int, rows: int, with_state: bool) -> int:
         """Bytes of one with so many saved rows, by whole numbers without an end."""
         return 9 * count + 8 * sum(map(math.prod, _shapes(plan, count, rows, with_state)))
 
@@ -215,9 +215,19 @@ class Output:
         return states | {name: getattr(self, name) for name in names}
 
     @property
+    def rows(self) -> int:
+        """Of the states, for each link."""
+        return len(self.states[0]) // self.links
+
+    @property
     def state(self) -> tuple[Array, ...]:
         """At the end, in memory apart from the history's: [body][component]."""
-        return tuple(a[-1].copy() if len(a) > 1 else a[-1] for a in self.states)
+        return self.state_of(0)
+
+    def state_of(self, link: int) -> tuple[Array, ...]:
+        """The same of one link."""
+        last = self.rows * (link + 1) - 1
+        return tuple(a[last].copy() if self.rows > 1 else a[last] for a in self.states)
 
     @property
     def kept(self) -> Array:
@@ -227,7 +237,7 @@ class Output:
     @property
     def observed(self) -> Array:
         """KEEPS of each observable: [column][body]."""
-        return self.summary[SUMMARY.count :]
+        return self.summary[SUMMARY.count :]  # and then JOINT_KEPT of each joint
 
     @cached_property
     def status(self) -> NDArray[np.int8]:
@@ -248,11 +258,11 @@ class Output:
         found: Array = self.summary[SUMMARY.index("starts"), first:stop]
         return found
 
-    def hear(self, plan: Plan, chunk: Chunk, is_last: bool) -> None:
+    def hear(self, plan: AnyPlan, chunk: Chunk, is_last: bool) -> None:
         """Take what functions have raised in a call of the driver, and free its memory."""
         count = chunk.stop - chunk.start
         at_end = self.summary[SUMMARY.index("raised"), chunk.start : chunk.stop]
-        marks = at_end if is_last else chunk.carried[MARKS, :count]
+        marks = at_end if is_last else chunk.carried[marks_column(plan), :count]
         found = np.unique(np.abs(marks)).astype(np.int64).tolist()
         errors = {mark: calls.exception_of(mark) for mark in found if mark > calls.HEARD}
         for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
@@ -262,15 +272,16 @@ class Output:
                 self.raised[chunk.start + body] = exception_told(plan, error)
 
 
-def _shapes(plan: Plan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
+def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
     """Of an Output's arrays."""
-    states = rows if with_state else 1
+    system = plan.system
+    states = (rows if with_state else 1) * system.links
     return [
         (summary_columns(plan), count),
-        (len(history_measures(plan)) + len(observables_of(plan)), rows, count),
+        (history_columns(plan), rows, count),
         *((states, count, field.width) for field in POSE_AND_TWIST.fields),
         (rows * plan.multipliers, count, len(plan.rows)),
-        (rows * plan.reaction, count, 6),
+        (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)), count),
     ]
 
@@ -290,7 +301,7 @@ class Chunk(NamedTuple):
 class Run:
     """What all calls of the driver have in common."""
 
-    plan: Plan
+    plan: AnyPlan
     inputs: Inputs
     clock: Clock
     output: Output
@@ -307,7 +318,7 @@ class Run:
     def call(self, chunk: Chunk, begin: int, end: int) -> float:
         """Steps begin … end of a chunk; returns the seconds they took, compilation apart."""
         arrays = self._arrays | {"carried": chunk.carried}
-        sizes = (chunk.start, chunk.stop, begin, end, self.inputs.differ)
+        sizes = (chunk.start, chunk.stop, begin, end, self.inputs.differ, self.output.rows)
         jobs, counter = job_of(arrays, *sizes, clock=self.clock), np.zeros(2, dtype=np.int64)
         entry = entry_of(integrate_blocks, self.plan, arrays["inputs"][0], counter, jobs)
         loop = (entry, counter, self.threads, jobs)
@@ -319,7 +330,7 @@ class Run:
 
 
 def integrate(
-    plan: Plan,
+    plan: AnyPlan,
     inputs: Inputs,
     clock: Clock,
     with_state: bool = False,
@@ -407,12 +418,12 @@ class _Pace:
 
 
 @lru_cache(64)
-def _pace(plan: Plan, dt: float) -> _Pace:
+def _pace(plan: AnyPlan, dt: float) -> _Pace:
     """One for all runs of a plan with steps of dt: the larger a step's angles, the slower it is."""
     return _Pace()
 
 
-def exception_told(plan: Plan, error: Exception) -> str:
+def exception_told(plan: AnyPlan, error: Exception) -> str:
     """What a function of the user's that runs body by body has raised, in words."""
     functions = [f for element in plan.elements for f in element.functions if not f.is_traced]
     names = " or ".join(dict.fromkeys(f.name for f in functions))

@@ -253,7 +253,7 @@ def solve(
     contradiction is judged.   turning : α but for `others`, where it is known.
     """
     asked = dict(zip(rows, eta, strict=True))
-    held, fixed, others = _kinds_of(rows)
+    held, fixed, others = kinds_of(rows)
     support = Support(body, q, tuple(held), tuple(fixed))
     moves = tuple(asked[held[i]] for i in held)
     if support.is_point:
@@ -277,7 +277,12 @@ def solve(
             dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
         ]
         scales = _Scales(body, support, load, velocity)
-        multipliers, singular, dropped = _schur(arms, responses, excess, scales)
+        moved = [turned + shifted for turned, shifted in responses]
+        schur = [[dot(arm, moved[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
+        sizes = [scales.of(arm) for arm in arms]
+        multipliers, singular, dropped = multipliers_of(
+            schur, excess, sizes, lambda i: scales.acceleration(arms[i])
+        )
         for r, size, each, (turned, moved) in zip(
             others, multipliers, loads, responses, strict=True
         ):
@@ -299,10 +304,10 @@ def solve(
 
 def has_others(rows: Rows) -> bool:
     """Whether there are rows that say neither a component of a nor one of α."""
-    return bool(_kinds_of(rows)[2])
+    return bool(kinds_of(rows)[2])
 
 
-def _kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
+def kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
     """Rows that hold P along a direction and rows that fix a turning, by axis; all others.
 
     An axis is given once: a motor beside `Omega3` is one of the others.
@@ -351,15 +356,18 @@ class _Scales:
         return sqrt(self.of(arm)) * (forced + moved)
 
 
-def _schur(
-    arms: list[Vec], responses: list[tuple[Vec, Vec]], excess: list[Any], scales: _Scales
+def multipliers_of(
+    schur: list[list[Any]],
+    excess: list[Any],
+    sizes: list[Any],
+    brought: Callable[[int], Any],
 ) -> tuple[list[Any], Any, Any]:
-    """λ of rows J from S λ = J V̇ − η, S = L D Lᵀ; whether they contradict each other; how many
-    depend on others.
+    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on others.
+
+    schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
+    alone.   brought : the acceleration of row i that load and motion could bring about.
     """
-    m = len(arms)
-    moved = [turned + shifted for turned, shifted in responses]
-    schur = [[dot(arms[i], moved[j]) for j in range(i + 1)] for i in range(m)]
+    m = len(schur)
     lower: list[list[Any]] = []  # L
     scaled: list[list[Any]] = []  # L D
     pivots_inverse: list[Any] = []
@@ -373,7 +381,7 @@ def _schur(
             li.append(si[j] * pivots_inverse[j])
         pivot = _reduced(schur[i][i], li, si)
         y.append(_reduced(excess[i], li, y))
-        kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + scales.of(arms[i]))
+        kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + sizes[i])
         pivots_inverse.append(where(kept, 1.0, 0.0) / where(kept, pivot, 1.0))
         dropped.append(where(kept, 0.0, 1.0))
         lower.append(li)
@@ -387,7 +395,7 @@ def _schur(
     def look() -> Any:
         found: Any = 0.0
         for i, mark in enumerate(dropped):
-            size = scales.acceleration(arms[i])
+            size = brought(i)
             for lij, yj in zip(lower[i], y, strict=False):
                 size = size + absolute(lij * yj)
             contradicts = (mark > 0.5) & (absolute(y[i]) > CONSISTENCY_TOLERANCE * size)

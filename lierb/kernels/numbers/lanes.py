@@ -441,8 +441,9 @@ class Index(Traced):
 
     __slots__ = ()
 
-    def __add__(self, other: int) -> Index:
-        return Index(self.trace, self.builder.add(self.value, self.value.type(other)))
+    def __add__(self, other: int | Index) -> Index:
+        added = other.value if isinstance(other, Index) else self.value.type(other)
+        return Index(self.trace, self.builder.add(self.value, added))
 
     def real(self) -> Lane:
         return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))

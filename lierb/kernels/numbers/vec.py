@@ -74,6 +74,12 @@ def diagonal(entries: Vec) -> Mat:
     return (x, ZERO, ZERO, ZERO, y, ZERO, ZERO, ZERO, z)
 
 
+def skew(a: Vec) -> Mat:
+    """â, for which â b = a × b."""
+    x, y, z = a
+    return (ZERO, -z, y, z, ZERO, -x, -y, x, ZERO)
+
+
 def row(m: Mat, i: int) -> Vec:
     return m[3 * i : 3 * i + 3]
 

@@ -22,18 +22,7 @@ from lierb.compiler.code import OPTIONS, cached
 from lierb.compiler.entries import call, raise_again, take_turn
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
-from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.mechanics.elements import Element, body_with
-from lierb.kernels.mechanics.newton_euler import (
-    SE3,
-    BodyConstants,
-    Parameters,
-    SO3xR3,
-    about_a_point,
-    closed_pose,
-)
-from lierb.kernels.mechanics.scale import bearings, start_tolerances
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
@@ -45,33 +34,23 @@ from lierb.kernels.numbers.arithmetic import (
     plain,
     prefetch,
     real,
-    rounded_as_numpy,
     scatter,
     sqrt,
     store,
     where,
 )
-from lierb.kernels.numbers.vec import (
-    IDENTITY,
-    ZERO3,
-    Mat,
-    Vec,
-    diagonal,
-    dot,
-    mat_mat,
-    mat_vec_add,
-)
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
-from lierb.kernels.stepping.formulations import LARGEST, accelerate
-from lierb.kernels.stepping.layout import INPUTS, POSE_AND_TWIST, STATE, inputs_of
+from lierb.kernels.stepping.formulations import LARGEST
+from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import (
+    JOINT_ERRORS,
+    JOINT_KEPT,
     KEPT,
     MEASURES,
     MUST_BE_FINITE,
     SUMMARY,
     Measure,
-    measured,
 )
 from lierb.kernels.stepping.observables import (
     KEEPS,
@@ -81,19 +60,11 @@ from lierb.kernels.stepping.observables import (
     may_raise,
     nothing_kept,
     observables_of,
-    observed,
     with_value,
 )
-from lierb.kernels.stepping.plan import Plan
-from lierb.kernels.stepping.stepper import (
-    State,
-    chart_of,
-    pose_of,
-    step,
-    structured,
-    tidied,
-    velocity_of,
-)
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.stepper import step
 
 OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 # In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
@@ -110,10 +81,10 @@ ARRAYS = {
     "history": "[`history_measures`, then observables][time][trajectory]",
     **dict.fromkeys(
         (field.name for field in POSE_AND_TWIST.fields),
-        "[time, or the last one alone][trajectory][component]",
+        "[link, time or the last one alone][trajectory][component]",
     ),
-    "multipliers": "[time][trajectory][component]",
-    "reactions": "[time][trajectory][component]",
+    "multipliers": "[time][trajectory][row of any joint]",
+    "reactions": "[joint, time][trajectory][component]",
     "ends": "[`end_columns`][trajectory]",
 }
 JOB = np.dtype(
@@ -126,6 +97,7 @@ JOB = np.dtype(
             ("begin", np.int64),  # step of this call
             ("end", np.int64),  # 0: to look at the start alone
             ("differ", np.int64),  # 1 where bodies do, 0 where but their starts do
+            ("rows", np.int64),  # of the states, for each link: all saved times, or the last one
             *get_type_hints(Clock).items(),
         ],
     )
@@ -141,7 +113,7 @@ _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or (
 def job_of(arrays: dict[str, NDArray], *sizes: int, clock: Clock) -> NDArray:
     """The record, as an array of one; whoever calls keeps the arrays.
 
-    sizes : first, stop, begin, end and differ.
+    sizes : first, stop, begin, end, differ and rows.
     """
     numbers: list[int] = []
     for name in ARRAYS:
@@ -153,7 +125,7 @@ def job_of(arrays: dict[str, NDArray], *sizes: int, clock: Clock) -> NDArray:
 
 
 @lru_cache(64)
-def history_measures(plan: Plan) -> tuple[Measure, ...]:
+def history_measures(plan: AnyPlan) -> tuple[Measure, ...]:
     """Those of a history: `work` where something does any."""
     return tuple(m for m in MEASURES if m.name != "work" or plan.does_work)
 
@@ -167,190 +139,127 @@ class Record(NamedTuple):
     failed_step: Any
     dropped: Any  # at the start; see `BodyConstants`
     observed: tuple[Kept, ...] = ()
+    joints: tuple[Any, ...] = ()  # of a mechanism's joints, JOINT_KEPT of each: squares
 
 
-MARKS = STATE.count + len(KEPT) + len(Record._fields) - 2  # column of what functions have raised
-WATCHED = MARKS + 1  # the first of what is kept of observables
+def marks_column(plan: AnyPlan) -> int:
+    """Of what is carried: what functions have raised."""
+    return plan.system.state.count + len(KEPT) + len(Record._fields) - 3
 
 
-def carried_columns(plan: Plan) -> int:
-    return WATCHED + len(Kept._fields) * len(observables_of(plan))
+def carried_columns(plan: AnyPlan) -> int:
+    watched = len(Kept._fields) * len(observables_of(plan)) + joint_columns(plan)
+    return marks_column(plan) + 1 + watched
 
 
-def summary_columns(plan: Plan) -> int:
-    return SUMMARY.count + len(KEEPS) * len(observables_of(plan))
+def joint_columns(plan: AnyPlan) -> int:
+    """Of a summary: JOINT_KEPT of every joint of a mechanism."""
+    return len(JOINT_KEPT) * len(plan.system.joints)
+
+
+def summary_columns(plan: AnyPlan) -> int:
+    return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
+
+
+def history_columns(plan: AnyPlan) -> int:
+    """Measures, observables, and the errors of every joint of a mechanism."""
+    own = len(history_measures(plan)) + len(observables_of(plan))
+    return own + len(JOINT_ERRORS) * len(plan.system.joints)
 
 
 # ---- formulas on one block ---------------------------------------------------------------------
 
 
-def _columns(plan: Plan, array: Any, columns: range, first: Any) -> list[Any]:
+def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]:
     return [load(array, (c, first), plan.lanes) for c in columns]
 
 
-def _inputs(plan: Plan, inputs: Any, count: int | None = None) -> list[Any]:
-    """The first `count` numbers, or all but a state to go on from."""
-    many = inputs_of(plan.elements)["state"].start if count is None else count
-    return _columns(plan, inputs, range(many), 0)
+def _inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
+    """All numbers but a state to go on from."""
+    return _columns(plan, inputs, range(plan.system.inputs["state"].start), 0)
 
 
-def parameters_of(
-    numbers: list[Any], turn: Mat = IDENTITY, shift: Vec = ZERO3
-) -> tuple[Parameters, Any, Any]:
-    """Parameters, pose and twist from the numbers of the input columns.
-
-    A pose of NaN stands for the one in which the joint is closed, `lierb.joints.Joint.closed_pose`.
-
-    turn, shift : of the joint's axes on the body, and of its point, along them.
-    """
-    parts = INPUTS.parts(numbers)
-    parameters = Parameters(
-        mass=parts["mass"][0],
-        inertia=parts["inertia"],
-        com=parts["com"],
-        gravity=parts["gravity"],
-        ground=_pose(parts["ground_frame"]),
-        body=_pose(parts["body_frame"]),
-        pitch=parts["pitch"][0],
-        length=parts["length"][0],
-    )
-    pose = _pose(parts["pose"])
-    with rounded_as_numpy(parameters.mass):
-        closed = closed_pose(parameters.ground, parameters.body, parameters.length)
-    axes, point = parameters.body
-    return (
-        parameters._replace(body=(mat_mat(axes, turn), mat_vec_add(axes, shift, point))),
-        where(pose[1][0] == pose[1][0], pose, closed),
-        parts["twist"],
-    )
+def load_body(plan: AnyPlan, inputs: Any) -> Any:
+    return plan.system.body(_inputs(plan, inputs))
 
 
-def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
-    return numbers[:9], numbers[9:]
+def initial_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
+    state: State = plan.system.start(body, _inputs(plan, inputs))
+    return state
 
 
-def body_of(
-    space: type[SE3] | type[SO3xR3],
-    elements: tuple[Element, ...],
-    numbers: list[Any],
-    turn: Mat = IDENTITY,
-    shift: Vec = ZERO3,
-) -> BodyConstants:
-    """The body, with its elements, from the numbers of all input columns."""
-    parameters, _, _ = parameters_of(numbers, turn, shift)
-    return body_with(space, parameters, elements, numbers[INPUTS.count :])
-
-
-def load_body(plan: Plan, inputs: Any) -> BodyConstants:
-    numbers = _inputs(plan, inputs)
-    body = body_of(plan.space, plan.elements, numbers)
-    if plan.turns_about_a_point:
-        turn, centre, moments, differences = about_a_point(body)
-        turn = so3.orthonormalised(turn)
-        turned = body_of(plan.space, plan.elements, numbers, turn)
-        body = plan.space.centred(turned, centre)._replace(
-            turn=turn, origin_inertia=diagonal(moments), moments=moments, differences=differences
-        )
-    if plan.formulation.slides_as_it_turns:
-        shift = (*body.com[:2], ZERO)
-        moved = body_of(plan.space, plan.elements, numbers, shift=shift)
-        body = plan.space.centred(moved, (ZERO, ZERO, body.com[2]))._replace(shift=shift)
-    return plan.formulation.prepared(body)
-
-
-def _start(plan: Plan, body: BodyConstants, inputs: Any) -> tuple[Parameters, Any, Any]:
-    """Parameters in the body's own joint axes; pose and twist as given."""
-    return parameters_of(_inputs(plan, inputs, INPUTS.count), body.turn, body.shift)
-
-
-def initial_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
-    parameters, pose, twist = _start(plan, body, inputs)
-    placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    chart, v_or_mu = plan.formulation.start(
-        body, parameters, twist, quaternion.from_pose(placed), velocity
-    )
-    still = tuple(0.0 * v for v in velocity)
-    return structured(plan, State(chart, still, v_or_mu, 0.0 * parameters.mass), parameters.pitch)
-
-
-def initial_record(plan: Plan, body: BodyConstants, state: State) -> Record:
+def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     """Nothing kept so far, as numbers of the state's own type."""
     nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
-    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
-    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
-    seen = measured(plan, body, pose, velocity, kinetic_energy, state.work, nothing)
-    energy = seen["energy"]
-    dropped = plan.formulation.dropped(body, chart_of(plan, state), state.v_or_mu)
+    system = plan.system
+    seen = system.measured(body, state, system.seen(body, state, nothing), nothing)
+    energy = seen.values["energy"]
+    dropped = system.dropped(body, state)
     if plan.calls_functions:
         calls.set_marks(nothing + float(calls.CLEAR))
     watched = nothing_kept(plan, nothing)
-    return Record((nothing,) * len(KEPT), energy, nothing, nothing, nothing + dropped, watched)
+    joints = (nothing,) * joint_columns(plan)
+    kept = (nothing,) * len(KEPT)
+    return Record(kept, energy, nothing, nothing, nothing + dropped, watched, joints)
 
 
-def resumed_state(plan: Plan, body: BodyConstants, inputs: Any) -> State:
+def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     """The one that a run goes on from."""
-    at = inputs_of(plan.elements)["state"]
+    at = plan.system.inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
-    return _state_of(plan, numbers, body.pitch)
+    state: State = plan.system.state_of(numbers, body)
+    return state
 
 
-def load_state(plan: Plan, body: BodyConstants, carried: Any, first: Any) -> State:
-    numbers = _columns(plan, carried, range(STATE.count), first)
-    return _state_of(plan, numbers, body.pitch)
+def load_state(plan: AnyPlan, body: Any, carried: Any, first: Any) -> State:
+    numbers = _columns(plan, carried, range(plan.system.state.count), first)
+    state: State = plan.system.state_of(numbers, body)
+    return state
 
 
-def _state_of(plan: Plan, numbers: Any, pitch: Any) -> State:
-    found = STATE.parts(numbers)
-    state = State((found["p"], found["d"]), found["x"], found["v_or_mu"], *found["work"])
-    return structured(plan, state, pitch)
-
-
-def load_record(plan: Plan, carried: Any, first: Any) -> Record:
-    numbers = _columns(plan, carried, range(STATE.count, MARKS), first)
-    watched = _columns(plan, carried, range(WATCHED, carried_columns(plan)), first)
+def load_record(plan: AnyPlan, carried: Any, first: Any) -> Record:
+    marks, watched = marks_column(plan), len(Kept._fields) * len(observables_of(plan))
+    numbers = _columns(plan, carried, range(plan.system.state.count, marks), first)
+    more = tuple(_columns(plan, carried, range(marks + 1, carried_columns(plan)), first))
     kept, (energy, status, step, dropped) = tuple(numbers[: len(KEPT)]), numbers[len(KEPT) :]
-    record = Record(kept, energy, status, step, dropped, kept_of(tuple(watched)))
+    seen = kept_of(more[:watched]), more[watched:]
+    record = Record(kept, energy, status, step, dropped, *seen)
     if plan.calls_functions:
-        before = load(carried, (MARKS, first), plan.lanes)
+        before = load(carried, (marks, first), plan.lanes)
         pending = where(before > calls.SILENT, float(calls.HEARD), float(calls.CLEAR))
         calls.set_marks(where(record.status == OK, pending, float(calls.SILENT)))
     return record
 
 
-def store_carried(plan: Plan, carried: Any, first: Any, state: State, record: Record) -> None:
-    kept, *more, watched = record
-    numbers = (*_numbers_of(state), *kept, *more, *_raised_in_call(plan, record))
+def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record: Record) -> None:
+    kept, *more, watched, joints = record
+    numbers = (*flatten(state), *kept, *more, *_raised_in_call(plan, record))
     for c, number in enumerate(numbers):
         store(carried, (c, first), number, plan.lanes)
-    for c, number in enumerate(flatten(watched)):
-        store(carried, (WATCHED + c, first), number, plan.lanes)
+    for c, number in enumerate(flatten((watched, joints)), marks_column(plan) + 1):
+        store(carried, (c, first), number, plan.lanes)
 
 
-def _numbers_of(state: State) -> tuple[Any, ...]:
-    """In the order of STATE."""
-    chart, x, v_or_mu, work = state
-    return (*chart[0], *chart[1], *x, *v_or_mu, work)
-
-
-def store_end(plan: Plan, state: State, ends: Any, column: Any) -> None:
-    numbers = _numbers_of(state)
+def store_end(plan: AnyPlan, state: State, ends: Any, column: Any) -> None:
+    numbers = [*flatten(state)]
     going_on = [numbers[c] for c in end_columns(plan)]
     places = [(c, column) for c in range(len(going_on))]
     scatter(ends, 1, places, going_on, plan.lanes)
 
 
 @lru_cache(64)
-def end_columns(plan: Plan) -> tuple[int, ...]:
-    """Of STATE those that are kept at the end: what the plan has, but W, which counts from the
-    start of its own run.
+def end_columns(plan: AnyPlan) -> tuple[int, ...]:
+    """Of the state's numbers those that are kept at the end: what the plan has, but W, which counts
+    from the start of its own run.
     """
-    numbers = _numbers_of(_state_of(plan, (1.0,) * STATE.count, 1.0))
-    work = STATE.index("work")
+    columns = plan.system.state
+    numbers = flatten(plan.system.state_of((1.0,) * columns.count))
+    work = columns.index("work")
     return tuple(c for c, number in enumerate(numbers) if c != work and not is_zero(number))
 
 
 def advance(
-    plan: Plan, body: BodyConstants, state: State, record: Record, k: Any, time: Any, h: Any
+    plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
     """Step number k, from `time` on.
 
@@ -360,7 +269,7 @@ def advance(
 
 
 def advance_still(
-    plan: Plan, body: BodyConstants, state: State, record: Record, k: Any, time: Any, h: Any
+    plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
     """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
     still = plan.formulation.still
@@ -370,8 +279,8 @@ def advance_still(
 
 
 def _advanced(
-    plan: Plan,
-    body: BodyConstants,
+    plan: AnyPlan,
+    body: Any,
     state: State,
     record: Record,
     k: Any,
@@ -381,9 +290,9 @@ def _advanced(
 ) -> tuple[State, Record]:
     body = body._replace(dropped=record.dropped)
     moved, singular = _stepped(plan, body, state, time, h, still)
-    q, d = moved.chart
     # An angle that is not finite spoils all of Q.
-    numbers = (q[0], *moved.v_or_mu, *moved.x, *d, moved.work)
+    turns, places = plan.system.told_by(moved.chart)
+    numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = _are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
         fine = fine & (calls.marks(record.status) == calls.CLEAR)
@@ -415,7 +324,7 @@ def _advanced(
     )
 
 
-def heard(plan: Plan, record: Record, k: Any) -> Record:
+def heard(plan: AnyPlan, record: Record, k: Any) -> Record:
     """The record, where a function has raised since the last step: asked for λ or the reaction, or
     an observable.
     """
@@ -428,7 +337,7 @@ def heard(plan: Plan, record: Record, k: Any) -> Record:
     )
 
 
-def _raised_in_call(plan: Plan, record: Record) -> Any:
+def _raised_in_call(plan: AnyPlan, record: Record) -> Any:
     """What functions have raised; negative where the body had failed before."""
     if not plan.calls_functions:
         return ()
@@ -438,7 +347,7 @@ def _raised_in_call(plan: Plan, record: Record) -> Any:
 
 
 def _stepped(
-    plan: Plan, body: BodyConstants, state: State, time: Any, h: Any, still: tuple[int, ...]
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, still: tuple[int, ...]
 ) -> tuple[State, Any]:
     """A step, with V's components that are `still` as structural zeros."""
     before = state.v_or_mu
@@ -454,12 +363,12 @@ def _are_finite(*numbers: Any) -> Any:
     return absolute(sum(numbers, start=ZERO)) <= LARGEST  # false for NaN
 
 
-def has_still(plan: Plan, h: Any) -> Any:
+def has_still(plan: AnyPlan, h: Any) -> Any:
     """Whether the plan's rows keep anything `still`."""
     return all_lanes(h == h if plan.formulation.still else h < h)
 
 
-def is_still(plan: Plan, state: State, h: Any) -> Any:
+def is_still(plan: AnyPlan, state: State, h: Any) -> Any:
     """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
     velocity = state.v_or_mu
     still = h == h
@@ -468,18 +377,17 @@ def is_still(plan: Plan, state: State, h: Any) -> Any:
     return all_lanes(still)
 
 
-def is_gentle(plan: Plan, body: BodyConstants, state: State, record: Record, h: Any) -> Any:
+def is_gentle(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
     """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
     if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
-    omega = velocity_of(plan, body, state)[:3]
-    gentle = h * h * plain(dot(omega, omega)) <= 0.8 * TINY
-    return all_lanes(gentle & (record.dropped == 0.0))
+    gentle = record.dropped == 0.0
+    for square in plan.system.turning(body, state):
+        gentle = gentle & (h * h * plain(square) <= 0.8 * TINY)
+    return all_lanes(gentle)
 
 
-def advance_gently(
-    plan: Plan, body: BodyConstants, state: State, time: Any, h: Any
-) -> tuple[State, Any]:
+def advance_gently(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """A step without a branch, and whether it is the step that `advance` makes.
 
     For states that are `still`. A branch for each stage's angle takes a spherical joint's step a
@@ -489,19 +397,20 @@ def advance_gently(
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.formulation.still)
-    fine = _are_finite(*moved.v_or_mu, *moved.chart[1], moved.work) & (singular <= 0.5)
+    _, places = plan.system.told_by(moved.chart)
+    fine = _are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
     return moved, all_lanes(fine)
 
 
-def tidy(plan: Plan, body: BodyConstants, state: State) -> State:
-    return state._replace(chart=tidied(plan, body, state.chart))
+def tidy(plan: AnyPlan, body: Any, state: State) -> State:
+    return state._replace(chart=plan.formulation.tidied(body, state.chart))
 
 
 def observe(
-    plan: Plan,
-    body: BodyConstants,
+    plan: AnyPlan,
+    body: Any,
     state: State,
     record: Record,
     k: Any,
@@ -514,14 +423,12 @@ def observe(
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    pose, velocity = pose_of(plan, state), velocity_of(plan, body, state)
-    values = observed(plan, body, pose, velocity, time)
+    system = plan.system
+    seen = system.seen(body, state, time)
+    values = system.observed(body, seen, time)
     if may_raise(plan):
         record = heard(plan, record, k)
-    kinetic_energy = plan.formulation.kinetic_energy(body, state.v_or_mu)
-    now = measured(
-        plan, body, pose, velocity, kinetic_energy, state.work, time, record.first_energy
-    )
+    now, joints = system.measured(body, state, seen, time, record.first_energy)
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
     fine = _are_finite(*(sizes[name] for name in MUST_BE_FINITE))
     so_far = (record.status, record.failed_step)
@@ -543,15 +450,32 @@ def observe(
     # As wide as the block: a function of time alone, called body by body, has one value for it.
     values = tuple(where(alive, value, NAN) for value in values)
     pairs = zip(record.observed, values, strict=True)
-    return (*shown, *values), record._replace(
+    errors = tuple(sqrt(square) for joint in joints for square in joint)
+    return (*shown, *values, *errors), record._replace(
         kept=tuple(kept),
         status=status,
         failed_step=failed_step,
         observed=tuple(with_value(old, value, share, alive) for old, value in pairs),
+        joints=_joints_kept(record, joints, alive),
     )
 
 
-def without_measures(plan: Plan, record: Record, seen: Record) -> Record:
+def _joints_kept(
+    record: Record, joints: tuple[tuple[Any, ...], ...], alive: Any
+) -> tuple[Any, ...]:
+    """JOINT_KEPT of every joint, with what is seen now."""
+    found = []
+    places = ((joint, measure, how) for joint in joints for measure, how in JOINT_KEPT)
+    for (joint, measure, how), old in zip(places, record.joints, strict=True):
+        square = joint[JOINT_ERRORS.index(measure)]
+        if how == "final":
+            found.append(where(alive, plain(square), NAN))
+        else:
+            found.append(old if is_zero(square) else where(alive, maximum(old, square), old))
+    return tuple(found)
+
+
+def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
     """The record after a step that is saved and not measured.   seen : as `observe` has it."""
     if not may_raise(plan):
         return record
@@ -563,7 +487,7 @@ def without_measures(plan: Plan, record: Record, seen: Record) -> Record:
 
 
 def store_measures(
-    plan: Plan, record: Record, shown: tuple[Any, ...], history: Any, row: Any, first: Any
+    plan: AnyPlan, record: Record, shown: tuple[Any, ...], history: Any, row: Any, first: Any
 ) -> None:
     """One row of the history's scalar columns.
 
@@ -578,88 +502,87 @@ def store_measures(
 
 
 def user_state(
-    plan: Plan, body: BodyConstants, inputs: Any, state: State, record: Record
-) -> tuple[Any, ...]:
-    """R (row by row), r, ω, v in the user's frames; NaN after a failure."""
-    parameters, _, _ = _start(plan, body, inputs)
-    velocity = velocity_of(plan, body, state)
-    pose, twist = plan.space.to_user_axes(parameters, pose_of(plan, state), velocity)
-    return where(record.status == OK, pose[0] + pose[1] + twist, (NAN,) * 18)
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record
+) -> list[tuple[Any, ...]]:
+    """R (row by row), r, ω, v in the user's frames, of every link; NaN after a failure."""
+    links = plan.system.in_user_frames(body, _inputs(plan, inputs), state)
+    alive = record.status == OK
+    return [where(alive, numbers, (NAN,) * len(numbers)) for numbers in links]
 
 
 def store_state(
-    plan: Plan,
-    body: BodyConstants,
+    plan: AnyPlan,
+    body: Any,
     inputs: Any,
     state: State,
     record: Record,
     states: Any,
     row: Any,
+    rows: Any,
     column: Any,
 ) -> None:
-    """One row of the states: R, r, ω and v, each [time][body][component]."""
-    numbers = user_state(plan, body, inputs, state, record)
-    for array, part in zip(states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
-        scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
-        prefetch(array, (row + 1, column, 0), plan.lanes * len(part))
+    """One row of the states: R, r, ω and v, each [link, time][body][component].
+
+    rows : of each link.
+    """
+    for numbers in user_state(plan, body, inputs, state, record):
+        for array, part in zip(states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
+            scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
+            prefetch(array, (row + 1, column, 0), plan.lanes * len(part))
+        row = row + rows
 
 
 def store_forces(
-    plan: Plan,
-    body: BodyConstants,
+    plan: AnyPlan,
+    body: Any,
     state: State,
     record: Record,
     multipliers: Any,
     reactions: Any,
     row: Any,
+    rows: Any,
     first: Any,
     time: Any,
 ) -> None:
-    """One row of the history's λ and reactions, [time][body][component]."""
+    """One row of the history's λ, [time][body][row], and of reactions, [joint, time][body][…].
+
+    rows : of each joint.
+    """
     if not (plan.multipliers or plan.reaction):
         return
-    velocity = velocity_of(plan, body, state)
-    found = accelerate(plan, body, chart_of(plan, state), velocity, time)
+    found, wrenches = plan.system.forces(body, state, time)
     alive = record.status == OK
-    for recorded, array, numbers in (
-        (plan.multipliers, multipliers, found.multipliers),
-        (plan.reaction, reactions, found.reaction),
-    ):
-        if recorded and numbers:
-            places = [(row, first, c) for c in range(len(numbers))]
-            scatter(array, 1, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
-            prefetch(array, (row + 1, first, 0), plan.lanes * len(numbers))
+    if plan.multipliers and found:
+        places = [(row, first, c) for c in range(len(found))]
+        scatter(multipliers, 1, places, where(alive, found, (NAN,) * len(found)), plan.lanes)
+        prefetch(multipliers, (row + 1, first, 0), plan.lanes * len(found))
+    for wrench in wrenches if plan.reaction else ():
+        places = [(row, first, c) for c in range(6)]
+        scatter(reactions, 1, places, where(alive, wrench, (NAN,) * 6), plan.lanes)
+        prefetch(reactions, (row + 1, first, 0), plan.lanes * 6)
+        row = row + rows
 
 
-def store_summary(plan: Plan, record: Record, summary: Any, column: Any) -> None:
+def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> None:
     """What is kept of the measures, status and the step of a failure."""
     r = record
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
     numbers = (*kept, r.status, r.failed_step, *_raised_in_call(plan, r))
-    watched = tuple(x for kept in r.observed for x in columns_of(kept))
+    watched = (
+        *(x for kept in r.observed for x in columns_of(kept)),
+        *(sqrt(square) for square in r.joints),
+    )
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
 
 
-def store_start(plan: Plan, inputs: Any, summary: Any, column: Any, time: Any) -> None:
+def store_start(plan: AnyPlan, inputs: Any, summary: Any, column: Any, time: Any) -> None:
     """Whether the start, as given, is on the joint.
 
     time : s, of the start.
     """
-    numbers = _inputs(plan, inputs)
-    parameters, pose, twist = parameters_of(numbers)
-    chart, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-    body = body_of(plan.space, plan.elements, numbers)
-    x = plan.space.kinematics(body, chart, velocity)._replace(time=time)
-    off = measured(plan, body, chart, velocity, ZERO, ZERO, time)
-    allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
-    fine = allowed.position <= LARGEST  # false for NaN
-    for name, most in allowed._asdict().items():
-        fine = fine & (sqrt(off[f"{name}_error"]) <= most) & (most <= LARGEST)
-    for bearing in bearings(plan.rows, chart[0]):
-        fine = fine & (bearing > 0.0)
-    place = (SUMMARY.index("starts"), column)
-    scatter(summary, 1, [place], [where(fine, 1.0, 0.0)], plan.lanes)
+    starts = plan.system.starts_well(_inputs(plan, inputs), time)
+    scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 
 
 for _formula in (
@@ -716,12 +639,15 @@ def _integrate_block(plan, body, inputs, first, job, clock):
             record = seen if measure else without_measures(plan, record, seen)
             if save:
                 store_measures(plan, record, shown, history, row, column)
-                store_forces(plan, body, state, record, multipliers, reactions, row, column, time)
+                saved = history.shape[1]
+                store_forces(
+                    plan, body, state, record, multipliers, reactions, row, saved, column, time
+                )
                 if k == last:  # before, the next step fails
                     record = heard(plan, record, k)
-            if k == last or (save and states[0].shape[0] > 1):
-                row = states[0].shape[0] - 1 if k == last else row
-                store_state(plan, body, inputs, state, record, states, row, column)
+            if k == last or (save and job.rows > 1):
+                row = job.rows - 1 if k == last else row
+                store_state(plan, body, inputs, state, record, states, row, job.rows, column)
         if k >= stop:
             break
         # After the measures: they see what rounding did.

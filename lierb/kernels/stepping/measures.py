@@ -7,7 +7,7 @@ in a history and in a summary, and their units.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lierb.kernels.mechanics.constraints import (
     position_error_squared,
@@ -15,13 +15,14 @@ from lierb.kernels.mechanics.constraints import (
     rotation_error_squared,
 )
 from lierb.kernels.mechanics.elements import potential_energy
-from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Pose
 from lierb.kernels.numbers.arithmetic import absolute, fma, sqrt
-from lierb.kernels.numbers.vec import IDENTITY, Vec, mat_t_mat
+from lierb.kernels.numbers.vec import IDENTITY, Mat, Vec, mat_t_mat
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.layout import Columns, Field
-from lierb.kernels.stepping.plan import Plan
-from lierb.kernels.stepping.stepper import Pose
+
+if TYPE_CHECKING:
+    from lierb.kernels.stepping.plan import Plan
 
 
 class Seen(NamedTuple):
@@ -35,6 +36,16 @@ class Seen(NamedTuple):
     energy: Any
     first_energy: Any
     work: Any
+
+
+class Observed(NamedTuple):
+    """At one time: every measure's value or square, by name, and the errors of each joint.
+
+    joints : squares of JOINT_ERRORS, of every joint of a mechanism; of one body, nothing.
+    """
+
+    values: dict[str, Any]
+    joints: tuple[tuple[Any, ...], ...] = ()
 
 
 class Measure(NamedTuple):
@@ -59,9 +70,9 @@ class Measure(NamedTuple):
         return found if self.is_square else absolute(found)
 
 
-def _orthogonality_squared(seen: Seen) -> Any:
+def orthogonality_squared(q: Mat) -> Any:
     """‖QᵀQ − I‖², Frobenius."""
-    q, total = seen.pose[0], ZERO
+    total: Any = ZERO
     for entry, one in zip(mat_t_mat(q, q), IDENTITY, strict=True):
         excess = entry - one
         total = fma(excess, excess, total)
@@ -85,9 +96,14 @@ MEASURES = (
     Measure("energy_drift", "J", lambda s: s.energy - s.first_energy - s.work, keeps=("max",)),
     Measure("energy", "J", lambda s: s.energy, asked_by="energy"),
     Measure("work", "J", lambda s: s.work, keeps=("final",), asked_by="energy"),
-    Measure("orthogonality_error", "1", _orthogonality_squared, is_square=True, keeps=("max",)),
+    Measure(
+        "orthogonality_error", "1", lambda s: orthogonality_squared(s.pose[0]),
+        is_square=True, keeps=("max",),
+    ),
 )  # fmt: skip
 KEPT = tuple((measure, how) for measure in MEASURES for how in measure.keeps)
+JOINT_ERRORS = tuple(m for m in MEASURES[:4])
+JOINT_KEPT = tuple((m, how) for m in JOINT_ERRORS for how in m.keeps)
 SUMMARY = Columns(
     *(Field(f"{measure.name}_{how}", (), measure.unit) for measure, how in KEPT),
     Field("status"),

@@ -9,11 +9,8 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.elements import UserObservable
-from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.numbers.arithmetic import fma, where
-from lierb.kernels.numbers.vec import Vec
-from lierb.kernels.stepping.plan import Plan
-from lierb.kernels.stepping.stepper import Pose
+from lierb.kernels.stepping.plan import AnyPlan
 
 INF, NAN = float("inf"), float("nan")
 KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observable
@@ -33,28 +30,17 @@ class Kept(NamedTuple):
 
 
 @lru_cache(64)
-def observables_of(plan: Plan) -> tuple[UserObservable, ...]:
+def observables_of(plan: AnyPlan) -> tuple[UserObservable, ...]:
     """In the order of their columns."""
     return tuple(e for e in plan.elements if isinstance(e, UserObservable))
 
 
-def may_raise(plan: Plan) -> bool:
+def may_raise(plan: AnyPlan) -> bool:
     """Whether one of them is called body by body."""
     return any(not each.function.is_traced for each in observables_of(plan))
 
 
-def observed(
-    plan: Plan, body: BodyConstants, pose: Pose, velocity: Vec, time: Any
-) -> tuple[Any, ...]:
-    """Each one's value."""
-    if not observables_of(plan):
-        return ()
-    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
-    pairs = zip(plan.elements, body.elements, strict=True)
-    return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
-
-
-def nothing_kept(plan: Plan, like: Any) -> tuple[Kept, ...]:
+def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
     """Before the first value.   like : zero, a number of the body's own kind."""
     fresh = Kept(like + INF, like - INF, like, like, like + NAN)
     return (fresh,) * len(observables_of(plan))

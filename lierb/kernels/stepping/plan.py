@@ -12,51 +12,42 @@ from lierb.kernels.mechanics.elements import Element, UserObservable
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
+from lierb.kernels.stepping.one_body import OneBody
 
 
-@dataclass(frozen=True)
-class Plan(Tag):
-    """One compiled integrator: a joint's rows, forces, a c-space, an update form, a method, L."""
+class AnyPlan(Tag):
+    """What the plans of one body and of a mechanism have in common."""
 
     lanes: int
-    rows: Rows
-    cspace: str
     update: str
-    stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
-    weights: tuple[float, ...]  # b
-    multipliers: bool  # whether λ is recorded
-    reaction: bool = False  # whether the joint's wrench is
-    # Forces beside gravity, constraints beside the joint's, and observables.
-    elements: tuple[Element, ...] = ()
-    # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
-    # subgroup joint's constant gain, by which poses stay in the subgroup.
-    solver: str = "saddle"
+    stages: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+    elements: tuple[Element, ...]
+    multipliers: bool
+    reaction: bool
+    rows: Rows  # of all joints
 
     @cached_property
     def _digest(self) -> int:
-        return hash(tuple(getattr(self, field.name) for field in fields(self)))
+        return hash(tuple(getattr(self, field.name) for field in fields(self)))  # type: ignore[arg-type]
 
     def __hash__(self) -> int:  # of a tableau's numbers each time, otherwise
         return self._digest
 
-    @cached_property
-    def space(self) -> type[SE3] | type[SO3xR3]:
-        return CSPACES[self.cspace]
+    @property
+    def formulation(self) -> Any:
+        """Where accelerations come from."""
+        raise NotImplementedError
 
-    @cached_property
-    def formulation(self) -> Formulation:
-        return FORMULATIONS[self.solver](self)
+    @property
+    def system(self) -> Any:
+        """What is read, carried and seen of it."""
+        raise NotImplementedError
 
     @cached_property
     def nodes(self) -> tuple[float, ...]:
         """c of the Butcher tableau: when each stage is."""
         return tuple(sum(weights) for weights in self.stages)
-
-    @cached_property
-    def turns_about_a_point(self) -> bool:
-        """Whether the joint is spherical: any axes on the body will do, also its inertia's."""
-        joint = [row for row in self.rows if row.is_of_joint]
-        return len(joint) == 3 and holds_a_point(self.rows)
 
     @property
     def is_local(self) -> bool:
@@ -84,6 +75,45 @@ class Plan(Tag):
         """
         calls = any(not f.is_traced for element in self.acting for f in element.functions)
         return self.is_local and not calls and self.formulation.takes_gentle_steps
+
+
+@dataclass(frozen=True)
+class Plan(AnyPlan):
+    """One compiled integrator: a joint's rows, forces, a c-space, an update form, a method, L."""
+
+    lanes: int
+    rows: Rows
+    cspace: str
+    update: str
+    stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
+    weights: tuple[float, ...]  # b
+    multipliers: bool  # whether λ is recorded
+    reaction: bool = False  # whether the joint's wrench is
+    # Forces beside gravity, constraints beside the joint's, and observables.
+    elements: tuple[Element, ...] = ()
+    # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
+    # subgroup joint's constant gain, by which poses stay in the subgroup.
+    solver: str = "saddle"
+
+    __hash__ = AnyPlan.__hash__
+
+    @cached_property
+    def space(self) -> type[SE3] | type[SO3xR3]:
+        return CSPACES[self.cspace]
+
+    @cached_property
+    def formulation(self) -> Formulation:
+        return FORMULATIONS[self.solver](self)
+
+    @cached_property
+    def system(self) -> OneBody:
+        return OneBody(self)
+
+    @cached_property
+    def turns_about_a_point(self) -> bool:
+        """Whether the joint is spherical: any axes on the body will do, also its inertia's."""
+        joint = [row for row in self.rows if row.is_of_joint]
+        return len(joint) == 3 and holds_a_point(self.rows)
 
 
 @lru_cache(256)

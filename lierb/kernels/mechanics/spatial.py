@@ -1,0 +1,138 @@
+"""Twists, wrenches and inertias seen from other frames, angular part first.
+
+After Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2 and 7. A frame is a pose (R, p):
+its axes and its origin, seen from the frame that it is placed in.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.numbers.vec import (
+    Mat,
+    Vec,
+    add,
+    axpy,
+    column,
+    cross,
+    cross_add,
+    diagonal,
+    dot,
+    mat_mat_t,
+    mat_t_vec,
+    mat_vec,
+    row,
+    scale,
+    skew,
+)
+
+Pose = tuple[Mat, Vec]
+
+
+def twist_at(frame: Pose, twist: Vec) -> Vec:
+    """A twist of the outer frame, seen from one in it: Ad of the frame's inverse."""
+    r, p = frame
+    return mat_t_vec(r, twist[:3]) + mat_t_vec(r, cross_add(twist[:3], p, twist[3:]))
+
+
+def wrench_from(frame: Pose, wrench: Vec) -> Vec:
+    """A wrench seen from a frame, taken to the outer one: (R τ + p × R f, R f)."""
+    r, p = frame
+    force = mat_vec(r, wrench[3:])
+    return cross_add(p, force, mat_vec(r, wrench[:3])) + force
+
+
+class Rigid(NamedTuple):
+    """A rigid body's mass, m c and moments of inertia, about the origin of the frame it is in."""
+
+    mass: Any
+    moment: Vec
+    inertia: Mat
+
+    def momentum(self, twist: Vec) -> Vec:
+        """M V."""
+        omega, v = twist[:3], twist[3:]
+        angular = cross_add(self.moment, v, mat_vec(self.inertia, omega))
+        return angular + cross_add(omega, self.moment, scale(self.mass, v))
+
+    def bias(self, twist: Vec) -> Vec:
+        """−ad_Vᵀ M V, the wrench under which V does not change."""
+        omega, v = twist[:3], twist[3:]
+        momentum = self.momentum(twist)
+        torque = cross_add(v, momentum[3:], cross(omega, momentum[:3]))
+        return torque + cross(omega, momentum[3:])
+
+    def from_frame(self, frame: Pose) -> Articulated:
+        """Seen from outside the frame."""
+        r, p = frame
+        moment = mat_vec(r, self.moment)
+        middle = axpy(0.5 * self.mass, p, moment)  # t: J + 2(p·t) I − t pᵀ − p tᵀ  (Steiner)
+        along = 2.0 * dot(p, middle)
+        turned = conjugated(r, self.inertia)
+
+        def entry(i: int, j: int) -> Any:
+            rest = turned[3 * i + j] - (middle[i] * p[j] + p[i] * middle[j])
+            return rest + along if i == j else rest
+
+        return Articulated(
+            _symmetric(entry), skew(axpy(self.mass, p, moment)), diagonal((self.mass,) * 3)
+        )
+
+
+class Articulated(NamedTuple):
+    """[[J, H], [Hᵀ, L]]: what moves the first of bodies that hang together; J and L symmetric."""
+
+    angular: Mat
+    mixed: Mat
+    linear: Mat
+
+    def momentum(self, twist: Vec) -> Vec:
+        omega, v = twist[:3], twist[3:]
+        angular = add(mat_vec(self.angular, omega), mat_vec(self.mixed, v))
+        return angular + add(mat_t_vec(self.mixed, omega), mat_vec(self.linear, v))
+
+    def and_also(self, other: Articulated) -> Articulated:
+        return Articulated(*(add(a, b) for a, b in zip(self, other, strict=True)))
+
+    def less(self, u: Vec, g: Vec) -> Articulated:
+        """Without u gᵀ, of columns whose sum over all such pairs is symmetric."""
+        return Articulated(
+            _symmetric(lambda i, j: self.angular[3 * i + j] - u[i] * g[j]),
+            tuple(self.mixed[3 * i + j] - u[i] * g[3 + j] for i in range(3) for j in range(3)),
+            _symmetric(lambda i, j: self.linear[3 * i + j] - u[3 + i] * g[3 + j]),
+        )
+
+    def from_frame(self, frame: Pose) -> Articulated:
+        """Seen from outside the frame: [[J + p̂Hᵀ − H′p̂, H′], [H′ᵀ, L]] of the turned blocks."""
+        r, p = frame
+        linear, mixed = conjugated(r, self.linear), mat_conjugated(r, self.mixed)
+        levers = [cross(p, row(mixed, i)) for i in range(3)]
+        moved = add(mixed, _crossed(p, linear))
+        shifted = [cross(p, row(moved, i)) for i in range(3)]
+        turned = conjugated(r, self.angular)
+        angular = _symmetric(lambda i, j: turned[3 * i + j] + (levers[j][i] + shifted[i][j]))
+        return Articulated(angular, moved, linear)
+
+
+def _symmetric(entry: Any) -> Mat:
+    """The symmetric matrix whose lower triangle is entry(i, j)."""
+    lower = {(i, j): entry(i, j) for i in range(3) for j in range(i + 1)}
+    return tuple(lower[max(i, j), min(i, j)] for i in range(3) for j in range(3))
+
+
+def _crossed(p: Vec, m: Mat) -> Mat:
+    """p̂ m."""
+    columns = [cross(p, column(m, j)) for j in range(3)]
+    return tuple(columns[j][i] for i in range(3) for j in range(3))
+
+
+def conjugated(r: Mat, m: Mat) -> Mat:
+    """R m Rᵀ of a symmetric m."""
+    half = mat_mat_t(m, r)
+    return _symmetric(lambda i, j: dot(row(r, i), column(half, j)))
+
+
+def mat_conjugated(r: Mat, m: Mat) -> Mat:
+    """R m Rᵀ of any m."""
+    half = mat_mat_t(m, r)
+    return tuple(dot(row(r, i), column(half, j)) for i in range(3) for j in range(3))

@@ -1,0 +1,910 @@
+"""A mechanism in the driver's terms: what is read of it, its state, its rates, what is seen of it.
+
+The state is that of `lierb.kernels.mechanics.tree`: a chart, X and a velocity for every node, side
+by side. On reduced coordinates they have the structural zeros of the joint's subgroup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+from lierb.kernels.functions.function import BODY
+from lierb.kernels.groups import quaternion, quaternionxr3, se3
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics import subgroup
+from lierb.kernels.mechanics.constraints import (
+    position_error_squared,
+    rate_errors_squared,
+    residuals,
+    rotation_error_squared,
+)
+from lierb.kernels.mechanics.elements import Element, UserObservable
+from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, unit_inertia
+from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
+from lierb.kernels.mechanics.saddle import kinds_of
+from lierb.kernels.mechanics.spatial import Pose, Rigid, bracket, conjugated, twist_at
+from lierb.kernels.mechanics.subgroup import Slots
+from lierb.kernels.mechanics.tree import (
+    GROUND,
+    HERE,
+    MASSLESS,
+    ArticulatedBodies,
+    Asked,
+    Connection,
+    Ends,
+    Node,
+    NodeConstants,
+    Relative,
+    Solved,
+    TreeConstants,
+    TreeMotion,
+    asked,
+    solved,
+)
+from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, sqrt, where
+from lierb.kernels.numbers.vec import (
+    IDENTITY,
+    ZERO3,
+    ZERO6,
+    Mat,
+    Vec,
+    add,
+    axpy,
+    column,
+    cross,
+    cross_add,
+    diagonal,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    mat_vec_add,
+    neg,
+    norm,
+    row,
+    scale,
+    sub,
+    transpose,
+)
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.formulations import Rates, recharted
+from lierb.kernels.stepping.layout import POSE, Columns, Field
+from lierb.kernels.stepping.measures import JOINT_ERRORS, Observed, orthogonality_squared
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.state import State
+
+CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
+CHARTS = {"reduced": quaternion, "SE3": quaternion, "SO3xR3": quaternionxr3}
+LINK = (  # what is known of each
+    Field("mass", (), "kg"),
+    Field("inertia", (3, 3), "kg m²"),
+    Field("com", (3,), "m"),
+)
+JOINT = (  # of each link's, and of each loop's
+    Field("ground_frame", (4, 4), "1, m", POSE),
+    Field("body_frame", (4, 4), "1, m", POSE),
+    Field("pitch", (), "m/rad"),
+    Field("length", (), "m"),
+)
+START = (Field("pose", (4, 4), "1, m", POSE), Field("twist", (6,), "rad/s, m/s"))
+GRAVITY = Field("gravity", (3,), "m/s²")
+
+
+@dataclass(frozen=True)
+class Stabilisation:
+    """What keeps rows that the tree does not keep by itself.
+
+    kind : "none", "project" or "baumgarte", with its α and β, 1/s.
+    """
+
+    kind: str = "none"
+    alpha: float = 0.0
+    beta: float = 0.0
+
+
+NONE = Stabilisation()
+
+
+@dataclass(frozen=True)
+class MechanismPlan(AnyPlan):
+    """One compiled integrator of a mechanism.
+
+    tree : its nodes, each after the one that it hangs on.
+    connections : a joint for every link, in their order; a joint for every loop; one for every
+        element.   loops : how many loops.
+    """
+
+    lanes: int
+    tree: tuple[Node, ...]
+    connections: tuple[Connection, ...]
+    loops: int
+    update: str
+    stages: tuple[tuple[float, ...], ...]
+    weights: tuple[float, ...]
+    multipliers: bool
+    reaction: bool = False
+    elements: tuple[Element, ...] = ()
+    stabilisation: Stabilisation = NONE
+
+    @property
+    def links(self) -> int:
+        return len(self.connections) - self.loops - len(self.elements)
+
+    @property
+    def joints(self) -> tuple[Connection, ...]:
+        """Of links, then of loops."""
+        return self.connections[: self.links + self.loops]
+
+    @property
+    def rows(self) -> Rows:
+        """Of all joints."""
+        return tuple(row for joint in self.joints for row in joint.rows)
+
+    __hash__ = AnyPlan.__hash__
+
+    @cached_property
+    def formulation(self) -> TreeFormulation:  # type: ignore[override]
+        return TreeFormulation(self)
+
+    @property
+    def system(self) -> TreeFormulation:
+        return self.formulation
+
+
+@lru_cache(64)
+def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
+    """What is read of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
+
+    Joints are numbered as the plan's connections are: those of links, then those of loops.
+    """
+    own = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in LINK)
+    held = (f._replace(name=f"{i}.{f.name}") for i in range(links + loops) for f in JOINT)
+    parameters = (
+        Field(f"element{k}.{name}", shape)
+        for k, element in enumerate(elements)
+        for name, shape in element.shapes.items()
+    )
+    starts = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in START)
+    return Columns(*own, *held, GRAVITY, *parameters, *starts)
+
+
+@dataclass(frozen=True)
+class TreeFormulation:
+    """Of a plan: what the stepper asks of a formulation, and the driver of a system."""
+
+    plan: MechanismPlan
+    still = ()
+
+    # ---- what is read ----
+
+    @property
+    def inputs(self) -> Columns:
+        """What is read of a mechanism, then a state to go on from."""
+        plan = self.plan
+        columns = inputs_of(plan.links, plan.loops, plan.elements)
+        return Columns(*columns.fields, Field("state", (self.state.count,)))
+
+    @property
+    def state(self) -> Columns:
+        count = len(self.plan.tree)
+        return Columns(
+            Field("charts", (7 * count,)), Field("x", (6 * count,)), Field("v", (6 * count,)),
+            Field("work"),
+        )  # fmt: skip
+
+    def body(self, numbers: list[Any]) -> TreeConstants:
+        """Everything in joint axes."""
+        plan, read = self.plan, self.inputs.parts(numbers)
+        gravity = read["gravity"]
+        nodes = tuple(_node_constants(plan, i, read) for i in range(len(plan.tree)))
+        ends = [_joint_ends(plan, nodes, number, read) for number in range(len(plan.joints))]
+        acting = [*zip(plan.elements, plan.connections[len(ends) :], strict=True)]
+        placed = tuple(_placed(element, k, c, nodes, read) for k, (element, c) in enumerate(acting))
+        ends += [Ends(HERE, HERE) if c.joint < 0 else ends[c.joint] for _, c in acting]
+        return TreeConstants(
+            nodes, tuple(end._replace(elements=placed) for end in ends), gravity, placed
+        )
+
+    def start(self, body: TreeConstants, numbers: list[Any]) -> State:
+        """The state from poses and twists in the user's frames; what is off a subgroup is left."""
+        plan, read = self.plan, self.inputs.parts(numbers)
+        given = {
+            i: _given(body.nodes[i], read, node.link)
+            for i, node in enumerate(plan.tree)
+            if node.link != MASSLESS
+        }
+        given[GROUND] = HERE, ZERO6
+        charts: list[Chart] = []
+        velocities: list[Vec] = []
+        for i, (place, twist) in [*given.items()][:-1]:
+            first = _first_of_joint(plan, i)
+            outside, moving = given[plan.tree[first].parent]
+            seat = se3.compose(se3.inverse(outside), place)
+            relative = sub(twist, twist_at(seat, moving))
+            d = se3.compose(se3.inverse(body.nodes[first].hang), seat)
+            if not plan.tree[i].is_reduced:
+                root = body.nodes[_root(plan, i)].hang
+                chart, velocity = _apart(plan.tree[i], body.nodes[i], root, place, twist)
+                charts, velocities = [*charts, chart], [*velocities, velocity]
+            elif first == i:
+                charts, velocities = [*charts, quaternion.from_pose(d)], [*velocities, relative]
+            else:
+                pairs = _factored(plan.tree[first].slots, plan.tree[i].slots, d, relative)
+                for chart, velocity in pairs:
+                    charts, velocities = [*charts, chart], [*velocities, velocity]
+        velocity = tuple(x for v in velocities for x in v)
+        still = tuple(0.0 * x for x in velocity)
+        state = State(tuple(charts), still, velocity, 0.0 * body.mass)
+        charts = self.tidied(body, self.structured(state, body).chart)
+        return self.structured(state._replace(chart=charts), body)
+
+    def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
+        """From its numbers side by side, as the driver carries them."""
+        parts = self.state.parts(numbers)
+        found = State(_charts(parts["charts"]), parts["x"], parts["v"], *parts["work"])
+        return self.structured(found, body)
+
+    def structured(self, state: State, body: TreeConstants | None = None) -> State:
+        """With the structural zeros of each node's subgroup."""
+        plan = self.plan
+        charts, xs, velocities = [], [], []
+        for i, (node, chart, x, v) in enumerate(
+            zip(plan.tree, state.chart, _sixes(state.x), _sixes(state.v_or_mu), strict=True)
+        ):
+            if node.is_reduced:
+                pitch = 1.0 if body is None else body.nodes[i].pitch
+                chart = subgroup.on_subgroup(node.slots, chart)
+                x = subgroup.in_subalgebra(node.slots, x, pitch)
+                v = subgroup.in_subalgebra(node.slots, v, pitch)
+            charts.append(chart)
+            xs += ZERO6 if plan.is_local else x
+            velocities += v
+        work = state.work if plan.does_work else ZERO
+        return State(tuple(charts), tuple(xs), tuple(velocities), work)
+
+    # ---- what is seen ----
+
+    @property
+    def links(self) -> int:
+        return self.plan.links
+
+    @property
+    def joints(self) -> tuple[Connection, ...]:
+        """Those whose errors have columns of their own."""
+        return self.plan.joints
+
+    def told_by(self, chart: tuple[Chart, ...]) -> tuple[Vec, Vec]:
+        """Of its charts, numbers that are finite if all turns are, and all places."""
+        return tuple(p[0] for p, _ in chart), tuple(x for _, d in chart for x in d)
+
+    def turning(self, body: TreeConstants, state: State) -> list[Any]:
+        """The square of each node's angular velocity on its joint, or of its own, rad²/s²."""
+        return [dot(v[:3], v[:3]) for v in _sixes(state.v_or_mu)]
+
+    def seen(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
+        chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)
+        return self.motion(body, chart, state.v_or_mu, time)
+
+    def dropped(self, body: TreeConstants, state: State) -> Any:
+        """How many rows depend on others."""
+        if not self.rows:
+            return ZERO
+        return self.accelerate(body, self.seen(body, state, ZERO), forces=False).dropped
+
+    def measured(
+        self,
+        body: TreeConstants,
+        state: State,
+        seen: TreeMotion,
+        time: Any,
+        first_energy: Any = ZERO,
+    ) -> Observed:
+        """Every measure's value or square; of errors the largest over all connections."""
+        plan, relatives = self.plan, _Relatives(self.plan.connections, body.ends, seen)
+        errors = []
+        for number, connection in enumerate(plan.connections):
+            if number >= len(plan.joints) and not connection.rows:
+                continue
+            x, ends, rows = relatives[number].x, body.ends[number], connection.rows
+            rates = rate_errors_squared(rows, x, ends, x.omega + x.point_rate)
+            position = position_error_squared(rows, x, ends)
+            errors.append((position, rotation_error_squared(rows, x, ends), *rates))
+        energy = self._energy(body, relatives)
+        largest = (_largest(squares) for squares in zip(*errors, strict=True))
+        found = dict(zip((measure.name for measure in JOINT_ERRORS), largest, strict=True))
+        found |= {
+            "energy": energy,
+            "energy_drift": energy - first_energy - state.work,
+            "work": state.work,
+            "orthogonality_error": _largest(
+                [orthogonality_squared(seen.place(i)[0]) for i in self._linked]
+            ),
+        }
+        return Observed(found, tuple(errors[: len(plan.joints)]))
+
+    @property
+    def _linked(self) -> list[int]:
+        """Numbers of the nodes that are links, in the order of these."""
+        return [joint.node for joint in self.plan.connections[: self.plan.links]]
+
+    def _energy(self, body: TreeConstants, relatives: _Relatives) -> Any:
+        """Kinetic energy, and the potentials of gravity and all forces that have one."""
+        total, motion = ZERO, relatives.motion
+        for i in self._linked:
+            constants, twist = body.nodes[i], motion.twists[i]
+            moving = cross_add(twist[:3], constants.com, twist[3:])
+            turning = dot(twist[:3], mat_vec(constants.inertia, twist[:3]))
+            mass = constants.rigid.mass
+            total = total + 0.5 * fma(mass, dot(moving, moving), turning)
+            pose = motion.pose(i)
+            place = mat_vec_add(pose[0], constants.com, pose[1])
+            total = fma(-mass, dot(body.gravity, place), total)
+        first = len(self.plan.joints)
+        pairs = zip(self.plan.elements, body.elements, strict=True)
+        for number, (element, placed) in enumerate(pairs, first):
+            if not (isinstance(element, UserObservable) or element.rows):
+                still = relatives[number].x._replace(time=ZERO)  # potentials do not depend on it
+                total = total + element.energy(placed, still.motion)
+        return total
+
+    def observed(self, body: TreeConstants, seen: TreeMotion, time: Any) -> tuple[Any, ...]:
+        """Each observable's value."""
+        relatives = _Relatives(self.plan.connections, body.ends, seen)
+        pairs = zip(self.plan.elements, body.elements, strict=True)
+        return tuple(
+            element.value(placed, relatives[number].x.motion)
+            for number, (element, placed) in enumerate(pairs, len(self.plan.joints))
+            if isinstance(element, UserObservable)
+        )
+
+    def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
+        """R (row by row), r, ω, v, of every link."""
+        motion = self.seen(body, state, ZERO)
+        found = []
+        for i in self._linked:
+            frame = body.nodes[i].frame
+            pose = se3.compose(motion.pose(i), se3.inverse(frame))
+            found.append(pose[0] + pose[1] + se3.Ad(frame, motion.twists[i]))
+        return found
+
+    def forces(self, body: TreeConstants, state: State, time: Any) -> tuple[Vec, list[Vec]]:
+        """λ of all rows of joints, and every joint's wrench on its body, about its frame there."""
+        found = self.accelerate(body, self.seen(body, state, time))
+        solution = dict(zip(self.rows, found.solved.multipliers, strict=True))
+        multipliers: list[Any] = []
+        wrenches = []
+        for number, joint in enumerate(self.plan.joints):
+            total = ZERO6
+            x, ends = found.relatives[number].x, body.ends[number]
+            if number < self.plan.links:
+                total = found.bodies.transmitted(joint.node, found.solved.response)
+            own = _held_multipliers(joint.rows, x.q, total)
+            for row in joint.rows:
+                if (number, row) in solution:
+                    size = solution[number, row]
+                    own[row] = size
+                    total = axpy(-size, row.jacobian(x, ends), total)
+            multipliers += [own[row] for row in joint.rows]
+            wrenches.append(total)
+        return tuple(multipliers), wrenches
+
+    def starts_well(self, numbers: list[Any], time: Any) -> Any:
+        """1: mechanisms are looked at before they are packed (`lierb.mechanism.violation`)."""
+        return 1.0
+
+    # ---- a step ----
+
+    @property
+    def is_light(self) -> bool:
+        """Whether registers hold two packs of it: never, of many bodies."""
+        return False
+
+    @property
+    def takes_gentle_steps(self) -> bool:
+        return True
+
+    def before_step(self, body: TreeConstants, chart: tuple[Chart, ...]) -> None:
+        return None
+
+    def moved(self, chart: tuple[Chart, ...], x: Vec) -> tuple[Chart, ...]:
+        """C₀ exp X, node by node."""
+        return tuple(
+            CHARTS[node.cspace].compose_exp(each, part)
+            for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
+        )
+
+    def in_algebra(self, body: TreeConstants, x: Vec) -> Vec:
+        found: list[Any] = []
+        for node, constants, part in zip(self.plan.tree, body.nodes, _sixes(x), strict=True):
+            reduced = node.is_reduced
+            found += subgroup.in_subalgebra(node.slots, part, constants.pitch) if reduced else part
+        return tuple(found)
+
+    def rates(
+        self,
+        body: TreeConstants,
+        chart: tuple[Chart, ...],
+        before: None,
+        x: Vec,
+        velocity: Vec,
+        time: Any,
+    ) -> Rates:
+        """Of one stage; arguments as of `SaddlePoint`."""
+        parts = _sixes(x)
+        angles = [quaternion.angle_coefficients(part) for part in parts]
+        tree = self.plan.tree
+        moved = tuple(
+            CHARTS[node.cspace].compose_exp(each, part, k)
+            for node, each, part, k in zip(tree, chart, parts, angles, strict=True)
+        )
+        motion = self.motion(body, moved, velocity, time)
+        found = self.accelerate(body, motion)
+        singular = found.singular
+        if self.rows:  # another rank is another mechanism
+            singular = where(found.dropped == body.dropped, singular, 1.0)
+        x_rates: list[Any] = []
+        for node, part, v, k in zip(tree, parts, _sixes(velocity), angles, strict=True):
+            x_rates += CHARTS[node.cspace].dexpinv(neg(part), v, k)
+        return Rates(tuple(x_rates), found.rates, found.power, singular)
+
+    def motion(
+        self, body: TreeConstants, chart: tuple[Chart, ...], velocity: Vec, time: Any
+    ) -> TreeMotion:
+        poses = [quaternion.pose(each) for each in chart]
+        return TreeMotion(self.plan.tree, body, poses, _sixes(velocity), time)
+
+    def recharted(self, chart: tuple[Chart, ...], x: Vec) -> tuple[tuple[Chart, ...], Vec]:
+        pairs = [
+            recharted(CHARTS[node.cspace], each, part)
+            for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
+        ]
+        return tuple(pair[0] for pair in pairs), tuple(y for pair in pairs for y in pair[1])
+
+    def tidied(self, body: TreeConstants, chart: tuple[Chart, ...]) -> tuple[Chart, ...]:
+        """What rounding has taken from it: quaternions to unit length, screws on H."""
+        found = []
+        for node, constants, (p, d) in zip(self.plan.tree, body.nodes, chart, strict=True):
+            p = quaternion.normalised(p)
+            if node.is_reduced and PITCHED in node.slots:
+                at = Kinematics(quaternion.matrix(p), d, ZERO3, ZERO3, ZERO3, ZERO3, True)
+                off = Screw().value(at, Ends(HERE, HERE, constants.pitch))
+                d = (d[0], d[1], d[2] - off)
+            found.append((p, d))
+        return tuple(found)
+
+    # ---- accelerations ----
+
+    @cached_property
+    def rows(self) -> tuple[tuple[int, Row], ...]:
+        """Those that have a multiplier, with the number of their connection."""
+        plan = self.plan
+        found = []
+        for number, connection in enumerate(plan.connections):
+            is_link = number < plan.links
+            rows = plan.tree[connection.node].others if is_link else connection.rows
+            found += [(number, row) for row in rows]
+        return tuple(found)
+
+    def accelerate(
+        self, body: TreeConstants, motion: TreeMotion, forces: bool = True
+    ) -> TreeAcceleration:
+        """forces : whether elements act."""
+        plan = self.plan
+        relatives = _Relatives(plan.connections, body.ends, motion)
+        loads = {
+            i: neg(constants.rigid.bias(twist))
+            for i, (node, constants, twist) in enumerate(
+                zip(plan.tree, body.nodes, motion.twists, strict=True)
+            )
+            if node.link != MASSLESS
+        }
+        applied, power = self._applied(body, relatives) if forces else ({}, ZERO)
+        for i, load in applied.items():
+            loads[i] = add(loads[i], load)
+        wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
+        fall = {
+            i: ZERO3 + neg(body.nodes[i].gravity)
+            for i, node in enumerate(plan.tree)
+            if node.parent == GROUND
+        }
+        biases = [add(b, self._damped(i, motion)) for i, b in enumerate(motion.biases())]
+        bodies = ArticulatedBodies(motion)
+        rows = [
+            relatives.asked(number, row, value)
+            for (number, row), value in zip(self.rows, wanted, strict=True)
+        ]
+        found = solved(bodies, rows, loads, biases, fall)
+        for (number, row), multiplier in zip(self.rows, found.multipliers, strict=True):
+            rate = row.prescribed_rate(relatives[number].x, body.ends[number])
+            power = fma(-multiplier, rate, power)
+        rates = self._rates(motion, found)
+        return TreeAcceleration(
+            rates, power, found.singular, found.dropped, bodies, found, relatives
+        )
+
+    def _applied(self, body: TreeConstants, relatives: _Relatives) -> tuple[dict[int, Vec], Any]:
+        """Wrenches of all elements on the nodes, and what they add to E."""
+        loads: dict[int, Vec] = {}
+        power: Any = ZERO
+        first = len(self.plan.joints)
+        for number, (element, placed) in enumerate(
+            zip(self.plan.elements, body.elements, strict=True), first
+        ):
+            if isinstance(element, UserObservable) or element.rows:
+                continue
+            x = relatives[number].x.motion
+            wrench = element.wrench(placed, x)
+            power = power + element.power(placed, x, wrench)
+            for i, load in relatives.asked(number, wrench[0] + wrench[1], ZERO).loads().items():
+                loads[i] = add(loads[i], load) if i in loads else load
+        return loads, power
+
+    def _acceleration(self, number: int, row: Row, relatives: _Relatives) -> Any:
+        """What J has to be of V̇_a − Ad V̇_b."""
+        relative, ends = relatives[number], relatives.ends[number]
+        x, kept = relative.x, self.plan.stabilisation
+        jacobian = row.jacobian(x, ends)
+        velocity = x.omega + x.point_rate
+        wanted = row.acceleration(x, ends) - dot(jacobian, bracket(velocity, relative.carried))
+        if kept.kind != "baumgarte":
+            return wanted
+        off = dot(jacobian, velocity) - row.prescribed_rate(x, ends)
+        wanted = fma(-2.0 * kept.alpha, off, wanted)
+        return fma(-kept.beta * kept.beta, relatives.residual(number, row), wanted)
+
+    def _damped(self, i: int, motion: TreeMotion) -> Vec:
+        """What Baumgarte's method adds to a node's acceleration on its joint."""
+        kept = self.plan.stabilisation
+        if kept.kind != "baumgarte" or self.plan.tree[i].is_reduced:
+            return ZERO6
+        off, moving = self._off(i, motion), _bound(motion, i, motion.relative[i])
+        return axpy(-2.0 * kept.alpha, moving, scale(-kept.beta * kept.beta, off))
+
+    def _off(self, i: int, motion: TreeMotion) -> Vec:
+        """How far a node on its own pose is off the rows on whose null space it is solved."""
+        node = self.plan.tree[i]
+        held, fixed, _ = kinds_of(node.rows)
+        own = (*held.values(), *fixed.values())
+        x = Relative(motion.kinematics(motion.hung(i), ZERO6), HERE, ZERO6, None).x
+        values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
+        turn = tuple(values[fixed[k]] if k in fixed else ZERO for k in range(3))
+        d = tuple(x.d[j] if j in held else ZERO for j in range(3))
+        return turn + mat_t_vec(x.q, d)
+
+    def _rates(self, motion: TreeMotion, found: Solved) -> Vec:
+        """V̇_rel, or V̇ as the node's c-space has it."""
+        rates: list[Any] = []
+        for i, node in enumerate(self.plan.tree):
+            if node.is_reduced:
+                rates += found.response.rates[i]
+                continue
+            falling = motion.body.nodes[_root(self.plan, i)].gravity
+            moved, q = found.response.moved[i], motion.place(i)[0]
+            if node.cspace == "SE3":
+                rates += moved[:3] + add(moved[3:], mat_t_vec(q, falling))
+                continue
+            turning, twist, com = moved[:3], motion.twists[i], motion.body.nodes[i].com
+            swing = cross_add(twist[:3], cross(twist[:3], com), cross_add(turning, com, moved[3:]))
+            bent = cross_add(twist[:3], twist[3:], swing)
+            rates += turning + mat_vec_add(q, bent, falling)
+        return tuple(rates)
+
+    # ---- stabilisation ----
+
+    def stabilised(self, body: TreeConstants, state: State, time: Any) -> State:
+        """Pose and velocity put back on all rows, by the least kinetic energy."""
+        if self.plan.stabilisation.kind != "project":
+            return state
+        chart = self._closer(body, state.chart, time)
+        off = self._openness(body, chart, time)
+
+        def again() -> Any:
+            return where(off > CLOSED * CLOSED, self._closer(body, chart, time), chart)
+
+        chart = branch(any_lanes(off > CLOSED * CLOSED), again, lambda: chart, likely=False)
+        return state._replace(chart=chart, v_or_mu=self._on_rows(body, chart, state.v_or_mu, time))
+
+    def _openness(self, body: TreeConstants, chart: tuple[Chart, ...], time: Any) -> Any:
+        """The sum of the squares of all rows' values, lengths in units of the mechanism's own."""
+        motion = self.motion(body, chart, (ZERO,) * (6 * len(chart)), time)
+        relatives = _Relatives(self.plan.connections, body.ends, motion)
+        inverse = 1.0 / _length(body)
+        total: Any = ZERO
+        for number, connection in enumerate(self.plan.connections):
+            for row, value in relatives.residuals(number, connection.rows).items():
+                part = value * inverse if row.is_translational else value
+                total = fma(part, part, total)
+        return total
+
+    def _closer(
+        self, body: TreeConstants, chart: tuple[Chart, ...], time: Any
+    ) -> tuple[Chart, ...]:
+        """A step of Newton's method onto all rows."""
+        motion = self.motion(body, chart, (ZERO,) * (6 * len(chart)), time)
+        relatives = _Relatives(self.plan.connections, body.ends, motion)
+        wanted = [-relatives.residual(number, row) for number, row in self.rows]
+        biases = [neg(self._off(i, motion)) for i in range(len(self.plan.tree))]
+        moved = self._displaced(motion, relatives, wanted, biases)
+        return self.moved(chart, scale(0.5, moved))
+
+    def _on_rows(
+        self, body: TreeConstants, chart: tuple[Chart, ...], velocity: Vec, time: Any
+    ) -> Vec:
+        """The nearest velocity that satisfies all rows."""
+        motion = self.motion(body, chart, velocity, time)
+        relatives = _Relatives(self.plan.connections, body.ends, motion)
+        wanted = []
+        for number, row in self.rows:
+            x, ends = relatives[number].x, body.ends[number]
+            rate = dot(row.jacobian(x, ends), x.omega + x.point_rate)
+            wanted.append(row.prescribed_rate(x, ends) - rate)
+        biases = [neg(_bound(motion, i, relative)) for i, relative in enumerate(motion.relative)]
+        return add(velocity, self._displaced(motion, relatives, wanted, biases))
+
+    def _displaced(
+        self, motion: TreeMotion, relatives: _Relatives, wanted: list[Any], biases: list[Vec]
+    ) -> Vec:
+        """The smallest motion, in the kinetic metric, of which rows are `wanted`."""
+        rows = [
+            relatives.asked(number, row, value)._replace(fall=None)
+            for (number, row), value in zip(self.rows, wanted, strict=True)
+        ]
+        found = solved(ArticulatedBodies(motion), rows, {}, biases)
+        moved: list[Any] = []
+        for i, node in enumerate(self.plan.tree):
+            twist = found.response.moved[i]
+            if node.is_reduced:
+                moved += found.response.rates[i]
+            elif node.cspace == "SE3":
+                moved += twist
+            else:
+                com = motion.body.nodes[i].com
+                along = mat_vec(motion.place(i)[0], cross_add(twist[:3], com, twist[3:]))
+                moved += twist[:3] + along
+        return tuple(moved)
+
+
+class TreeAcceleration(NamedTuple):
+    """rates : flat, as velocities are.   power : what forces and motors add to E."""
+
+    rates: Vec
+    power: Any
+    singular: Any
+    dropped: Any
+    bodies: ArticulatedBodies
+    solved: Solved
+    relatives: _Relatives
+
+
+class _Relatives:
+    """How every connection's frames move, each found when it is first asked for."""
+
+    def __init__(
+        self, connections: tuple[Connection, ...], ends: tuple[Ends, ...], motion: TreeMotion
+    ) -> None:
+        self.connections, self.ends, self.motion = connections, ends, motion
+        self._found: dict[int, Relative] = {}
+        self._residuals: dict[int, dict[Row, Any]] = {}
+
+    def __getitem__(self, number: int) -> Relative:
+        if number not in self._found:
+            pair = self.connections[number], self.ends[number]
+            self._found[number] = self.motion.between(*pair)
+        return self._found[number]
+
+    def asked(self, number: int, row: Row | Vec, wanted: Any) -> Asked:
+        """Of a row there, or of one with this Jacobian."""
+        relative, ends, connection = self[number], self.ends[number], self.connections[number]
+        jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
+        return asked(connection, relative, jacobian, ends.inner, wanted)
+
+    def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:
+        """h of each row there."""
+        rows = tuple(r for r in rows if r.is_holonomic)
+        return dict(zip(rows, residuals(rows, self[number].x, self.ends[number]), strict=True))
+
+    def residual(self, number: int, row: Row) -> Any:
+        """h of one row, zero of one that says nothing of the pose."""
+        if number not in self._residuals:
+            self._residuals[number] = self.residuals(number, self.connections[number].rows)
+        return self._residuals[number].get(row, ZERO)
+
+
+# ---- what a plan's constants are made of -------------------------------------------------------
+
+
+def _pose(numbers: Vec) -> Pose:
+    return numbers[:9], numbers[9:]
+
+
+def _charts(numbers: Vec) -> tuple[Chart, ...]:
+    return tuple((numbers[i : i + 4], numbers[i + 4 : i + 7]) for i in range(0, len(numbers), 7))
+
+
+def _sixes(numbers: Vec) -> list[Vec]:
+    return [numbers[i : i + 6] for i in range(0, len(numbers), 6)]
+
+
+def _first_of_joint(plan: MechanismPlan, i: int) -> int:
+    """Of the nodes that make up the joint of a link's node, the first."""
+    parent = plan.tree[i].parent
+    return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
+
+
+def _root(plan: MechanismPlan, i: int) -> int:
+    while plan.tree[i].parent != GROUND:
+        i = plan.tree[i].parent
+    return i
+
+
+def _node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
+    node = plan.tree[i]
+    link = node.link
+    if link == MASSLESS:  # the first motion of the next node's joint
+        nothing = Rigid(ZERO, ZERO3, diagonal(ZERO3))
+        link = plan.tree[i + 1].link
+        rigid, inertia, com, frame = nothing, nothing.inertia, ZERO3, HERE
+    else:
+        (mass,) = read[f"{link}.mass"]
+        frame = _pose(read[f"{link}.body_frame"])
+        theta = sub(read[f"{link}.inertia"], scale(mass, unit_inertia(read[f"{link}.com"])))
+        inertia = conjugated(transpose(frame[0]), theta)
+        com = mat_t_vec(frame[0], sub(read[f"{link}.com"], frame[1]))
+        about_point = axpy(mass, unit_inertia(com), inertia)
+        rigid = Rigid(mass, scale(mass, com), about_point)
+    hang, gravity = HERE, ZERO3
+    if _first_of_joint(plan, i) == i:
+        ground = _pose(read[f"{link}.ground_frame"])
+        hang = ground
+        if node.parent == GROUND:
+            gravity = mat_t_vec(ground[0], read["gravity"])
+        else:
+            hang = se3.compose(
+                se3.inverse(_pose(read[f"{plan.tree[node.parent].link}.body_frame"])), ground
+            )
+    (pitch,) = read[f"{link}.pitch"]
+    return NodeConstants(rigid, inertia, com, hang, gravity, frame, pitch)
+
+
+def _joint_ends(
+    plan: MechanismPlan, nodes: tuple[NodeConstants, ...], number: int, read: dict[str, Vec]
+) -> Ends:
+    joint = plan.joints[number]
+    (pitch,), (length,) = read[f"{number}.pitch"], read[f"{number}.length"]
+    inner = se3.compose(se3.inverse(nodes[joint.node].frame), _pose(read[f"{number}.body_frame"]))
+    outer = _pose(read[f"{number}.ground_frame"])
+    if joint.other != GROUND:
+        outer = se3.compose(se3.inverse(nodes[joint.other].frame), outer)
+    if number < plan.links:
+        inner = HERE
+    return Ends(inner, outer, pitch, length)
+
+
+def _placed(
+    element: Element, k: int, c: Connection, nodes: tuple[NodeConstants, ...], read: dict[str, Vec]
+) -> Any:
+    """An element's parameters in the frames that it acts between."""
+    given = {
+        name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
+        for name, shape in element.shapes.items()
+    }
+    if element.sees_body:
+        body = nodes[c.node]
+        turned = conjugated(body.frame[0], body.inertia)
+        com = mat_vec_add(body.frame[0], body.com, body.frame[1])
+        seen = body.rigid.mass, turned, com
+        given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
+    axes, origin = nodes[c.node].frame
+    ground = HERE if c.other == GROUND else nodes[c.other].frame
+    if c.joint >= 0:
+        ground = _pose(read[f"{c.joint}.ground_frame"])
+        axes, origin = _pose(read[f"{c.joint}.body_frame"])
+    return element.placed(given, Frames(ground, axes, origin))
+
+
+# ---- starts ------------------------------------------------------------------------------------
+
+
+def _given(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
+    """A node's pose, seen from the ground, and its twist."""
+    pose = se3.compose(_pose(read[f"{link}.pose"]), constants.frame)
+    return pose, twist_at(constants.frame, read[f"{link}.twist"])
+
+
+def _apart(
+    node: Node, constants: NodeConstants, root: Pose, place: Pose, twist: Vec
+) -> tuple[Chart, Vec]:
+    """The state of a node on its own pose, seen from the ground's frame at its tree's root."""
+    q, d = se3.compose(se3.inverse(root), place)
+    if node.cspace == "SE3":
+        return quaternion.from_pose((q, d)), twist
+    com = constants.com
+    rate = mat_vec(q, cross_add(twist[:3], com, twist[3:]))
+    return quaternion.from_pose((q, mat_vec_add(q, com, d))), twist[:3] + rate
+
+
+def _factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Chart, Vec]]:
+    """The two motions of one freedom whose product D is, and D⁻¹Ḋ of both.
+
+    The first one is read off D in the ground's axes, the last one in the body's.
+    """
+    (i,), (j,) = (tuple(k for k in range(6) if slots[k] >= 0) for slots in (first, last))
+    q, place = d
+    charts = [quaternion.from_pose(HERE)] * 2
+    if i < 3:  # Q e = F₁ e, for the axis e of the last turn
+        axis = j if j < 3 else (i + 1) % 3
+        charts[0] = _turn(i, axis, column(q, axis))
+    else:
+        charts[0] = charts[0][0], tuple(place[k] if 3 + k == i else ZERO for k in range(3))
+    if j < 3:  # Qᵀe = F₂ᵀe, for the axis e of the first
+        axis = i if i < 3 else (j + 1) % 3
+        p, none = _turn(j, axis, row(q, axis))
+        charts[1] = (p[0], *neg(p[1:])), none
+    else:
+        within = mat_t_vec(q, place)
+        charts[1] = charts[1][0], tuple(within[k] if 3 + k == j else ZERO for k in range(3))
+    along = row(q, i % 3)
+    rates = dot(along, relative[:3] if i < 3 else relative[3:]), relative[j]
+    return [
+        (chart, tuple(rate if k == slot else ZERO for k in range(6)))
+        for chart, rate, slot in zip(charts, rates, (i, j), strict=True)
+    ]
+
+
+def _turn(about: int, axis: int, seen: Vec) -> Chart:
+    """The turn about one axis that takes another one to where it is `seen`."""
+    third = 3 - about - axis
+    sign = 1.0 if axis == (about + 1) % 3 else -1.0
+    inverse = 1.0 / norm((seen[axis], seen[third]))
+    c, s = seen[axis] * inverse, sign * (seen[third] * inverse)
+    i, j = (about + 1) % 3, (about + 2) % 3
+    matrix = list(IDENTITY)
+    matrix[4 * i], matrix[4 * j] = c, c
+    matrix[3 * j + i], matrix[3 * i + j] = s, -s
+    return quaternion.of_matrix(tuple(matrix)), ZERO3
+
+
+# ---- what is seen ------------------------------------------------------------------------------
+
+
+def _bound(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
+    """Of V_rel, what a node's rows forbid that its null space keeps."""
+    node = motion.nodes[i]
+    if node.is_reduced:
+        return ZERO6
+    fixed = kinds_of(node.rows)[1]
+    turning = tuple(velocity[k] if k in fixed else ZERO for k in range(3))
+    return turning + motion.held(i, velocity[3:])
+
+
+def _largest(squares: Sequence[Any]) -> Any:
+    total: Any = ZERO
+    for square in squares:
+        total = maximum(total, square)
+    return total
+
+
+def _held_multipliers(rows: Rows, q: Mat, wrench: Vec) -> dict[Row, Any]:
+    """λ of rows that a wrench, which does no work on the joint, is made of."""
+    torque, force = wrench[:3], wrench[3:]
+    found: dict[Row, Any] = {}
+    for r in rows:
+        if r.held_axis is not None:
+            found[r] = -dot(row(q, r.held_axis), force)
+        elif r.fixed_axis is not None:
+            found[r] = -torque[r.fixed_axis]
+        elif r.slot == (5, PITCHED):
+            found[r] = -force[2]
+    return found
+
+
+def _length(body: TreeConstants) -> Any:
+    """A length of the mechanism's own, m: the largest arm of a link."""
+    heavy = next(c for c in body.nodes if c.rigid.mass is not ZERO)
+    trace = heavy.inertia[0] + heavy.inertia[4] + heavy.inertia[8]
+    total: Any = sqrt(trace / heavy.rigid.mass)
+    for constants in body.nodes:
+        total = total + norm(constants.com) + norm(constants.hang[1])
+    return total

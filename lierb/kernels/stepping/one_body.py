@@ -1,0 +1,233 @@
+"""One body in the driver's terms: what is read of it, its state, what is seen of it.
+
+`lierb.kernels.stepping.mechanism.TreeFormulation` says the same of many bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from lierb.kernels.groups import quaternion, so3
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics.elements import Element, UserObservable, body_with
+from lierb.kernels.mechanics.newton_euler import (
+    SE3,
+    BodyConstants,
+    Parameters,
+    Pose,
+    SO3xR3,
+    about_a_point,
+    closed_pose,
+)
+from lierb.kernels.mechanics.scale import bearings, start_tolerances
+from lierb.kernels.numbers.arithmetic import rounded_as_numpy, sqrt, where
+from lierb.kernels.numbers.vec import (
+    IDENTITY,
+    ZERO3,
+    ZERO6,
+    Mat,
+    Vec,
+    diagonal,
+    dot,
+    mat_mat,
+    mat_vec_add,
+)
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.formulations import LARGEST, accelerate
+from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, inputs_of
+from lierb.kernels.stepping.measures import Observed, measured
+from lierb.kernels.stepping.state import State
+
+if TYPE_CHECKING:
+    from lierb.kernels.stepping.plan import Plan
+
+
+class Seen(NamedTuple):
+    """A body at one time."""
+
+    pose: Pose
+    velocity: Vec
+
+
+def parameters_of(
+    numbers: list[Any], turn: Mat = IDENTITY, shift: Vec = ZERO3
+) -> tuple[Parameters, Any, Any]:
+    """Parameters, pose and twist from the numbers of the input columns.
+
+    A pose of NaN stands for the one in which the joint is closed, `lierb.joints.Joint.closed_pose`.
+
+    turn, shift : of the joint's axes on the body, and of its point, along them.
+    """
+    parts = INPUTS.parts(numbers)
+    parameters = Parameters(
+        mass=parts["mass"][0],
+        inertia=parts["inertia"],
+        com=parts["com"],
+        gravity=parts["gravity"],
+        ground=_pose(parts["ground_frame"]),
+        body=_pose(parts["body_frame"]),
+        pitch=parts["pitch"][0],
+        length=parts["length"][0],
+    )
+    pose = _pose(parts["pose"])
+    with rounded_as_numpy(parameters.mass):
+        closed = closed_pose(parameters.ground, parameters.body, parameters.length)
+    axes, point = parameters.body
+    return (
+        parameters._replace(body=(mat_mat(axes, turn), mat_vec_add(axes, shift, point))),
+        where(pose[1][0] == pose[1][0], pose, closed),
+        parts["twist"],
+    )
+
+
+def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
+    return numbers[:9], numbers[9:]
+
+
+def body_of(
+    space: type[SE3] | type[SO3xR3],
+    elements: tuple[Element, ...],
+    numbers: list[Any],
+    turn: Mat = IDENTITY,
+    shift: Vec = ZERO3,
+) -> BodyConstants:
+    """The body, with its elements, from the numbers of all input columns."""
+    parameters, _, _ = parameters_of(numbers, turn, shift)
+    return body_with(space, parameters, elements, numbers[INPUTS.count :])
+
+
+@dataclass(frozen=True)
+class OneBody:
+    """Of a plan: what the driver asks of a system."""
+
+    plan: Plan
+    links = 1
+    joints = ()  # those whose errors have columns of their own
+
+    @property
+    def inputs(self) -> Columns:
+        return inputs_of(self.plan.elements)
+
+    @property
+    def state(self) -> Columns:
+        return STATE
+
+    def body(self, numbers: list[Any]) -> BodyConstants:
+        plan = self.plan
+        body = body_of(plan.space, plan.elements, numbers)
+        if plan.turns_about_a_point:
+            turn, centre, moments, differences = about_a_point(body)
+            turn = so3.orthonormalised(turn)
+            turned = body_of(plan.space, plan.elements, numbers, turn)
+            body = plan.space.centred(turned, centre)._replace(
+                turn=turn,
+                origin_inertia=diagonal(moments),
+                moments=moments,
+                differences=differences,
+            )
+        if plan.formulation.slides_as_it_turns:
+            shift = (*body.com[:2], ZERO)
+            moved = body_of(plan.space, plan.elements, numbers, shift=shift)
+            body = plan.space.centred(moved, (ZERO, ZERO, body.com[2]))._replace(shift=shift)
+        return plan.formulation.prepared(body)
+
+    def start(self, body: BodyConstants, numbers: list[Any]) -> State:
+        plan = self.plan
+        parameters, pose, twist = parameters_of(numbers, body.turn, body.shift)
+        placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
+        chart, v_or_mu = plan.formulation.start(
+            body, parameters, twist, quaternion.from_pose(placed), velocity
+        )
+        still = tuple(0.0 * v for v in velocity)
+        state = State(chart, still, v_or_mu, 0.0 * parameters.mass)
+        return self.structured(state, parameters.pitch)
+
+    def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
+        """From its numbers side by side."""
+        found = STATE.parts(numbers)
+        state = State((found["p"], found["d"]), found["x"], found["v_or_mu"], *found["work"])
+        return self.structured(state, 1.0 if body is None else body.pitch)
+
+    def structured(self, state: State, pitch: Any) -> State:
+        """The state with the structural zeros of the plan."""
+        plan = self.plan
+        chart, x, v_or_mu = plan.formulation.structured(state.chart, state.x, state.v_or_mu, pitch)
+        work = state.work if plan.does_work else ZERO
+        return State(chart, ZERO6 if plan.is_local else x, v_or_mu, work)
+
+    def seen(self, body: BodyConstants, state: State, time: Any) -> Seen:
+        formulation = self.plan.formulation
+        pose = quaternion.pose(formulation.chart(state.chart, state.x))
+        return Seen(pose, formulation.velocity(body, state.v_or_mu))
+
+    def told_by(self, chart: Chart) -> tuple[Vec, Vec]:
+        """Of its chart, numbers that are finite if all turns are, and all places."""
+        return (chart[0][0],), chart[1]
+
+    def turning(self, body: BodyConstants, state: State) -> list[Any]:
+        """The square of its angular velocity, rad²/s²."""
+        omega = self.plan.formulation.velocity(body, state.v_or_mu)[:3]
+        return [dot(omega, omega)]
+
+    def dropped(self, body: BodyConstants, state: State) -> Any:
+        """How many rows depend on others."""
+        formulation = self.plan.formulation
+        chart = formulation.chart(state.chart, state.x)
+        return formulation.dropped(body, chart, state.v_or_mu)
+
+    def measured(
+        self, body: BodyConstants, state: State, seen: Seen, time: Any, first_energy: Any = ZERO
+    ) -> Observed:
+        kinetic_energy = self.plan.formulation.kinetic_energy(body, state.v_or_mu)
+        found = measured(
+            self.plan, body, seen.pose, seen.velocity, kinetic_energy, state.work, time,
+            first_energy,
+        )  # fmt: skip
+        return Observed(found)
+
+    def observed(self, body: BodyConstants, seen: Seen, time: Any) -> tuple[Any, ...]:
+        """Each observable's value."""
+        pairs = [
+            pair
+            for pair in zip(self.plan.elements, body.elements, strict=True)
+            if isinstance(pair[0], UserObservable)
+        ]
+        if not pairs:
+            return ()
+        x = self.plan.space.kinematics(body, *seen)._replace(time=time)
+        return tuple(element.value(own, x.motion) for element, own in pairs)
+
+    def in_user_frames(
+        self, body: BodyConstants, numbers: list[Any], state: State, seen: Any = None
+    ) -> list[Vec]:
+        """R (row by row), r, ω, v, of every link."""
+        parameters, _, _ = parameters_of(numbers, body.turn, body.shift)
+        pose, velocity = self.seen(body, state, ZERO)
+        pose, twist = self.plan.space.to_user_axes(parameters, pose, velocity)
+        return [pose[0] + pose[1] + twist]
+
+    def forces(self, body: BodyConstants, state: State, time: Any) -> tuple[Vec, list[Vec]]:
+        """λ of all rows, and every joint's wrench on its body."""
+        formulation = self.plan.formulation
+        velocity = formulation.velocity(body, state.v_or_mu)
+        chart = formulation.chart(state.chart, state.x)
+        found = accelerate(self.plan, body, chart, velocity, time)
+        return found.multipliers, [found.reaction]
+
+    def starts_well(self, numbers: list[Any], time: Any) -> Any:
+        """1 where the start, as given, is on the joint, else 0."""
+        plan = self.plan
+        parameters, pose, twist = parameters_of(numbers)
+        placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
+        body = body_of(plan.space, plan.elements, numbers)
+        x = plan.space.kinematics(body, placed, velocity)._replace(time=time)
+        off = measured(plan, body, placed, velocity, ZERO, ZERO, time)
+        allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
+        fine = allowed.position <= LARGEST  # false for NaN
+        for name, most in allowed._asdict().items():
+            fine = fine & (sqrt(off[f"{name}_error"]) <= most) & (most <= LARGEST)
+        for bearing in bearings(plan.rows, placed[0]):
+            fine = fine & (bearing > 0.0)
+        return where(fine, 1.0, 0.0)
