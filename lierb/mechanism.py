@@ -14,10 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lierb import mechanism_closing
 from lierb.arrays import (
     Array,
     Pose,
     as_floats,
+    as_number,
     as_numbers,
     as_poses,
     as_rotations,
@@ -39,6 +41,7 @@ from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
+from lierb.mechanism_closing import Mobility
 from lierb.model import Body, require, require_fit, shown_element
 from lierb.shown import Lines, Shown, counted, quantity
 from lierb.user_elements import MOST_NAME, Constraint, Element, Force, Observable, reject_functions
@@ -608,6 +611,94 @@ class Mechanism(Shown):
         """D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent."""
         own = se3.Ad(se3.inverse(self.parameters(at).body), twists[at.body])
         return own if at.parent == NOWHERE else sub(own, self.carried(at, poses, twists))
+
+    # ---- closing -------------------------------------------------------------------------------
+
+    def close(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+        """Poses that close all joints and loops, from some near by, by Newton's method.
+
+        pose : of all links, (4, 4) or (n, 4, 4).   Returns the same.
+
+        Every step is the motion of least kinetic energy that makes up for what is open, as in
+        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already
+        comes back as it is. Raises PoseError where that leads nowhere, and says which joint stays
+        open by how much.
+
+        >>> import lierb
+        >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
+        >>> turning = dict(axis=(0.0, 1.0, 0.0))
+        >>> bar = lierb.Link("bar", rod, lierb.joints.revolute((0.0, 0.0, 0.5), **turning))
+        >>> strut = lierb.Link(
+        ...     "strut", rod, lierb.joints.revolute((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), **turning)
+        ... )
+        >>> tie = lierb.Loop(
+        ...     "tie",
+        ...     lierb.joints.revolute((0.0, 0.0, -0.5), parent_point=(0.0, 0.0, -0.5), **turning),
+        ...     "strut",
+        ...     "bar",
+        ... )
+        >>> truss = lierb.Mechanism([bar, strut], tie)
+        >>> closed = truss.close(truss.pose({"bar": -0.4, "strut": 0.4}))
+        >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
+        [-0.523599]
+        """
+        self.poses("pose", pose)
+        given = [as_poses(f"pose[{name!r}]", pose[name]) for name in self.names]
+        with np.errstate(all="ignore"):  # what overflows does not come to close
+            found = mechanism_closing.closed(self, given)
+        return {
+            n: finite(f"the closed pose of {n}", x) for n, x in zip(self.names, found, strict=True)
+        }
+
+    def project(
+        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
+    ) -> dict[str, Array]:
+        """The twists nearest to these that satisfy all joints and loops, in kinetic energy.
+
+        twist : of all links, (6,) or (n, 6), body-fixed.   pose : of all links. Default: all
+            coordinates 0.   t0 : s, at which motors are to have their speeds.
+        Returns V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁺ (J V − prescribed), of all links together.
+
+        Raises TwistError where motors ask for speeds that no twist has.
+
+        >>> import lierb
+        >>> box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+        >>> pair = lierb.Mechanism([
+        ...     lierb.Link("a", box, lierb.joints.free()),
+        ...     lierb.Link("b", box, lierb.joints.fixed(), parent="a"),
+        ... ])
+        >>> found = pair.project({"a": (0, 0, 0, 1.0, 0, 0), "b": (0, 0, 0, 0.0, 0, 0)})
+        >>> found["b"].round(9).tolist()
+        [0.0, 0.0, 0.0, 0.5, 0.0, 0.0]
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed), self.twists("twist", twist)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        twists = [as_numbers(f"twist[{name!r}]", twist[name], (6,)) for name in self.names]
+        with np.errstate(all="ignore"):
+            found = mechanism_closing.projected(self, twists, poses, as_number("t0", t0))
+        return {
+            n: finite(f"the projected twist of {n}", x)
+            for n, x in zip(self.names, found, strict=True)
+        }
+
+    def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
+        """How many freedoms its joints and loops leave at a pose, and how many rows are redundant.
+
+        pose : of all links, closed. Default: all coordinates 0.
+        Returns numbers, or (n,) of them, as `freedoms` and `redundant`. Motors are left out of it.
+
+        >>> import lierb
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
+        >>> bearing = lierb.Loop("bearing", lierb.joints.revolute(), "wheel")
+        >>> lierb.Mechanism(wheel, bearing).freedoms()
+        Mobility(freedoms=1, redundant=5)
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        with np.errstate(all="ignore"):
+            return mechanism_closing.mobility(self, poses)
 
     # ---- poses and twists of all links ---------------------------------------------------------
 
