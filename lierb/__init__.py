@@ -14,6 +14,7 @@ from lierb.mechanism import Link, Loop, Mechanism
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.result import Result
+from lierb.runs.mechanisms import baumgarte
 from lierb.runs.provenance import package_version
 from lierb.tableaus import ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
@@ -35,6 +36,7 @@ __all__ = [
     "Result",
     "animate",
     "animation",
+    "baumgarte",
     "bodies",
     "clip",
     "constraint",

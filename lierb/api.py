@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Iterable
-from functools import partial
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_numbers, as_poses, is_whole
+from lierb.arrays import Array, is_whole
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -24,19 +23,28 @@ from lierb.errors import (
 )
 from lierb.joints import JOINTS
 from lierb.kernels.mechanics.newton_euler import CSPACES
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.formulations import FORMULATIONS
-from lierb.kernels.stepping.plan import Plan, plan_of
+from lierb.kernels.stepping.mechanism import Stabilisation
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.mechanism import Mechanism
+from lierb.mechanism_closing import violation
 from lierb.model import Problem
 from lierb.result import Result
 from lierb.runs import checks, engine
-from lierb.runs.continuation import End, EndPose, counted
+from lierb.runs.continuation import End, counted
 from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
+from lierb.runs.mechanisms import (
+    check_mechanism_options,
+    cspaces_of,
+    ready_mechanism,
+    told_stabilisation,
+)
 from lierb.runs.memory import available, is_free, too_large
 from lierb.runs.progress import Progress, check_progress
 from lierb.runs.provenance import provenance
-from lierb.runs.tables import covers_of, history_table, size_of_tables, summary_table
+from lierb.runs.starts import ready_body
+from lierb.runs.tables import history_table, size_of_tables, summary_table
 from lierb.tableaus import ButcherTableau, tableau_of
 
 CSPACE_NAMES = (*CSPACES, "reduced")
@@ -48,35 +56,40 @@ CHECKS = ("raise", "warn", "off")
 
 
 def integrate(
-    problem: Problem,
+    problem: Problem | Mechanism,
     *,
-    twist0: ArrayLike,
+    twist0: ArrayLike | Mapping[str, ArrayLike],
     pose0: Any = None,
     dt: float,
     t_end: float,
     t0: float = 0.0,
     method: str | ButcherTableau = "RK4",
-    cspace: str = "SE3",
+    cspace: str | Mapping[str, str] | None = None,
     update: str = "local",
     save_every: int | None = None,
     measure_every: int = 1,
     record: Iterable[str] = (),
     check: str = "raise",
     solver: str = "auto",
+    stabilise: str | Stabilisation | None = None,
     threads: int | None = None,
     progress: Progress = None,
 ) -> Result:
-    """Integrate one body, or every body of a batch, from t0 to t_end.
+    """Integrate a body or a mechanism, or every member of a batch of them, from t0 to t_end.
 
-    problem : the body, its joint and gravity; each batched, (n, …), or shared.
-    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t0, rad/s and m/s; see `Joint.twist`.
-    pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint.
+    problem : a body, its joint and gravity, or a `lierb.Mechanism`; all batched, (n, …), or shared.
+    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t0, rad/s and m/s; see `Joint.twist`. Of a
+        mechanism a dictionary with that of every link; see `Mechanism.twist`.
+    pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint. Of a mechanism
+        a dictionary; default: that with all coordinates 0, `Mechanism.pose()`.
     dt, t_end, t0 : s; from t0 to t_end there must be a whole number of steps. `Result.end` gives
         the pose0, twist0 and t0 with which a run goes on.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
         joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); that
-        has no room for an inconsistent start, whatever `check` says.
+        has no room for an inconsistent start, whatever `check` says. Of a mechanism the product of
+        such, one for each link, or a dictionary link → "SE3" or "SO3xR3"; "reduced" is the product
+        of the joints' subgroups. Default: "SE3", and "reduced" for a mechanism.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `history`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
@@ -88,6 +101,10 @@ def integrate(
         for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
         constant gain, found once (with check="raise" only: a start that is off by less than the
         tolerance is put on the subgroup). Default: "subgroup" where it can be, else "saddle".
+        A mechanism has none to choose.
+    stabilise : what keeps a mechanism's loops, and its joints on "SE3" and "SO3xR3", that drift
+        otherwise: "project", after each step pose and velocity are put back on them, by the least
+        kinetic energy; or `lierb.baumgarte(alpha, beta)`. Default: nothing.
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
         False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
@@ -107,81 +124,72 @@ def integrate(
     >>> result.summary["status"].to_pylist()
     ['ok']
     """
-    if not isinstance(problem, Problem):
-        raise ArgumentError(f"problem must be a lierb.Problem, got {told(problem)}")
+    if not isinstance(problem, (Problem, Mechanism)):
+        raise ArgumentError(
+            f"problem must be a lierb.Problem or a lierb.Mechanism, got {told(problem)}"
+        )
     problem.require_unchanged()
+    space = ("SE3" if isinstance(problem, Problem) else "reduced") if cspace is None else cspace
     recorded, tableau, steps, found_by = check_options(
-        problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=cspace, update=update,
+        problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=space, update=update,
         save_every=save_every, measure_every=measure_every, record=record, check=check,
-        solver=solver,
+        solver=solver, stabilise=stabilise,
     )  # fmt: skip
     check_progress(progress)
-    twists = as_numbers("twist0", twist0, (6,), copy=None)
-    known = pose0.continuation if isinstance(pose0, EndPose) else None
-    poses: Array | None = None
-    if pose0 is not None:
-        poses = as_poses("pose0", pose0, copy=None) if known is None else np.asarray(pose0)
-    start = (
-        {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
-    )
-    count = problem.batch_size(**start) or 1
-    rows = problem.rows
-    space = "SO3xR3" if cspace == "SO3xR3" else "SE3"
-    plan = plan_of(
-        DEFAULT_LANES,
-        rows=rows,
-        cspace=space,
-        update=update,
-        stages=tableau.A,
-        weights=tableau.b,
-        multipliers="multipliers" in recorded,
-        reaction="reaction" in recorded,
-        elements=problem.kinds,
-        solver=found_by,
-    )
     measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
-    if known is not None and not known.fits(problem, plan, twist0, float(t0)):
-        known = None
-    count_from = partial(counted, float(t0)) if known is None else known.origin
-    clock = Clock(float(dt), steps, measured, saved, *count_from(float(dt)))
-    state = None if known is None else known.state
-    starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
-    inputs = engine.Inputs(problem, plan.system.inputs, starts, count, float(t0), state)
-    on_violation = "raise" if cspace == "reduced" else check  # there it has no room
+    clock = Clock(float(dt), steps, measured, saved, *counted(float(t0), float(dt)))
+    options = {
+        "dt": clock.dt, "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
+        "cspace": space if isinstance(space, str) else dict(space), "update": update,
+        "save_every": clock.save_every or None, "measure_every": clock.measure_every,
+        "record": recorded, "check": check, "solver": found_by,
+    }  # fmt: skip
+    described = {
+        "update": update, "stages": tableau.A, "weights": tableau.b,
+        "multipliers": "multipliers" in recorded, "reaction": "reaction" in recorded,
+        "elements": problem.kinds,
+    }  # fmt: skip
+    if isinstance(problem, Problem):
+        assert isinstance(space, str)
+        ready = ready_body(problem, pose0, twist0, clock, float(t0), space, found_by, described)
+    else:
+        options["stabilise"] = told_stabilisation(stabilise)
+        ready = ready_mechanism(
+            problem, pose0, twist0, clock, float(t0), space, stabilise, described
+        )
+    plan, inputs, clock = ready.plan, ready.inputs, ready.clock
+    on_violation = "raise" if space == "reduced" else check  # there it has no room
 
     def check_start(starts: Array, first: int) -> bool:
         error = checks.violation(inputs, starts, first)
         _report(error, on_violation)
         return error is None
 
-    _require_memory(plan, clock, count, recorded)
-    checked = on_violation != "off" and bool(rows) and known is None
+    _require_memory(plan, clock, inputs.count, recorded)
+    checked = on_violation != "off" and not ready.goes_on
+    if checked and isinstance(problem, Mechanism):
+        _report(violation(problem, ready.pose0, ready.twist0, float(t0)), on_violation)
     metadata = provenance(
         problem,
-        twist0=twists,
-        pose0=poses,
-        is_continued=known is not None,
+        twist0=ready.twist0,
+        pose0=ready.pose0,
+        is_continued=ready.goes_on,
         plan=plan,
-        options={
-            "dt": float(dt), "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
-            "cspace": cspace, "update": update, "save_every": clock.save_every or None,
-            "measure_every": clock.measure_every,
-            "record": recorded, "check": check, "solver": found_by,
-        },
-    )  # fmt: skip
+        options=options,
+    )
+    is_seen = checked and isinstance(problem, Problem) and bool(problem.rows)
     try:
         output = engine.integrate(
             plan, inputs, clock, "state" in recorded, threads, progress,
-            check_start if checked else None,
+            check_start if is_seen else None,
         )  # fmt: skip
-        covers, seen = covers_of(problem), problem.observables
         result = Result(
-            summary_table(output, metadata, covers, seen),
-            history_table(output, recorded, plan, metadata, covers, seen) if save_every else None,
+            summary_table(output, metadata, problem),
+            history_table(output, recorded, plan, metadata, problem) if save_every else None,
             End(problem, plan, output, STATUS_NAMES),
         )
     except MemoryError as error:
-        raise _no_room(plan, clock, count, recorded) from error
+        raise _no_room(plan, clock, inputs.count, recorded) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
     return result
@@ -191,12 +199,12 @@ def integrate(
 
 
 def check_options(
-    problem: Problem,
+    problem: Problem | Mechanism,
     *,
     dt: float,
     t_end: float,
     method: str | ButcherTableau,
-    cspace: str,
+    cspace: str | Mapping[str, str],
     update: str,
     save_every: int | None,
     measure_every: int,
@@ -204,12 +212,25 @@ def check_options(
     check: str = "raise",
     solver: str = "auto",
     t0: float = 0.0,
+    stabilise: str | Stabilisation | None = None,
 ) -> tuple[tuple[str, ...], ButcherTableau, int, str]:
     """Raise what `integrate` would; columns to record, method, steps and what finds V̇."""
-    check_names(cspace=cspace, update=update, check=check, solver=solver)
+    check_names(update=update, check=check, solver=solver)
     recorded = _checked_record(record, save_every)
     tableau = tableau_of(method)
     steps = _checked_grid(dt, t_end, t0, save_every, measure_every)
+    if isinstance(problem, Mechanism):
+        cspaces_of(problem, cspace)
+        check_mechanism_options(problem, update, solver, stabilise)
+        return recorded, tableau, steps, "articulated"
+    if stabilise is not None:
+        raise ArgumentError(
+            f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
+            "lierb.Mechanism([lierb.Link(name, body, joint)])"
+        )
+    if not isinstance(cspace, str):
+        raise ArgumentError(f"cspace={told(cspace)}; expected one name for one body")
+    check_names(cspace=cspace)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
     return recorded, tableau, steps, _solver(problem, cspace, check, solver)
@@ -310,13 +331,15 @@ def _checked_time(name: str, given: float, after: float = 0.0) -> float:
     return seconds
 
 
-def _require_memory(plan: Plan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
+def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
     """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
     if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
         raise _no_room(plan, clock, count, recorded)
 
 
-def _no_room(plan: Plan, clock: Clock, count: int, recorded: tuple[str, ...]) -> MemoryLimitError:
+def _no_room(
+    plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]
+) -> MemoryLimitError:
     free = available()
     whole = size_of_tables(plan, count, clock.saved_rows, recorded)
     summary = size_of_tables(plan, count, 0, ())

@@ -48,6 +48,8 @@ from lierb.user_elements import MOST_NAME, Constraint, Element, Force, Observabl
 
 GROUND = "ground"
 NOWHERE = -1  # the number of the ground
+BODY = ("mass", "inertia", "com")
+JOINT = ("ground_frame", "body_frame", "pitch", "length")
 _quiet = np.errstate(all="ignore")  # what overflows is found in the result
 
 
@@ -311,6 +313,18 @@ class Mechanism(Shown):
         """Of the elements, as compiled code is specialised on them."""
         return tuple(element.kind for element in self.elements)
 
+    @cached_property
+    def quantities(self) -> dict[str, Array]:
+        """Its numbers, by the fields of `lierb.kernels.stepping.mechanism.inputs_of`."""
+        found: dict[str, Array] = {"gravity": self.gravity}
+        for i, link in enumerate(self.links):
+            found |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}
+        for i, each in enumerate(self.held):
+            found |= {f"{i}.{name}": getattr(each.joint, name) for name in JOINT}
+        for k, element in enumerate(self.elements):
+            found |= {f"element{k}.{name}": x for name, x in element.parameters.items()}
+        return found
+
     def require_unchanged(self) -> None:
         """Raise ForceError where a force's function refers to something that is another by now."""
         for element in self.elements:
@@ -481,7 +495,7 @@ class Mechanism(Shown):
         >>> lierb.Mechanism([wheel]).pose({"wheel": [0.0, 0.1, 0.2]})["wheel"].shape
         (3, 4, 4)
         """
-        given = self._by_link("coordinates", coordinates, is_whole=False)
+        given = self.by_link("coordinates", coordinates, is_whole=False)
         found: dict[int, Pose] = {}
         sizes = {}
         for i in self.order:
@@ -546,7 +560,7 @@ class Mechanism(Shown):
         [0.0, 0.0, 2.0, 0.0, -1.0, 0.0]
         """
         poses = self.poses("pose", self.pose() if pose is None else pose)
-        given = self._by_link("velocities", velocities, is_whole=False)
+        given = self.by_link("velocities", velocities, is_whole=False)
         found: dict[int, Vec] = {}
         sizes: dict[str, Any] = {f"pose[{n!r}]": poses[i][1][0] for i, n in enumerate(self.names)}
         for i in self.order:
@@ -704,19 +718,19 @@ class Mechanism(Shown):
 
     def poses(self, argument: str, given: Any) -> list[Pose]:
         """The poses of all links, checked, one array per component."""
-        found = self._by_link(argument, given)
+        found = self.by_link(argument, given)
         poses = {n: as_poses(f"{argument}[{n!r}]", found[n]) for n in self.names}
         self.batch_size(**{f"{argument}[{n!r}]": (array, 2) for n, array in poses.items()})
         return [pose_components(poses[name]) for name in self.names]
 
     def twists(self, argument: str, given: Any) -> list[Vec]:
         """The twists of all links, checked, one array per component."""
-        found = self._by_link(argument, given)
+        found = self.by_link(argument, given)
         twists = {n: as_numbers(f"{argument}[{n!r}]", found[n], (6,)) for n in self.names}
         self.batch_size(**{f"{argument}[{n!r}]": (array, 1) for n, array in twists.items()})
         return [components(twists[name]) for name in self.names]
 
-    def _by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
+    def by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
         """A dictionary with the names of links, of all of them where it must be whole."""
         if given is None and not is_whole:
             return {}

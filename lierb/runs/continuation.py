@@ -16,7 +16,9 @@ from lierb.arrays import Array
 from lierb.errors import ArgumentError
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import OK
-from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.mechanism import MechanismPlan
+from lierb.kernels.stepping.plan import AnyPlan, Plan
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.engine import Output
 from lierb.user_elements import Element
@@ -28,22 +30,22 @@ NAMED = 5  # failed trajectories in a message
 class Continuation:
     """The driver's state at the end of a run, and what it belongs to.
 
-    state : `end_columns` of the plan, [column][body].   twist0 : (n, 6).   t0 : s.
+    state : `end_columns` of the plan, [column][body].   twist0 : (n, 6), of a mechanism by link.   t0 : s.
     """
 
-    problem: Problem
-    formulation: tuple[str, str, str]
-    twist0: Array
+    problem: Problem | Mechanism
+    formulation: tuple[Any, ...]
+    twist0: Any
     t0: float
     clock: Clock
     state: Array
 
-    def fits(self, problem: Problem, plan: Plan, twist0: Any, t0: float) -> bool:
+    def fits(self, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float) -> bool:
         """Whether a run that starts so goes on from here; other forces may act from now on."""
         return (
             t0 == self.t0
             and formulation(plan) == self.formulation
-            and (twist0 is self.twist0 or np.array_equal(twist0, self.twist0))
+            and _are_equal(twist0, self.twist0)
             and (problem is self.problem or _is_held_alike(problem, self.problem))
         )
 
@@ -60,13 +62,28 @@ def counted(t0: float, dt: float) -> tuple[float, int]:
     return (0.0, steps) if steps * dt == t0 else (t0, 0)
 
 
-def formulation(plan: Plan) -> tuple[str, str, str]:
+def formulation(plan: AnyPlan) -> tuple[Any, ...]:
     """What a state's numbers mean."""
+    if isinstance(plan, MechanismPlan):
+        return plan.tree, plan.connections, plan.update, plan.stabilisation
+    assert isinstance(plan, Plan)
     return plan.cspace, plan.update, plan.solver
 
 
-def _is_held_alike(a: Problem, b: Problem) -> bool:
-    """Whether body, joint and what else holds it are the same."""
+def _are_equal(a: Any, b: Any) -> bool:
+    if isinstance(b, dict):
+        return a is b or (
+            isinstance(a, dict) and a.keys() == b.keys() and all(_are_equal(a[k], b[k]) for k in b)
+        )
+    return a is b or np.array_equal(a, b)
+
+
+def _is_held_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
+    """Whether bodies, joints and what else holds them are the same; mechanisms are when they are
+    one.
+    """
+    if isinstance(a, Mechanism) or isinstance(b, Mechanism):
+        return False
     holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
     return (
         a.joint.rows == b.joint.rows
@@ -101,6 +118,27 @@ class EndPose(np.ndarray):
         return np.asarray(self).__reduce__()
 
 
+class EndPoses(dict[str, Array]):
+    """Poses of all links at the end of a run, by name; a copy is a plain dictionary."""
+
+    continuation: Continuation | None = None
+
+    def copy(self) -> dict[str, Array]:
+        return dict(self)
+
+    def __setitem__(self, name: str, pose: Array) -> None:
+        self.continuation = None  # it is another end now
+        super().__setitem__(name, pose)
+
+    def __reduce__(self) -> Any:
+        return dict, (dict(self),)
+
+
+def continuation_of(pose0: Any) -> Continuation | None:
+    """What poses remember of the run at whose end they are, if they do."""
+    return pose0.continuation if isinstance(pose0, (EndPose, EndPoses)) else None
+
+
 @dataclass(frozen=True)
 class End:
     """The end of a run, from which it can go on.
@@ -108,15 +146,30 @@ class End:
     statuses : names of the statuses, by their codes.
     """
 
-    problem: Problem
-    plan: Plan
+    problem: Problem | Mechanism
+    plan: AnyPlan
     output: Output
     statuses: dict[int, str]
 
     def keywords(self) -> dict[str, Any]:
         """pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
         self._require_all()
-        r, place, omega, v = self.output.state
+        clock = self.output.clock
+        states = [self._state(link) for link in range(self.output.links)]
+        twists: Any = states[0][1]
+        poses: Any = states[0][0].view(EndPose)
+        if isinstance(self.problem, Mechanism):
+            pairs = dict(zip(self.problem.names, states, strict=True))
+            twists = {name: twist for name, (_, twist) in pairs.items()}
+            poses = EndPoses({name: pose for name, (pose, _) in pairs.items()})
+        poses.continuation = Continuation(
+            self.problem, formulation(self.plan), twists, clock.end, clock, self.output.ends
+        )
+        return {"pose0": poses, "twist0": twists, "t0": clock.end}
+
+    def _state(self, link: int) -> tuple[Array, Array]:
+        """Poses and twists of one link."""
+        r, place, omega, v = self.output.state_of(link)
         poses = np.zeros((len(r), 4, 4))
         poses[:, :3, :3] = r.reshape(-1, 3, 3)
         poses[:, :3, 3] = place
@@ -124,12 +177,7 @@ class End:
         twists = np.concatenate([omega, v], axis=1)
         for array in (poses, twists):
             array.setflags(write=False)
-        clock = self.output.clock
-        end = poses.view(EndPose)
-        end.continuation = Continuation(
-            self.problem, formulation(self.plan), twists, clock.end, clock, self.output.ends
-        )
-        return {"pose0": end, "twist0": twists, "t0": clock.end}
+        return poses, twists
 
     def _require_all(self) -> None:
         failed = np.flatnonzero(self.output.status != OK)

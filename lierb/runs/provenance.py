@@ -16,7 +16,8 @@ import numpy as np
 
 from lierb.arrays import Array, slices
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.mechanism import BODY, JOINT, Loop, Mechanism
 from lierb.model import Problem
 from lierb.user_elements import Element
 
@@ -44,12 +45,12 @@ def machine() -> dict[str, Any]:
 
 
 def provenance(
-    problem: Problem,
+    problem: Problem | Mechanism,
     *,
-    twist0: Array,
-    pose0: Array | None,
+    twist0: Array | dict[str, Array],
+    pose0: Array | dict[str, Array] | None,
     is_continued: bool,
-    plan: Plan,
+    plan: AnyPlan,
     options: dict[str, Any],
 ) -> str:
     """A JSON object.
@@ -59,8 +60,8 @@ def provenance(
     if problem not in _problems:
         _problems[problem] = json.dumps(_described_problem(problem))
     start = {
-        "twist0": _described(twist0),
-        "pose0": None if pose0 is None else _described(pose0),
+        "twist0": _described_start(twist0),
+        "pose0": None if pose0 is None else _described_start(pose0),
     }
     if is_continued:
         start["continued"] = True
@@ -82,7 +83,7 @@ def _described_options(*options: tuple[str, Any]) -> str:
 
 
 @cache
-def _described_plan(plan: Plan) -> str:
+def _described_plan(plan: AnyPlan) -> str:
     return json.dumps(
         {
             **machine(),
@@ -95,10 +96,19 @@ def _described_plan(plan: Plan) -> str:
 
 
 # As JSON: a problem's arrays cannot change, and digests of large ones take a while.
-_problems: WeakKeyDictionary[Problem, str] = WeakKeyDictionary()
+_problems: WeakKeyDictionary[Problem | Mechanism, str] = WeakKeyDictionary()
 
 
-def _described_problem(problem: Problem) -> dict[str, Any]:
+def _described_start(given: Array | dict[str, Array]) -> Any:
+    """Of a mechanism by link."""
+    if isinstance(given, dict):
+        return {name: _described(array) for name, array in given.items()}
+    return _described(given)
+
+
+def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:
+    if isinstance(problem, Mechanism):
+        return _described_mechanism(problem)
     return {
         **{name: _described(array) for name, array in problem.quantities.items()},
         "joint": problem.joint.name,
@@ -111,9 +121,36 @@ def _described_problem(problem: Problem) -> dict[str, Any]:
     }
 
 
+def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
+    held = {}
+    for each in mechanism.held:
+        is_loop = isinstance(each, Loop)
+        numbers = {} if is_loop else {name: getattr(each.body, name) for name in BODY}
+        numbers |= {name: getattr(each.joint, name) for name in JOINT}
+        held[each.name] = {
+            "kind": "loop" if is_loop else "link",
+            "parent": each.parent,
+            **({"body": each.body} if is_loop else {}),
+            "joint": each.joint.name,
+            "rows": [str(row) for row in each.joint.rows],
+            **{name: _described(array) for name, array in numbers.items()},
+        }
+    return {
+        "mechanism": held,
+        "gravity": _described(mechanism.gravity),
+        "forces": [_described_element(force) for force in mechanism.forces],
+        "constraints": [_described_element(added) for added in mechanism.constraints],
+        "observables": [
+            _described_element(each) | {"unit": each.unit} for each in mechanism.observables
+        ],
+        "rows": [f"{each.name}.{row}" for each in mechanism.held for row in each.joint.rows],
+    }
+
+
 def _described_element(element: Element) -> dict[str, Any]:
     parameters = {name: _described(array) for name, array in element.parameters.items()}
-    return {"name": element.name, "kind": repr(element.kind), **parameters}
+    placed = {"on": list(element.at)} if element.at else {}
+    return {"name": element.name, "kind": repr(element.kind), **placed, **parameters}
 
 
 def _described(array: Array) -> Any:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from lierb.kernels.stepping.clock import time_of
 from lierb.kernels.stepping.driver import history_measures
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
-from lierb.kernels.stepping.measures import KEPT, MEASURES
+from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
-from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs import engine
 from lierb.runs.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.runs.failures import RAISED_KEY, STATUS_NAMES
-from lierb.user_elements import Force, Observable
+from lierb.user_elements import Force
 
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
@@ -45,7 +48,8 @@ def _table(
 def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
     fields = []
     for name, array in columns.items():
-        plain = name.removesuffix("_max").removesuffix("_final")
+        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then what it is
+        plain = of_all.removesuffix("_max").removesuffix("_final")
         unit = units[name] if name in units else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
         if plain in Covers._fields:
@@ -62,7 +66,7 @@ class Covers(NamedTuple):
     work: str
 
 
-def covers_of(problem: Problem) -> Covers:
+def covers_of(problem: Problem | Mechanism) -> Covers:
     stored = [force.name for force in problem.forces if force.kind.is_conservative]
     working = [w for force in problem.forces if (w := _work_of(force))]
     energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
@@ -89,22 +93,21 @@ def _work_of(force: Force) -> str:
     return ""
 
 
-def size_of_tables(plan: Plan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
+def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
     """Bytes at the peak of both tables of a run and of the Output that they are made around.
 
     rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by.
     """
     with_state = "state" in recorded
-    copied = POSE_AND_TWIST.count if with_state and rows > 1 else 0  # of the end
+    links = plan.system.links
+    copied = POSE_AND_TWIST.count * links if with_state and rows > 1 else 0  # of the end
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
 
 
-def summary_table(
-    output: engine.Output, metadata: str, covers: Covers, observables: tuple[Observable, ...] = ()
-) -> pa.Table:
-    """One row per trajectory.   covers : see `covers_of`."""
+def summary_table(output: engine.Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
+    """One row per trajectory."""
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
@@ -112,11 +115,19 @@ def summary_table(
     }
     for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
         columns[f"{measure.name}_{how}"] = column
-    for field, array in zip(POSE_AND_TWIST.fields, output.state, strict=True):
-        columns[field.name] = vectors(array)
+    observables = problem.observables
     watched = {f"{each.name}_{how}": each.unit for each in observables for how in KEEPS}
-    columns |= zip(watched, each_row(output.observed), strict=True)
-    table = _table(columns, metadata, covers, watched)
+    more = each_row(output.observed)
+    for joint, kept in zip(
+        _joints_of(problem), _in_parts(more[len(watched) :], len(JOINT_KEPT)), strict=True
+    ):
+        for (measure, how), column in zip(JOINT_KEPT, kept, strict=True):
+            columns[f"{joint}.{measure.name}_{how}"] = column
+    for link, prefix in enumerate(_links_of(problem)):
+        for field, array in zip(POSE_AND_TWIST.fields, output.state_of(link), strict=True):
+            columns[prefix + field.name] = vectors(array)
+    columns |= zip(watched, more[: len(watched)], strict=True)
+    table = _table(columns, metadata, covers_of(problem), watched)
     for what in output.raised.values():
         told = {RAISED_KEY: what.encode(errors="backslashreplace")}
         table = table.replace_schema_metadata(table.schema.metadata | told)
@@ -126,10 +137,9 @@ def summary_table(
 def history_table(
     output: engine.Output,
     recorded: tuple[str, ...],
-    plan: Plan,
+    plan: AnyPlan,
     metadata: str,
-    covers: Covers,
-    observables: tuple[Observable, ...] = (),
+    problem: Problem | Mechanism,
 ) -> pa.Table:
     """One row per saved time and trajectory, time-major."""
     clock, count = output.clock, len(output.status)
@@ -139,22 +149,61 @@ def history_table(
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(time_of(clock, saved), count)),
     }
-    measures = history_measures(plan)
+    measures, observables = history_measures(plan), problem.observables
     rows = each_row(output.history)
     found = dict(zip(measures, rows[: len(measures)], strict=True))
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
+    errors = rows[len(measures) + len(observables) :]
+    for joint, own in zip(_joints_of(problem), _in_parts(errors, len(JOINT_ERRORS)), strict=True):
+        for measure, column in zip(JOINT_ERRORS, own, strict=True):
+            columns[f"{joint}.{measure.name}"] = column
     if "state" in recorded:
-        for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
-            columns[field.name] = vectors(array)
+        for link, prefix in enumerate(_links_of(problem)):
+            for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
+                part = array[output.rows * link : output.rows * (link + 1)]
+                columns[prefix + field.name] = vectors(part)
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
     if "energy" in recorded and not plan.does_work:
         columns["work"] = _no_work(columns["energy"])
     units = {}
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
-        columns["lambda"] = vectors(output.multipliers)
-        units["lambda"] = ", ".join(row.unit for row in plan.rows)
+        for name, part, unit in _multipliers_of(problem, output.multipliers):
+            columns[name], units[name] = vectors(part), unit
     if "reaction" in recorded:
-        columns["reaction"] = vectors(output.reactions)
-    for each, values in zip(observables, rows[len(measures) :], strict=True):
+        joints = [f"{name}." for name in _joints_of(problem)] or [""]
+        for number, prefix in enumerate(joints):
+            part = output.reactions[len(saved) * number : len(saved) * (number + 1)]
+            columns[f"{prefix}reaction"] = vectors(part)
+    for each, values in zip(observables, rows[len(measures) :], strict=False):
         columns[each.name], units[each.name] = values, each.unit
-    return _table(columns, metadata, covers, units)
+    return _table(columns, metadata, covers_of(problem), units)
+
+
+def _in_parts(columns: list[pa.Array], width: int) -> Iterator[list[pa.Array]]:
+    return (columns[i : i + width] for i in range(0, len(columns), width))
+
+
+def _links_of(problem: Problem | Mechanism) -> list[str]:
+    """What stands before the names of each link's columns."""
+    return [f"{name}." for name in problem.names] if isinstance(problem, Mechanism) else [""]
+
+
+def _joints_of(problem: Problem | Mechanism) -> list[str]:
+    """Names of the joints whose errors have columns of their own: of links, then of loops."""
+    return [each.name for each in problem.held] if isinstance(problem, Mechanism) else []
+
+
+def _multipliers_of(
+    problem: Problem | Mechanism, found: NDArray
+) -> Iterator[tuple[str, NDArray, str]]:
+    """Name, λ and units of each joint that has rows."""
+    if isinstance(problem, Problem):
+        yield "lambda", found, ", ".join(row.unit for row in problem.rows)
+        return
+    first = 0
+    for each in problem.held:
+        rows = each.joint.rows
+        if rows:
+            part = np.ascontiguousarray(found[..., first : first + len(rows)])
+            yield f"{each.name}.lambda", part, ", ".join(row.unit for row in rows)
+        first += len(rows)

@@ -32,7 +32,6 @@ from lierb.kernels.mechanics.spatial import (
     Articulated,
     Pose,
     Rigid,
-    bracket,
     twist_at,
     wrench_from,
 )
@@ -304,7 +303,7 @@ class TreeMotion:
         found = []
         for i, (carried, relative) in enumerate(zip(self.carried, self.relative, strict=True)):
             bend = cross(relative[:3], relative[3:])
-            b = bracket(carried, relative)
+            b = se3.ad(carried, relative)
             found.append(b[:3] + sub(b[3:], self.held(i, bend)))
         return found
 

@@ -25,7 +25,7 @@ from lierb.kernels.mechanics.elements import Element, UserObservable
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, unit_inertia
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import kinds_of
-from lierb.kernels.mechanics.spatial import Pose, Rigid, bracket, conjugated, twist_at
+from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import (
     GROUND,
@@ -381,12 +381,11 @@ class TreeFormulation:
             if number < self.plan.links:
                 total = found.bodies.transmitted(joint.node, found.solved.response)
             own = _held_multipliers(joint.rows, x.q, total)
-            for row in joint.rows:
-                if (number, row) in solution:
-                    size = solution[number, row]
-                    own[row] = size
-                    total = axpy(-size, row.jacobian(x, ends), total)
-            multipliers += [own[row] for row in joint.rows]
+            for r in joint.rows:
+                if (number, r) in solution:
+                    own[r] = solution[number, r]
+                    total = axpy(-own[r], r.jacobian(x, ends), total)
+            multipliers += [own[r] for r in joint.rows]
             wrenches.append(total)
         return tuple(multipliers), wrenches
 
@@ -516,8 +515,8 @@ class TreeFormulation:
             for (number, row), value in zip(self.rows, wanted, strict=True)
         ]
         found = solved(bodies, rows, loads, biases, fall)
-        for (number, row), multiplier in zip(self.rows, found.multipliers, strict=True):
-            rate = row.prescribed_rate(relatives[number].x, body.ends[number])
+        for (number, r), multiplier in zip(self.rows, found.multipliers, strict=True):
+            rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
         rates = self._rates(motion, found)
         return TreeAcceleration(
@@ -547,7 +546,7 @@ class TreeFormulation:
         x, kept = relative.x, self.plan.stabilisation
         jacobian = row.jacobian(x, ends)
         velocity = x.omega + x.point_rate
-        wanted = row.acceleration(x, ends) - dot(jacobian, bracket(velocity, relative.carried))
+        wanted = row.acceleration(x, ends) - dot(jacobian, se3.ad(velocity, relative.carried))
         if kept.kind != "baumgarte":
             return wanted
         off = dot(jacobian, velocity) - row.prescribed_rate(x, ends)
@@ -613,8 +612,8 @@ class TreeFormulation:
         inverse = 1.0 / _length(body)
         total: Any = ZERO
         for number, connection in enumerate(self.plan.connections):
-            for row, value in relatives.residuals(number, connection.rows).items():
-                part = value * inverse if row.is_translational else value
+            for r, value in relatives.residuals(number, connection.rows).items():
+                part = value * inverse if r.is_translational else value
                 total = fma(part, part, total)
         return total
 
@@ -636,10 +635,10 @@ class TreeFormulation:
         motion = self.motion(body, chart, velocity, time)
         relatives = _Relatives(self.plan.connections, body.ends, motion)
         wanted = []
-        for number, row in self.rows:
+        for number, r in self.rows:
             x, ends = relatives[number].x, body.ends[number]
-            rate = dot(row.jacobian(x, ends), x.omega + x.point_rate)
-            wanted.append(row.prescribed_rate(x, ends) - rate)
+            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
+            wanted.append(r.prescribed_rate(x, ends) - rate)
         biases = [neg(_bound(motion, i, relative)) for i, relative in enumerate(motion.relative)]
         return add(velocity, self._displaced(motion, relatives, wanted, biases))
 

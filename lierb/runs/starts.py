@@ -1,0 +1,66 @@
+"""A problem made ready to be integrated: its plan, its start, and whether it goes on from a run."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.arrays import Array, as_numbers, as_poses
+from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.plan import AnyPlan, plan_of
+from lierb.model import Problem
+from lierb.runs.continuation import continuation_of
+from lierb.runs.engine import Inputs
+
+
+class Ready(NamedTuple):
+    """pose0, twist0 : as arrays, of a mechanism by link; pose0 is None for the closed joint.
+
+    goes_on : whether it starts from the driver's own state, where another run has ended.
+    """
+
+    plan: AnyPlan
+    inputs: Inputs
+    clock: Clock
+    pose0: Any
+    twist0: Any
+    goes_on: bool
+
+
+def ready_body(
+    problem: Problem,
+    pose0: Any,
+    twist0: Any,
+    clock: Clock,
+    t0: float,
+    cspace: str,
+    solver: str,
+    described: dict[str, Any],
+) -> Ready:
+    """described : what of the plan does not depend on how the body is held."""
+    twists = as_numbers("twist0", twist0, (6,), copy=None)
+    known = continuation_of(pose0)
+    poses: Array | None = None
+    if pose0 is not None:
+        poses = as_poses("pose0", pose0, copy=None) if known is None else np.asarray(pose0)
+    start = (
+        {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
+    )
+    count = problem.batch_size(**start) or 1
+    plan = plan_of(
+        DEFAULT_LANES,
+        rows=problem.rows,
+        cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
+        solver=solver,
+        **described,
+    )
+    if known is not None and not known.fits(problem, plan, twist0, t0):
+        known = None
+    if known is not None:
+        clock = Clock(*clock[:4], *known.origin(clock.dt))
+    state = None if known is None else known.state
+    starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
+    inputs = Inputs(problem, plan.system.inputs, starts, count, t0, state)
+    return Ready(plan, inputs, clock, poses, twists, known is not None)
