@@ -38,6 +38,7 @@ from lierb.runs.mechanisms import (
     check_mechanism_options,
     cspaces_of,
     ready_mechanism,
+    told_cspace,
     told_stabilisation,
 )
 from lierb.runs.memory import available, is_free, too_large
@@ -140,7 +141,7 @@ def integrate(
     clock = Clock(float(dt), steps, measured, saved, *counted(float(t0), float(dt)))
     options = {
         "dt": clock.dt, "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
-        "cspace": space if isinstance(space, str) else dict(space), "update": update,
+        "cspace": told_cspace(space), "update": update,
         "save_every": clock.save_every or None, "measure_every": clock.measure_every,
         "record": recorded, "check": check, "solver": found_by,
     }  # fmt: skip

@@ -188,10 +188,16 @@ def stabilisation_of(given: Any) -> Stabilisation:
     )
 
 
-def told_stabilisation(given: Any) -> Any:
-    """As metadata has it."""
+def told_stabilisation(given: Any) -> str | None:
+    """As metadata have it."""
     kept = stabilisation_of(given)
-    return None if kept.kind == "none" else {k: v for k, v in vars(kept).items() if v}
+    rates = f"({kept.alpha:g}, {kept.beta:g})" if kept.kind == "baumgarte" else ""
+    return None if kept.kind == "none" else f"{kept.kind}{rates}"
+
+
+def told_cspace(given: CSpace) -> str:
+    """As metadata have it."""
+    return given if isinstance(given, str) else ", ".join(f"{k}: {v}" for k, v in given.items())
 
 
 def check_mechanism_options(mechanism: Mechanism, update: str, solver: str, stabilise: Any) -> None:
