@@ -7,6 +7,7 @@ and longdouble as they come.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def integrated(
     """
     y, worst, wished = settled(y0), 0.0, y0.dtype.type(longest)
     states = [y]
-    for t, end in zip(times, times[1:], strict=False):
+    for t, end in pairwise(times):
         left = y0.dtype.type(end - t)
         while left > 0:
             count = np.ceil(left / wished * (1 - 1e-9))
