@@ -1,0 +1,1 @@
+"""Mechanisms against independent solutions: an oracle of their own and published benchmarks."""
