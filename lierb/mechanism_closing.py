@@ -449,7 +449,7 @@ def _projected(
         twists = [add(twist, change) for twist, change in zip(twists, changes, strict=True)]
     left = np.abs(goal - _rates(system, poses, twists, t0) / lengths)
     most = np.max(CONTRADICTION * np.abs(goal) + START_TOLERANCE * before, axis=1, keepdims=True)
-    for number, row in np.argwhere((left > most) & goal.any(axis=1)[:, None])[:1]:
+    for number, row in np.argwhere((left > most) & np.any(goal, axis=1, keepdims=True))[:1]:
         at = [h.at for h in held for _ in h.at.rows][int(row)]
         label = body_label("twist", first + int(number), count)
         raise TwistError(
