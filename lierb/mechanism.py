@@ -474,7 +474,7 @@ class Mechanism(Shown):
             a number or (n,) where there is one, or a rotation. What is left out is 0. A link whose
             joint has none, such as point_on_line, may be given its pose in the ground frame, (4, 4)
             or (n, 4, 4), and so may any other; left out, its two joint frames coincide.
-        Returns (4, 4) or (n, 4, 4) for each link. `close` then closes the loops.
+        Returns (4, 4) for each link, or (n, 4, 4) where one's is. `close` then closes the loops.
 
         >>> import lierb
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
@@ -503,10 +503,7 @@ class Mechanism(Shown):
         return self._poses_of(found)
 
     def _poses_of(self, found: dict[int, Pose]) -> dict[str, Array]:
-        return {
-            name: finite(f"the pose of {name}", pose_matrix(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: pose_matrix(found[i]) for i, n in enumerate(self.names)}, "pose", 2)
 
     @_quiet
     def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
@@ -537,7 +534,7 @@ class Mechanism(Shown):
             there is one. What is left out is 0. A link whose joint has no coordinates may be given
             its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
         pose : of all links. Default: all coordinates 0.
-        Returns (6,) or (n, 6) for each link. `project` then satisfies the loops.
+        Returns (6,) for each link, or (n, 6) where one's is. `project` then satisfies the loops.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
@@ -567,10 +564,7 @@ class Mechanism(Shown):
                 relative = add(relative, self.carried(at, poses, found))
             found[i] = se3.Ad(frame, relative)
         self.batch_size(**sizes)
-        return {
-            name: finite(f"the twist of {name}", assembled(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: assembled(found[i]) for i, n in enumerate(self.names)}, "twist", 1)
 
     @_quiet
     def velocities(
@@ -734,6 +728,21 @@ class Mechanism(Shown):
                 f"{argument} lacks {', '.join(lacking)}; expected an entry for every link"
             )
         return dict(given)
+
+
+def _alike(found: dict[str, Array], what: str, item_axes: int) -> dict[str, Array]:
+    """Of all links, each for every member of the batch where it is of one's."""
+    for name, array in found.items():
+        finite(f"the {what} of {name}", array)
+    sizes = [len(array) for array in found.values() if array.ndim > item_axes]
+    if not sizes:
+        return found
+    return {
+        name: array
+        if array.ndim > item_axes and len(array) == max(sizes)
+        else np.broadcast_to(array, (max(sizes), *array.shape[-item_axes:])).copy()
+        for name, array in found.items()
+    }
 
 
 def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:
