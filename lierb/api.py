@@ -28,7 +28,7 @@ from lierb.kernels.stepping.formulations import FORMULATIONS
 from lierb.kernels.stepping.mechanism import Stabilisation
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.mechanism import Mechanism
-from lierb.mechanism_closing import violation
+from lierb.mechanism_checks import violation
 from lierb.model import Problem
 from lierb.result import Result
 from lierb.runs import checks, engine

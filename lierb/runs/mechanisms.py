@@ -16,7 +16,8 @@ from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connectio
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.mechanism import MechanismPlan, Stabilisation
-from lierb.mechanism import NOWHERE, Mechanism
+from lierb.links import NOWHERE
+from lierb.mechanism import Mechanism
 from lierb.runs.continuation import continuation_of
 from lierb.runs.engine import Inputs
 from lierb.runs.starts import Ready

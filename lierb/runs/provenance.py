@@ -17,7 +17,8 @@ import numpy as np
 from lierb.arrays import Array, slices
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.plan import AnyPlan
-from lierb.mechanism import BODY, JOINT, Loop, Mechanism
+from lierb.links import Loop
+from lierb.mechanism import BODY, JOINT, Mechanism
 from lierb.model import Problem
 from lierb.user_elements import Element
 
