@@ -35,8 +35,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = _file(nodeid)
-            if file == "cache":  # each of its tests has a cache of its own
-                return nodeid
             if file in BY_JOINT:
                 parts = re.split(r"[][-]", nodeid)
                 return next((part for part in parts if part in JOINTS), "spherical")
