@@ -165,7 +165,7 @@ VALUES = st.one_of(
 
 @pytest.mark.slow
 @settings(
-    max_examples=800, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
+    max_examples=400, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
 )
 @given(data=st.data())
 def test_any_file_is_a_study_or_an_error_that_says_so(data):
