@@ -22,7 +22,10 @@ TOGETHER = {
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
 # What takes longest begins first, so that all processes end at the same time.
-LONGEST = ("studies", "cache", "forces", "top", "groups", "functions", "paper", "spherical")
+LONGEST = (
+    "studies", "top", "cache", "paper", "forces", "report", "functions", "groups", "results",
+    "spherical", "every_formula", "observables",
+)  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
