@@ -159,8 +159,8 @@ def test_page_says_how_to_do_it_again(dataset, text):
 @pytest.mark.slow
 def test_unfinished_and_failed_bodies_are_told(tmp_path):
     """Of the last setting no part is finished, and of no setting is the history quiet."""
-    drag = {"linear": {"distribution": "uniform", "low": 0.0, "high": 1e6}}  # N s/m: unstable
-    given = study(sample={"forces": {"drag": drag}}, integrate={"save_every": 10})
+    spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
+    given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"save_every": 10})
     with pytest.warns(FailedTrajectoryWarning):
         done = lierb.run(given, tmp_path / "out")
     last = [name for name in done.parts if name.startswith("03-")]
