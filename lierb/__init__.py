@@ -10,6 +10,7 @@ from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
 from lierb.kernels.functions.user_number import where
 from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
+from lierb.mechanism import Link, Loop, Mechanism
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.result import Result
@@ -27,6 +28,9 @@ __version__ = package_version()
 __all__ = [
     "Body",
     "ButcherTableau",
+    "Link",
+    "Loop",
+    "Mechanism",
     "Problem",
     "Result",
     "animate",

@@ -226,6 +226,23 @@ def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
     return sizes.pop() if sizes else (1 if found else None)
 
 
+def taken(array: Array, which: int | slice, item_axes: int = 0) -> Array:
+    """The item of one body, or of a part of the batch; of all bodies, where they share it."""
+    if array.ndim == item_axes:
+        return array
+    if len(array) > 1:
+        return np.asarray(array[which])
+    return array if isinstance(which, slice) else np.asarray(array[0])
+
+
+def member_of(body: Any, size: int | None) -> int:
+    """The number of a body of a batch. Raises ArgumentError for a number of none."""
+    count = size or 1
+    if not (is_whole(body) and 0 <= body < count):
+        raise ArgumentError(f"body={told(body)}; expected a whole number, 0 … {count - 1}")
+    return int(body)
+
+
 def components(array: Array, axes: int = 1) -> Vec:
     """The entries of the last `axes` axes, row by row."""
     flat = array.reshape(*array.shape[: array.ndim - axes], -1)

@@ -19,7 +19,7 @@ import pyarrow as pa
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, items_of, unknown_name
 from lierb.extras import require
-from lierb.joints import TURNS
+from lierb.joint_motions import TURNS
 from lierb.model import Problem
 from lierb.runs.columns import as_array
 

@@ -9,7 +9,7 @@ Q turns about an axis ⊥ e₃.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -30,6 +30,7 @@ from lierb.arrays import (
     finite,
     pose_components,
     pose_matrix,
+    taken,
 )
 from lierb.errors import (
     ArgumentError,
@@ -39,11 +40,11 @@ from lierb.errors import (
     two_readings,
     unknown_name,
 )
-from lierb.kernels.groups import se3, so3
+from lierb.joint_motions import TURNS, Factor, Motions, ProductMotions, SubgroupMotions
+from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import closed_pose
-from lierb.kernels.mechanics.rows import JOINT_ROWS, PITCHED, JointRow, Row, parameters_of
-from lierb.kernels.mechanics.subgroup import Slots, slots_of
-from lierb.kernels.numbers.trigonometry import atan2
+from lierb.kernels.mechanics.rows import JOINT_ROWS, JointRow, Row, parameters_of
+from lierb.kernels.mechanics.subgroup import slots_of
 from lierb.kernels.numbers.vec import (
     ZERO3,
     Vec,
@@ -51,17 +52,13 @@ from lierb.kernels.numbers.vec import (
     cross,
     dot,
     mat_t_vec,
-    mat_vec,
-    neg,
     norm,
     scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
 from lierb.shown import Lines, Shown, quantity
 
 PERPENDICULAR_TOLERANCE = 1e-9
-TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
 _quiet = np.errstate(all="ignore")  # what overflows is found in the result
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
@@ -75,6 +72,7 @@ class Joint(Shown):
     pitch : () or (n,), m/rad; 0 where the joint has none.
     length : () or (n,), m, of a rod; 0 where the joint has none.
     subgroup : the joint's motions as a subgroup of SE(3), if they are one.
+    factors : of its motions, D = F₁(a) F₂(b), if they are such a product instead.
     """
 
     name: str
@@ -84,6 +82,17 @@ class Joint(Shown):
     pitch: Array
     length: Array
     subgroup: str | None = None
+    factors: tuple[Factor, ...] = ()
+
+    def of(self, which: int | slice) -> Joint:
+        """That of one body of the batch, or of a part of it."""
+        return replace(
+            self,
+            ground_frame=taken(self.ground_frame, which, 2),
+            body_frame=taken(self.body_frame, which, 2),
+            pitch=taken(self.pitch, which),
+            length=taken(self.length, which),
+        )
 
     def _shown(self) -> tuple[str, Lines]:
         entry = JOINTS.get(self.name)
@@ -167,22 +176,16 @@ class Joint(Shown):
         )
 
     def _twist_of_rates(self, velocities: ArrayLike, pose: Any, coordinates: Any) -> Array:
-        slots, rates = self._slots(), self._numbers("velocities", velocities)
+        motions, rates = self.motions, self._numbers("velocities", velocities)
         frames = self._frames
         if coordinates is None:
             placed = self._placed(pose)
             batch_size(velocities=(rates, 1), pose=(placed, 2), pitch=(self.pitch, 0), **frames)
-            q, _ = self._relative(placed)
-            xi = so3.log(q)
-        else:  # as they are: a rotation vector beyond π has other rates than the pose's own
+            relative = motions.twist(components(rates), self._relative(placed))
+        else:
             given = self._numbers("coordinates", coordinates)
             batch_size(velocities=(rates, 1), coordinates=(given, 1), pitch=self.pitch, **frames)
-            xi, _ = self._lifted(given)
-            q = so3.exp(xi)
-        turning, sliding = self._lifted(rates)
-        if slots[0] >= 0:
-            turning = so3.dexp(neg(xi), turning)
-        relative = turning + mat_t_vec(q, sliding)  # D⁻¹Ḋ of D = (exp ξ, d)
+            relative = motions.twist_at(components(rates), components(given))
         return finite("the twist", assembled(se3.Ad(pose_components(self.body_frame), relative)))
 
     @_quiet
@@ -201,31 +204,24 @@ class Joint(Shown):
         >>> plane.velocities((0.0, 0.0, 0.0, 1.0, 0.0, 0.0), turned).round(9).tolist()
         [0.0, -1.0, 0.0]
         """
-        slots, moving = self._slots(), as_numbers("twist", twist, (6,))
+        motions, moving = self.motions, as_numbers("twist", twist, (6,))
         placed = self._placed(pose)
         batch_size(twist=(moving, 1), pose=(placed, 2), body_frame=(self.body_frame, 2))
-        q, _ = self._relative(placed)
         in_body = se3.inverse(pose_components(self.body_frame))
-        relative = se3.Ad(in_body, components(moving))  # D⁻¹Ḋ
-        rates: Vec = ()
-        if slots[0] >= 0:
-            rates = so3.dexpinv(neg(so3.log(q)), relative[:3])
-        elif slots[2] >= 0:
-            rates = (relative[2],)
-        drift = mat_vec(q, relative[3:])
-        moving_along = tuple(drift[i] for i in range(3) if slots[3 + i] >= 0)
-        return finite("the rate of a coordinate", assembled(rates + moving_along))
+        rates = motions.rates(se3.Ad(in_body, components(moving)), self._relative(placed))
+        return finite("the rate of a coordinate", assembled(rates))
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """Names of the joint's coordinates, for the lower pairs and all motion groups.
+        """Names of the joint's coordinates, for the lower pairs, all motion groups, and products.
 
         `phi`: the turn about e₃, rad; `xi1` … `xi3`: the rotation vector, rad, in the ground's
-        joint frame; `d1` … `d3`: the place of the body's joint frame in the ground's, m.
+        joint frame; `d1` … `d3`: the place of the body's joint frame in the ground's, m. Of a
+        universal joint `alpha`, the turn about e₃ of the ground, and `beta`, that about e₂ of the
+        body; of a hook joint those about e₂ and e₃. A pin in a slot has `d1` and `phi`; one whose
+        slot is on the body `phi` and `s`, the place of the body's joint frame along its own e₁.
         """
-        slots = self._slots()
-        turning = TURNS if slots[0] >= 0 else ("phi",) if slots[2] >= 0 else ()
-        return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
+        return self.motions.names
 
     @_quiet
     def coordinates(self, pose: Any) -> Array:
@@ -241,15 +237,9 @@ class Joint(Shown):
         >>> hinge.coordinates(hinge.pose([0.5])).tolist()
         [0.5]
         """
-        slots = self._slots()
-        q, d = self._relative(as_poses("pose", pose))
-        turning: Vec = ()
-        if slots[0] >= 0:
-            turning = so3.log(q)
-        elif slots[2] >= 0:
-            turning = (self._turn(atan2(q[3], q[0]), d[2], slots),)
-        places = tuple(d[i] for i in range(3) if slots[3 + i] >= 0)
-        return finite("a coordinate", assembled(turning + places))
+        motions = self.motions
+        found = motions.coordinates(self._relative(as_poses("pose", pose)))
+        return finite("a coordinate", assembled(found))
 
     @_quiet
     def pose(
@@ -288,8 +278,7 @@ class Joint(Shown):
         else:
             numbers = self._numbers("coordinates", coordinates)
             batch_size(coordinates=(numbers, 1), **self._frames, pitch=self.pitch)
-            turning, places = self._lifted(numbers)
-            relative = so3.exp(turning), places
+            relative = self.motions.pose(components(numbers))
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         placed = se3.compose(se3.compose(ground, relative), se3.inverse(body))
         return finite("the pose", pose_matrix(placed))
@@ -318,16 +307,6 @@ class Joint(Shown):
             )
         return as_numbers(argument, array, (len(names),))
 
-    def _lifted(self, numbers: Array) -> tuple[Vec, Vec]:
-        """Coordinates, or their rates, as a rotation and a place, or theirs: what is bound is 0."""
-        slots, given = self._slots(), components(numbers)
-        turning = tuple(given[slot] if slot >= 0 else ZERO for slot in slots[:3])
-        places = tuple(
-            given[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
-            for slot in slots[3:]
-        )
-        return turning, places
-
     @property
     def _frames(self) -> dict[str, tuple[Array, int]]:
         """As `batch_size` takes them."""
@@ -342,22 +321,18 @@ class Joint(Shown):
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)
 
-    def _slots(self) -> Slots:
-        if self.subgroup is None:
-            groups = ", ".join(name for name, entry in JOINTS.items() if entry.subgroup)
-            raise ArgumentError(
-                f"a {self.name} joint has no coordinates: its motions are no group, as those of "
-                f"{groups} are"
-            )
-        return slots_of(self.rows)
-
-    def _turn(self, angle: Any, slide: Any, slots: Slots) -> Any:
-        """The angle of a turn; of a screw with the whole turns that fit its slide."""
-        if slots[5] != PITCHED:
-            return angle
-        turned = slide / np.where(self.pitch == 0.0, 1.0, self.pitch)
-        whole = 2.0 * np.pi * np.rint((turned - angle) / (2.0 * np.pi))
-        return angle + np.where(self.pitch == 0.0, 0.0, whole)
+    @cached_property
+    def motions(self) -> Motions:
+        """What its coordinates are. Raises ArgumentError for a joint that has none."""
+        if self.subgroup:
+            return SubgroupMotions(slots_of(self.rows), self.pitch)
+        if self.factors:
+            return ProductMotions(self.factors)
+        known = ", ".join(n for n, entry in JOINTS.items() if entry.subgroup or entry.factors)
+        raise ArgumentError(
+            f"a {self.name} joint has no coordinates: its motions are neither a group nor a "
+            f"product of two, as those of {known} are"
+        )
 
 
 def _shown_frame(frame: Array) -> str:
@@ -372,6 +347,7 @@ class JointType:
 
     subgroup: the motion group of the joint as a subgroup of SE(3), if it is one.
     options: what else the entry takes ("pitch", "length", "slot", "second_axis").
+    factors: of its motions, if they are a product D = F₁(a) F₂(b) of two instead.
     """
 
     name: str
@@ -379,6 +355,7 @@ class JointType:
     summary: str
     subgroup: str | None = None
     options: frozenset[str] = frozenset()
+    factors: tuple[Factor, ...] = ()
 
     def __call__(
         self,
@@ -392,6 +369,8 @@ class JointType:
         length: ArrayLike | None = None,
         body_frame: Any = None,
         ground_frame: Any = None,
+        parent_point: ArrayLike | None = None,
+        parent_frame: Any = None,
     ) -> Joint:
         """The joint, its frames given by points and axes, or as 4×4 matrices. All may be batched.
 
@@ -403,6 +382,8 @@ class JointType:
         pitch : number or (n,), m/rad (screw and helical_planar only).
         length : number or (n,), m, positive (point_on_sphere only).
         body_frame, ground_frame : (4, 4) or (n, 4, 4), instead of points and axes.
+        parent_point, parent_frame : the same as ground_point and ground_frame, of a joint between
+            two links of a `lierb.Mechanism`: in the body frame of the one that it hangs on.
 
         Without ground_frame the ground's joint frame is turned like the body's: the joint closes at
         R = I. Raises ArgumentError, or PoseError for a frame that is no rigid motion.
@@ -419,14 +400,15 @@ class JointType:
             if given[parameter] is None:
                 raise ArgumentError(f"a {self.name} joint needs {parameter}=, in {unit}")
         body = _body_frame(body_frame, body_point, axis, slot, second_axis)
-        ground = _ground_frame(ground_frame, ground_point, body)
+        point = _either_name("point", ground_point, parent_point)
+        ground = _ground_frame(_either_name("frame", ground_frame, parent_frame), point, body)
         lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
         none = as_numbers("length", 0.0, ())
         rod = none if length is None else as_positive("length", length, "m")
         batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead, length=rod)
         for frames in (body, ground):
             frames.setflags(write=False)  # what was checked stays so
-        return Joint(self.name, self.rows, ground, body, lead, rod, self.subgroup)
+        return Joint(self.name, self.rows, ground, body, lead, rod, self.subgroup, self.factors)
 
     def __repr__(self) -> str:
         return f"<lierb.joints.{self.name}: {self.summary}>"
@@ -466,6 +448,13 @@ def _body_frame(
     else:
         e1 = _any_perpendicular(e3)
     return _frame(e1, e3, components(origin))
+
+
+def _either_name(what: str, ground: Any, parent: Any) -> Any:
+    """What was given as the ground's or as the parent's, which are the same."""
+    if ground is not None and parent is not None:
+        raise ArgumentError(f"give ground_{what} or parent_{what}: they are the same")
+    return parent if ground is None else ground
 
 
 def _ground_frame(frame: Any, point: ArrayLike | None, body_frame: Array) -> Array:
@@ -525,11 +514,16 @@ JOINTS: dict[str, JointType] = {}
 
 
 def _entry(
-    name: str, rows: str, summary: str, subgroup: str | None = None, options: tuple[str, ...] = ()
+    name: str,
+    rows: str,
+    summary: str,
+    subgroup: str | None = None,
+    options: tuple[str, ...] = (),
+    factors: tuple[Factor, ...] = (),
 ) -> JointType:
     parsed = tuple(JOINT_ROWS[row] for row in rows.split())
     taken = frozenset((*options, *parameters_of(parsed)))
-    JOINTS[name] = JointType(name, parsed, summary, subgroup, taken)
+    JOINTS[name] = JointType(name, parsed, summary, subgroup, taken, factors)
     return JOINTS[name]
 
 
@@ -546,12 +540,14 @@ universal = _entry(
     "d1 d2 d3 Q32",
     "Hooke's joint: e₃ on the ground stays perpendicular to e₂ on the body",
     options=("second_axis",),
+    factors=(Factor("alpha", "turn", 2), Factor("beta", "turn", 1)),
 )
 hook = _entry(
     "hook",
     "d1 d2 d3 Q23",
     "Hooke's joint as Müller prints it: e₂ on the ground stays perpendicular to e₃ on the body",
     options=("second_axis",),
+    factors=(Factor("alpha", "turn", 1), Factor("beta", "turn", 2)),
 )
 fixed = _entry("fixed", "d1 d2 d3 Omega1 Omega2 Omega3", "does not move")
 planar_translation = _entry(
@@ -572,12 +568,14 @@ pin_in_slot = _entry(
     "d2 d3 Omega1 Omega2",
     "turns about e₃ while its point slides along e₁ of the ground",
     options=("slot",),
+    factors=(Factor("d1", "slide", 0), Factor("phi", "turn", 2)),
 )
 pin_in_slot_body = _entry(
     "pin_in_slot_body",
     "Qtd2 Qtd3 Omega1 Omega2",
     "turns about e₃ while its slot, along e₁ of the body, slides on the ground's point",
     options=("slot",),
+    factors=(Factor("phi", "turn", 2), Factor("s", "slide", 0)),
 )
 point_on_line = _entry("point_on_line", "d1 d2", "keeps a point on a line along e₃ of the ground")
 point_on_plane = _entry("point_on_plane", "d3", "keeps a point in a plane normal to e₃")
@@ -604,6 +602,8 @@ def from_rows(
     length: ArrayLike | None = None,
     body_frame: Any = None,
     ground_frame: Any = None,
+    parent_point: ArrayLike | None = None,
+    parent_frame: Any = None,
     name: str = "from_rows",
 ) -> Joint:
     """A joint from rows: `d1`, `Qtd1`, `Q32`, `Omega1` (axes 1 to 3), `screw`, `rod` or `cv`.
@@ -644,6 +644,7 @@ def from_rows(
     return made(
         body_point, ground_point, axis=axis, slot=slot, second_axis=second_axis, pitch=pitch,
         length=length, body_frame=body_frame, ground_frame=ground_frame,
+        parent_point=parent_point, parent_frame=parent_frame,
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from operator import methodcaller
 from typing import Any
@@ -21,9 +21,10 @@ from lierb.arrays import (
     batch_size,
     components,
     finite,
-    is_whole,
+    member_of,
     pose_components,
     pose_matrix,
+    taken,
 )
 from lierb.column_names import require_free
 from lierb.errors import (
@@ -106,6 +107,13 @@ class Body(Shown):
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
 
+    def of(self, which: int | slice) -> Body:
+        """One body of the batch, or a part of it."""
+        inertia = taken(self.inertia, which, 2)
+        if inertia.ndim == 2 and isinstance(which, slice):
+            inertia = inertia[None]  # or a part of three bodies might be read in two ways
+        return Body(taken(self.mass, which), inertia, taken(self.com, which, 1))
+
     def _shown(self) -> tuple[str, Lines]:
         count = batch_size(mass=self.mass, inertia=(self.inertia, 2), com=(self.com, 1)) or 1
         rows = [("mass", quantity(self.mass, "kg")), ("inertia", _shown_inertia(self.inertia))]
@@ -183,13 +191,13 @@ def _listed(numbers: Array) -> str:
     return ", ".join(f"{x:.6g}" for x in numbers)
 
 
-def _shown_element(element: Element) -> str:
+def shown_element(element: Element) -> str:
     shapes = element.kind.shapes
     given = (f"{n} {quantity(a, item_axes=len(shapes[n]))}" for n, a in element.parameters.items())
     return f"{element.name}: {', '.join(given) or 'no parameters'}"
 
 
-def _require(argument: str, value: object, kind: type, expected: str) -> None:
+def require(argument: str, value: object, kind: type, expected: str) -> None:
     if not isinstance(value, kind):
         raise ArgumentError(f"{argument} must be {expected}, got {told(value)}")
 
@@ -202,15 +210,25 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
         reject_functions(label, element)
-        _require(label, element, kind, one)
-        element.require_unchanged()
-        if element.kind.needs_axis and not keeps_axis(joint.rows):
-            raise ForceError(
-                f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
-                "keep: its body turns about others too; take a joint such as revolute, or a "
-                "constant_wrench or lierb.wrench"
+        require(label, element, kind, one)
+        if element.at:
+            raise ArgumentError(
+                f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
+                "leave .on(…) out, or make a lierb.Mechanism"
             )
+        require_fit(element, joint)
     return elements
+
+
+def require_fit(element: Element, joint: Joint) -> None:
+    """Raise ForceError for an element that has changed, or whose axis the joint does not have."""
+    element.require_unchanged()
+    if element.kind.needs_axis and not keeps_axis(joint.rows):
+        raise ForceError(
+            f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
+            "keep: its body turns about others too; take a joint such as revolute, or a "
+            "constant_wrench or lierb.wrench"
+        )
 
 
 def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
@@ -259,8 +277,8 @@ class Problem(Shown):
         constraints: Constraint | Iterable[Constraint] = (),
         observables: Observable | Iterable[Observable] = (),
     ) -> None:
-        _require("body", body, Body, "a lierb.Body")
-        _require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
+        require("body", body, Body, "a lierb.Body")
+        require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
         field = as_numbers("gravity", gravity, (3,))
         object.__setattr__(self, "body", body)
         object.__setattr__(self, "joint", joint)
@@ -286,7 +304,7 @@ class Problem(Shown):
             ("gravity", quantity(self.gravity, "m/s²", 1)),
         ]
         rows += [
-            (label, "\n".join(map(_shown_element, elements)))
+            (label, "\n".join(map(shown_element, elements)))
             for label in ("forces", "constraints", "observables")
             if (elements := getattr(self, label))
         ]
@@ -295,30 +313,11 @@ class Problem(Shown):
 
     def of_body(self, body: int) -> Problem:
         """The problem of one body of the batch. Raises ArgumentError for a number of none."""
-        count = self.batch_size() or 1
-        if not (is_whole(body) and 0 <= body < count):
-            raise ArgumentError(f"body={told(body)}; expected a whole number, 0 … {count - 1}")
-
-        def own(array: Array, item_axes: int = 0) -> Array:
-            if array.ndim == item_axes:
-                return array
-            return np.asarray(array[body] if len(array) > 1 else array[0])
-
-        held = self.joint
-        one = replace(
-            held, ground_frame=own(held.ground_frame, 2), body_frame=own(held.body_frame, 2),
-            pitch=own(held.pitch), length=own(held.length),
-        )  # fmt: skip
-        mass = Body(own(self.body.mass), own(self.body.inertia, 2), own(self.body.com, 1))
-
-        def element(of: Element) -> Any:
-            given = {n: own(a, len(of.kind.shapes[n])) for n, a in of.parameters.items()}
-            return replace(of, parameters=given)
-
+        which = member_of(body, self.batch_size())
         return Problem(
-            mass, one, own(self.gravity, 1),
-            [element(e) for e in self.forces], [element(e) for e in self.constraints],
-            [element(e) for e in self.observables],
+            self.body.of(which), self.joint.of(which), taken(self.gravity, which, 1),
+            [e.of_body(which) for e in self.forces], [e.of_body(which) for e in self.constraints],
+            [e.of_body(which) for e in self.observables],
         )  # fmt: skip
 
     @cached_property

@@ -16,7 +16,7 @@ from typing import Any, Self, overload
 
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, as_floats, as_numbers, batch_size
+from lierb.arrays import Array, as_floats, as_numbers, batch_size, taken
 from lierb.errors import (
     ArgumentError,
     ForceError,
@@ -52,12 +52,14 @@ class Element:
 
     parameters : by name, each in its own shape, or with an axis for the bodies before it.
     made_by : the function of the user's that it is made of, as it was decorated.
+    at : of a mechanism, where it acts: on a link, between two, or about the axis of a joint.
     """
 
     name: str
     kind: kinds.Element
     parameters: dict[str, Array]
     made_by: Decorated | None = None
+    at: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
@@ -70,7 +72,35 @@ class Element:
         return element
 
     def __repr__(self) -> str:
-        return f"<{self.name}: {', '.join(self.parameters) or 'no parameters'}>"
+        where = f", on {' and '.join(self.at)}" if self.at else ""
+        return f"<{self.name}: {', '.join(self.parameters) or 'no parameters'}{where}>"
+
+    def on(self, link: str, other: str | None = None) -> Self:
+        """The same on a link of a `lierb.Mechanism`, or between two links.
+
+        link : its name; of what acts about a joint axis that of the link, or of the loop, whose
+            joint it is.
+        other : the link that takes the ground's place: what the element calls the ground's (points,
+            directions, R and r) is in its body frame, and of a force it bears the reaction.
+
+        >>> import lierb
+        >>> spring = lierb.forces.spring_damper(stiffness=10.0)
+        >>> spring.on("rod", "crank")
+        <spring_damper: body_point, ground_point, stiffness, damping, length, on rod and crank>
+        """
+        at = (link,) if other is None else (link, other)
+        for name in at:
+            if not isinstance(name, str):
+                raise ArgumentError(f"on({told(name)}); expected the name of a link, as text")
+        if link == other:
+            raise ArgumentError(f"on({link!r}, {other!r}); expected two different links")
+        return replace(self, at=at)
+
+    def of_body(self, which: int | slice) -> Self:
+        """That of one body of the batch, or of a part of it."""
+        shapes = self.kind.shapes
+        given = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}
+        return replace(self, parameters=given)
 
     def batched(self) -> dict[str, tuple[Array, int]]:
         """The parameters as `batch_size` takes them."""

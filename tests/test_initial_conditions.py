@@ -10,7 +10,8 @@ import lierb
 from lierb.errors import ArgumentError, LierbError, PoseError
 
 BODY = lierb.Body(2.5, [[1.2, 0.1, -0.2], [0.1, 1.0, 0.05], [-0.2, 0.05, 0.9]], (0.1, -0.2, 0.3))
-OTHERS = [name for name, entry in lierb.joints.JOINTS.items() if entry.subgroup is None]
+PRODUCTS = [name for name, entry in lierb.joints.JOINTS.items() if entry.factors]
+OTHERS = [n for n in lierb.joints.JOINTS if n not in (*SUBGROUP_JOINTS, *PRODUCTS)]
 EVERY_JOINT = pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
 
 # ---- coordinates -------------------------------------------------------------------------------
@@ -27,7 +28,12 @@ NAMES = {
     "helical_planar": ("phi", "d1", "d2"),
     "schoenflies": ("phi", "d1", "d2", "d3"),
     "free": ("xi1", "xi2", "xi3", "d1", "d2", "d3"),
+    "universal": ("alpha", "beta"),
+    "hook": ("alpha", "beta"),
+    "pin_in_slot": ("d1", "phi"),
+    "pin_in_slot_body": ("phi", "s"),
 }
+EULER = {"universal": "ZY", "hook": "YZ"}  # axes that turn with the body
 HELICAL = ("screw", "helical_planar")
 
 
@@ -38,18 +44,47 @@ def relative(held, pose):
 def expected_relative(name, values):
     """D of coordinates, by SciPy's rotations."""
     given = dict(zip(NAMES[name], values, strict=True))
+    if name in EULER:
+        D = np.eye(4)
+        D[:3, :3] = Rotation.from_euler(EULER[name], values).as_matrix()
+        return D
     turn = [given.get(f"xi{i}", 0.0) for i in (1, 2, 3)]
     turn[2] += given.get("phi", 0.0)
     D = np.eye(4)
     D[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
     D[:3, 3] = [given.get(f"d{i}", 0.0) for i in (1, 2, 3)]
+    if name == "pin_in_slot_body":
+        D[:3, 3] = given["s"] * D[:3, 0]
     if name in HELICAL:
         D[2, 3] = PITCH * given["phi"]
     return D
 
 
-def test_every_group_has_coordinates():
-    assert set(NAMES) == set(SUBGROUP_JOINTS)
+def test_every_group_and_product_has_coordinates():
+    assert set(NAMES) == {*SUBGROUP_JOINTS, *PRODUCTS}
+
+
+@pytest.mark.parametrize("name", PRODUCTS)
+def test_factors_are_subgroups_of_one_freedom_whose_product_is_the_joint(name):
+    """Each by its own rows; the joint's rows vanish on their product."""
+    held = lierb.joints.JOINTS[name]()
+    a, b = (
+        lierb.joints.from_rows(factor.rows, body_frame=np.eye(4), ground_frame=np.eye(4))
+        for factor in held.factors
+    )
+    for one in (a, b):
+        assert len(one.rows) == 5
+    numbers = np.array([0.4, -1.1])
+    parts = [f.motion(x) for f, x in zip(held.factors, numbers, strict=True)]
+    for factor, part, alone in zip(held.factors, parts, (a, b), strict=True):
+        pose = lierb.arrays.pose_matrix(part)
+        free = lierb.Problem(BODY, alone).close(pose)
+        np.testing.assert_allclose(free, pose, rtol=0, atol=1e-15)  # its own rows: nothing to close
+        assert np.flatnonzero(np.array(factor.twist(1.0), dtype=float)).tolist() == [factor.slot]
+    product = lierb.arrays.pose_matrix(parts[0]) @ lierb.arrays.pose_matrix(parts[1])
+    np.testing.assert_allclose(held.pose(numbers), product, rtol=0, atol=1e-15)
+    closed = lierb.Problem(BODY, held).close(product)
+    np.testing.assert_allclose(closed, product, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -145,9 +180,9 @@ def test_velocities_are_the_rates_of_coordinates_along_the_motion(name, seed):
     twist = held.twist(velocities=rates, pose=pose)
     found = derivative(lambda t: held.coordinates(moved(pose, twist, t)))
     np.testing.assert_allclose(found, rates, rtol=0, atol=DIFFERENCED)
-    # and it is on the joint: nothing moves but the coordinates
-    later = moved(pose, twist, 0.01)
-    np.testing.assert_allclose(held.pose(held.coordinates(later)), later, rtol=0, atol=1e-14)
+    if name in SUBGROUP_JOINTS:  # it stays on the joint: nothing moves but the coordinates
+        later = moved(pose, twist, 0.01)
+        np.testing.assert_allclose(held.pose(held.coordinates(later)), later, rtol=0, atol=1e-14)
     # products of some matrices, and dexp of up to 3 rad
     np.testing.assert_allclose(held.velocities(twist, pose), rates, rtol=0, atol=1e-13)
 

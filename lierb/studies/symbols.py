@@ -20,7 +20,7 @@ SYMBOLS = {  # of the components of a vector, or one word for each of them
     "body.com": ("c₁", "c₂", "c₃"),
     "problem.gravity": ("g₁", "g₂", "g₃"),
 }
-GREEK = {"phi": "φ", "xi": "ξ"}
+GREEK = {"phi": "φ", "xi": "ξ", "alpha": "α", "beta": "β"}
 MOST_COMPONENTS = 6  # matrices have no axes
 
 

@@ -27,7 +27,7 @@ def unit_of(quantity: str, study: Study, joint: Joint) -> str:
         types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
         return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
     if key in ("coordinates", "velocities"):
-        of_each = ["m" if name.startswith("d") else "rad" for name in joint.coordinate_names]
+        of_each = ["m" if name[0] in "ds" else "rad" for name in joint.coordinate_names]
         return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)
     return UNITS[key]
 

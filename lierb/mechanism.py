@@ -1,0 +1,735 @@
+"""Mechanisms: several bodies, held by joints in a tree and by loops that close it.
+
+A joint acts between a frame B on its body and a frame G on what it hangs on, the ground or another
+link: D = G⁻¹ C_parent⁻¹ C B, and its rows act on D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import (
+    Array,
+    Pose,
+    as_floats,
+    as_numbers,
+    as_poses,
+    as_rotations,
+    assembled,
+    batch_size,
+    components,
+    finite,
+    member_of,
+    pose_components,
+    pose_matrix,
+    taken,
+)
+from lierb.column_names import require_free
+from lierb.errors import ArgumentError, items_of, told, two_readings, unknown_name
+from lierb.joint_motions import TURNS
+from lierb.joints import Joint
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
+from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
+from lierb.model import Body, require, require_fit, shown_element
+from lierb.shown import Lines, Shown, counted, quantity
+from lierb.user_elements import MOST_NAME, Constraint, Element, Force, Observable, reject_functions
+
+GROUND = "ground"
+NOWHERE = -1  # the number of the ground
+_quiet = np.errstate(all="ignore")  # what overflows is found in the result
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Link(Shown):
+    """A body of a mechanism, and the joint by which it hangs on another one or on the ground.
+
+    name : letters, digits and _; of its columns in the results.
+    joint : its `parent_point` or `parent_frame`, which is `ground_point` or `ground_frame` by
+        another name, is in the body frame of the parent.
+    parent : the name of another link, or "ground".
+
+    >>> import lierb
+    >>> lierb.Link("crank", lierb.bodies.box((0.1, 0.02, 0.02), mass=0.3), lierb.joints.revolute())
+    lierb.Link crank: revolute joint to ground
+      mass     0.3 kg
+      inertia  (2e-05, 0.00026, 0.00026) kg m², principal
+    """
+
+    name: str
+    body: Body
+    joint: Joint
+    parent: str = GROUND
+
+    def __post_init__(self) -> None:
+        _require_name("a link", self.name)
+        require(f"the body of link {self.name}", self.body, Body, "a lierb.Body")
+        _require_held("link", self.name, self.joint, self.parent)
+
+    def _shown(self) -> tuple[str, Lines]:
+        title = f"lierb.Link {self.name}: {self.joint.name} joint to {self.parent}"
+        return title, self.body._shown()[1]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Loop(Shown):
+    """A joint beside those of the links, which closes a loop of them.
+
+    name : as of a link.   body, parent : names of the links that it is between; `parent`, in whose
+    body frame its `parent_point` is, may be "ground".
+
+    >>> import lierb
+    >>> lierb.Loop("pin", lierb.joints.spherical(), body="rod")
+    <lierb.Loop pin: spherical joint of rod to ground>
+    """
+
+    name: str
+    joint: Joint
+    body: str
+    parent: str = GROUND
+
+    def __post_init__(self) -> None:
+        _require_name("a loop", self.name)
+        if not isinstance(self.body, str):
+            raise ArgumentError(f"loop {self.name}: body={told(self.body)}; expected a link's name")
+        _require_held("loop", self.name, self.joint, self.parent)
+        if self.body == self.parent:
+            raise ArgumentError(
+                f"loop {self.name} is between {self.body} and itself; expected two bodies"
+            )
+
+    def _shown(self) -> tuple[str, Lines]:
+        return (
+            f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}",
+            (),
+        )
+
+
+def _require_name(what: str, name: Any) -> None:
+    if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
+        raise ArgumentError(
+            f"{what} is named {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
+            "them, for columns are named after it"
+        )
+    if name == GROUND:
+        raise ArgumentError(f'{what} is named "{GROUND}", which is what does not move; rename it')
+
+
+def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
+    require(
+        f"the joint of {what} {name}", joint, Joint, "a joint from lierb.joints, as revolute(…)"
+    )
+    if not isinstance(parent, str):
+        raise ArgumentError(
+            f'{what} {name}: parent={told(parent)}; expected the name of a link, or "{GROUND}"'
+        )
+
+
+class Connection(NamedTuple):
+    """Two frames and what acts between them: a joint, or an element.
+
+    name : of the link or the loop whose joint it is; of an element its own.
+    body, parent : numbers of links; NOWHERE is the ground.
+    joint : the one whose frames they are; None where they are the body frames themselves.
+    rows : of the joint, or of the element.
+    elements : numbers of those that act between these frames: of an element that one.
+    """
+
+    name: str
+    body: int
+    parent: int
+    joint: Joint | None
+    rows: Rows = ()
+    elements: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Mechanism(Shown):
+    """Bodies, joints between them, and the forces on them.
+
+    links : in any order; a link's parent may come after it.
+    loops : joints beside those of the links.
+    gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
+    forces, constraints, observables : as of `lierb.Problem`, each placed by `.on(link)` or
+        `.on(link, other)`; with one link that may be left out.
+
+    Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
+    (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed.
+
+    Raises ArgumentError for links that make no tree and for names that are no link's, ForceError
+    for a force about a joint axis that there is not.
+
+    >>> import lierb
+    >>> pin = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
+    >>> body = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
+    >>> pendulum = lierb.Mechanism(
+    ...     links=[
+    ...         lierb.Link("upper", body, lierb.joints.revolute(**pin)),
+    ...         lierb.Link(
+    ...             "lower", body,
+    ...             lierb.joints.revolute(**pin, parent_point=(0.0, 0.0, -0.25)), parent="upper",
+    ...         ),
+    ...     ],
+    ...     gravity=(0.0, 0.0, -9.81),
+    ... )
+    >>> pose0 = pendulum.pose({"upper": np.pi / 2})
+    >>> pose0["lower"][:3, 3].round(9).tolist()
+    [-0.75, 0.0, 0.0]
+    """
+
+    links: tuple[Link, ...]
+    loops: tuple[Loop, ...]
+    gravity: Array
+    forces: tuple[Force, ...]
+    constraints: tuple[Constraint, ...]
+    observables: tuple[Observable, ...]
+
+    def __init__(
+        self,
+        links: Link | Iterable[Link],
+        loops: Loop | Iterable[Loop] = (),
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        forces: Force | Iterable[Force] = (),
+        constraints: Constraint | Iterable[Constraint] = (),
+        observables: Observable | Iterable[Observable] = (),
+    ) -> None:
+        object.__setattr__(self, "links", _all_of("links", links, Link, "lierb.Link"))
+        object.__setattr__(self, "loops", _all_of("loops", loops, Loop, "lierb.Loop"))
+        object.__setattr__(self, "gravity", as_numbers("gravity", gravity, (3,)))
+        self._check_names()
+        _ = self.order
+        for label, given, kind in (
+            ("forces", forces, Force),
+            ("constraints", constraints, Constraint),
+            ("observables", observables, Observable),
+        ):
+            expected = f"{kind.__name__.lower()}s made by lierb"
+            elements = _all_of(label, given, kind, expected)
+            fitted = tuple(self._fitted(f"{label}[{i}]", e) for i, e in enumerate(elements))
+            object.__setattr__(self, label, fitted)
+        require_free(self.observables)
+        self.batch_size()
+
+    # ---- what it is made of --------------------------------------------------------------------
+
+    def _check_names(self) -> None:
+        if not self.links:
+            raise ArgumentError("links is empty; a mechanism has one link at least")
+        owners: dict[str, str] = {}
+        for each in self.held:
+            what = "link" if isinstance(each, Link) else "loop"
+            if each.name in owners:
+                hint = ""
+                if what == owners[each.name] == "link":
+                    hint = "; a body with two parents is one Link, and a Loop for its other joint"
+                raise ArgumentError(
+                    f"two are named {each.name}, a {owners[each.name]} and a {what}; give every "
+                    f"link and every loop its own name{hint}"
+                )
+            owners[each.name] = what
+        known = (*self.names, GROUND)
+        for link in self.links:
+            if link.parent not in known:
+                raise unknown_name(f"link {link.name}: parent", link.parent, known)
+        for loop in self.loops:
+            for argument, name in (("body", loop.body), ("parent", loop.parent)):
+                if name not in known:
+                    raise unknown_name(f"loop {loop.name}: {argument}", name, known)
+            if loop.body == GROUND:
+                raise ArgumentError(
+                    f'loop {loop.name}: body="{GROUND}"; expected a link, and "{GROUND}" as parent'
+                )
+
+    @property
+    def held(self) -> tuple[Link | Loop, ...]:
+        """All that have a joint: the links, and after them the loops."""
+        return (*self.links, *self.loops)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Of the links, in the order given."""
+        return tuple(link.name for link in self.links)
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Of the links, by name; and of the ground."""
+        return {name: i for i, name in enumerate(self.names)} | {GROUND: NOWHERE}
+
+    @cached_property
+    def parents(self) -> tuple[int, ...]:
+        """The number of what each link hangs on; NOWHERE is the ground."""
+        return tuple(self.numbers[link.parent] for link in self.links)
+
+    @cached_property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of the links, parents before their children; else in the order given."""
+        found: list[int] = []
+        placed = {NOWHERE}
+        while len(found) < len(self.links):
+            ready = [i for i, p in enumerate(self.parents) if i not in placed and p in placed]
+            if not ready:
+                raise self._cycle(next(i for i in range(len(self.links)) if i not in placed))
+            found += ready
+            placed |= {*ready}
+        return tuple(found)
+
+    def _cycle(self, start: int) -> ArgumentError:
+        seen = [start]
+        while self.parents[seen[-1]] not in seen:
+            seen.append(self.parents[seen[-1]])
+        ring = seen[seen.index(self.parents[seen[-1]]) :]
+        names = " → ".join(self.names[i] for i in (*ring, ring[0]))
+        return ArgumentError(
+            f"links hang on each other in a cycle, {names}; hang one of them on the ground, or on "
+            "a link outside of it, and make the joint that closes the cycle a lierb.Loop"
+        )
+
+    def link(self, name: str) -> Link:
+        """The link of that name. Raises UnknownNameError."""
+        if not (isinstance(name, str) and name in self.names):
+            raise unknown_name("link", name, self.names)
+        return self.links[self.numbers[name]]
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """Forces, constraints and observables, each with the place where it acts."""
+        return (*self.forces, *self.constraints, *self.observables)
+
+    @cached_property
+    def kinds(self) -> tuple[kinds.Element, ...]:
+        """Of the elements, as compiled code is specialised on them."""
+        return tuple(element.kind for element in self.elements)
+
+    def require_unchanged(self) -> None:
+        """Raise ForceError where a force's function refers to something that is another by now."""
+        for element in self.elements:
+            if element.references:
+                element.require_unchanged()
+
+    @cached_property
+    def joints(self) -> tuple[Connection, ...]:
+        """The joints of the links, in their order, and after them those of the loops."""
+        found = [(x.name, x.name, x.parent, x.joint) for x in self.links]
+        found += [(x.name, x.body, x.parent, x.joint) for x in self.loops]
+        return tuple(
+            Connection(name, self.numbers[body], self.numbers[parent], joint, joint.rows)
+            for name, body, parent, joint in found
+        )
+
+    @cached_property
+    def places(self) -> tuple[Connection, ...]:
+        """Of every element, where it acts, and the rows that it adds."""
+        held = {c.name: c for c in self.joints}
+        found = []
+        for i, element in enumerate(self.elements):
+            rows = tuple(element.kind.row(0, j) for j in range(element.kind.rows))
+            if element.kind.needs_axis:
+                at = held[element.at[0]]
+                found.append(at._replace(name=element.name, rows=rows, elements=(i,)))
+            else:
+                body, parent = (*element.at, GROUND)[:2]
+                ends = self.numbers[body], self.numbers[parent]
+                found.append(Connection(element.name, *ends, None, rows, (i,)))
+        return tuple(found)
+
+    @cached_property
+    def connections(self) -> tuple[Connection, ...]:
+        """All that have rows: joints, loops, constraints and motors."""
+        return tuple(c for c in (*self.joints, *self.places) if c.rows)
+
+    def _fitted(self, label: str, element: Element) -> Any:
+        """The element with its place. Raises where it has none, or does not act there."""
+        if not element.at:
+            if len(self.links) > 1:
+                raise ArgumentError(
+                    f"{label}, {element.name}, is on no link; place it by "
+                    f".on({self.names[0]!r}), or on another one of {', '.join(self.names)}"
+                )
+            element = replace(element, at=self.names)
+        if element.kind.needs_axis:
+            self._require_joint(label, element)
+            return element
+        for name in element.at:
+            known = self.names if name == element.at[0] else (*self.names, GROUND)
+            if name not in known:
+                raise unknown_name(f"{label}, {element.name}: on", name, known)
+        element.require_unchanged()
+        return element
+
+    def _require_joint(self, label: str, element: Element) -> None:
+        owners = {x.name: x.joint for x in self.held}
+        if len(element.at) > 1:
+            raise ArgumentError(
+                f"{label}, {element.name}, is on {' and '.join(element.at)}, but acts about the "
+                f"axis of one joint; place it by .on({element.at[0]!r}) on the joint of that link"
+            )
+        (name,) = element.at
+        if name not in owners:
+            raise unknown_name(f"{label}, {element.name}: on", name, owners)
+        require_fit(element, owners[name])
+
+    # ---- batches -------------------------------------------------------------------------------
+
+    @cached_property
+    def _batched(self) -> dict[str, tuple[Array, int]]:
+        """The batched arguments, with the number of an item's axes."""
+        entries: dict[str, tuple[Array, int]] = {"gravity": (self.gravity, 1)}
+        for link in self.links:
+            for name, axes in (("mass", 0), ("inertia", 2), ("com", 1)):
+                entries[f"{link.name}.{name}"] = getattr(link.body, name), axes
+        for each in self.held:
+            for name, axes in (("ground_frame", 2), ("body_frame", 2), ("pitch", 0), ("length", 0)):
+                entries[f"{each.name}.{name}"] = getattr(each.joint, name), axes
+        for number, element in enumerate(self.elements):
+            for name, entry in element.batched().items():
+                entries[f"{'.'.join(element.at)}.{name}[{number}]"] = entry
+        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
+
+    def batch_size(self, **more: Any) -> int | None:
+        """Number of members that the batched arguments ask for; None where none is batched."""
+        return batch_size(**self._batched, **more)
+
+    def of_body(self, body: int) -> Mechanism:
+        """One member of the batch. Raises ArgumentError for a number of none."""
+        return self.part(member_of(body, self.batch_size()))
+
+    def part(self, which: int | slice) -> Mechanism:
+        """One member of the batch, or some that follow each other."""
+        return Mechanism(
+            [Link(x.name, x.body.of(which), x.joint.of(which), x.parent) for x in self.links],
+            [Loop(x.name, x.joint.of(which), x.body, x.parent) for x in self.loops],
+            taken(self.gravity, which, 1),
+            [e.of_body(which) for e in self.forces],
+            [e.of_body(which) for e in self.constraints],
+            [e.of_body(which) for e in self.observables],
+        )
+
+    def _shown(self) -> tuple[str, Lines]:
+        rows = [("links", "\n".join(_shown_joint(x, x.body._shown()[1]) for x in self.links))]
+        if self.loops:
+            rows.append(("loops", "\n".join(_shown_joint(x, ()) for x in self.loops)))
+        rows.append(("gravity", quantity(self.gravity, "m/s²", 1)))
+        rows += [
+            (label, "\n".join(f"{shown_element(e)}, on {' and '.join(e.at)}" for e in elements))
+            for label in ("forces", "constraints", "observables")
+            if (elements := getattr(self, label))
+        ]
+        parts = [counted(len(self.links), "link")]
+        if self.loops:
+            parts.append(counted(len(self.loops), "loop"))
+        size = self.batch_size() or 1
+        tail = f", {size} of it" if size > 1 else ""
+        return f"lierb.Mechanism: {' and '.join(parts)}{tail}", rows
+
+    # ---- numbers of its parts ------------------------------------------------------------------
+
+    def parameters(self, at: Connection) -> Parameters:
+        """The body of a connection and its two frames, as formulas take them.
+
+        As if the parent were the ground: gravity is that of the ground's axes all the same.
+        """
+        body, joint = self.links[at.body].body, at.joint
+        own: Pose = (IDENTITY, ZERO3)
+        return Parameters(
+            mass=body.mass,
+            inertia=components(body.inertia, 2),
+            com=components(body.com),
+            gravity=components(self.gravity),
+            ground=own if joint is None else pose_components(joint.ground_frame),
+            body=own if joint is None else pose_components(joint.body_frame),
+            pitch=np.float64(0.0) if joint is None else joint.pitch,
+            length=np.float64(0.0) if joint is None else joint.length,
+        )
+
+    def constants(self, at: Connection) -> BodyConstants:
+        """The body of a connection in its joint's axes, with the elements that act there."""
+        elements = [self.elements[i] for i in at.elements]
+        numbers = [
+            x
+            for element in elements
+            for name, shape in element.kind.shapes.items()
+            for x in components(element.parameters[name], len(shape))
+        ]
+        given = tuple(element.kind for element in elements)
+        return kinds.body_with(SE3, self.parameters(at), given, numbers)
+
+    # ---- coordinates along the tree ------------------------------------------------------------
+
+    @_quiet
+    def pose(self, coordinates: Mapping[str, Any] | None = None) -> dict[str, Array]:
+        """The poses of all links, from the coordinates of their joints; loops may stay open.
+
+        coordinates : of each link's joint, as `lierb.joints.Joint.pose` takes them: (k,) or (n, k),
+            a number or (n,) where there is one, or a rotation. What is left out is 0. A link whose
+            joint has none, such as point_on_line, may be given its pose in the ground frame, (4, 4)
+            or (n, 4, 4), and so may any other; left out, its two joint frames coincide.
+        Returns (4, 4) or (n, 4, 4) for each link. `close` then closes the loops.
+
+        >>> import lierb
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
+        >>> lierb.Mechanism([wheel]).pose({"wheel": [0.0, 0.1, 0.2]})["wheel"].shape
+        (3, 4, 4)
+        """
+        given = self._by_link("coordinates", coordinates, is_whole=False)
+        found: dict[int, Pose] = {}
+        sizes = {}
+        for i in self.order:
+            link, joint = self.links[i], self.links[i].joint
+            argument = f"coordinates[{link.name!r}]"
+            place = given.get(link.name)
+            if place is not None and _is_pose(argument, place, joint):
+                whole = as_poses(argument, place)
+                sizes[argument] = whole, 2
+                found[i] = pose_components(whole)
+                continue
+            relative, size = _relative(argument, place, joint)
+            sizes |= size
+            ground, body = pose_components(joint.ground_frame), pose_components(joint.body_frame)
+            local = se3.compose(se3.compose(ground, relative), se3.inverse(body))
+            parent = self.parents[i]
+            found[i] = local if parent == NOWHERE else se3.compose(found[parent], local)
+        self.batch_size(**sizes)
+        return self._poses_of(found)
+
+    def _poses_of(self, found: dict[int, Pose]) -> dict[str, Array]:
+        return {
+            name: finite(f"the pose of {name}", pose_matrix(found[i]))
+            for i, name in enumerate(self.names)
+        }
+
+    @_quiet
+    def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+        """Where on its joint each link is, (k,) or (n, k), as `lierb.joints.Joint.coordinates`.
+
+        pose : of all links; that they close the joints is not checked.
+
+        Of a joint that has none the link's pose in the ground frame stands there instead, as `pose`
+        takes it; a fixed joint's link is left out.
+        """
+        poses = self.poses("pose", pose)
+        found = {}
+        for i, link in enumerate(self.links):
+            if motions := _motions(link.joint):
+                numbers = motions.coordinates(self.relative(self.joints[i], poses))
+                found[link.name] = finite(f"a coordinate of {link.name}", assembled(numbers))
+            elif not _is_rigid(link.joint):
+                found[link.name] = pose_matrix(poses[i])
+        return found
+
+    @_quiet
+    def twist(
+        self, velocities: Mapping[str, Any] | None = None, pose: Mapping[str, Any] | None = None
+    ) -> dict[str, Array]:
+        """The body-fixed twists (ω, v) of all links, from the rates of their joints' coordinates.
+
+        velocities : of each link's joint, rad/s and m/s, (k,) or (n, k), or a number or (n,) where
+            there is one. What is left out is 0. A link whose joint has no coordinates may be given
+            its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
+        pose : of all links. Default: all coordinates 0.
+        Returns (6,) or (n, 6) for each link. `project` then satisfies the loops.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), hinge)
+        >>> lierb.Mechanism([wheel]).twist({"wheel": 2.0})["wheel"].tolist()
+        [0.0, 0.0, 2.0, 0.0, -1.0, 0.0]
+        """
+        poses = self.poses("pose", self.pose() if pose is None else pose)
+        given = self._by_link("velocities", velocities, is_whole=False)
+        found: dict[int, Vec] = {}
+        sizes: dict[str, Any] = {f"pose[{n!r}]": poses[i][1][0] for i, n in enumerate(self.names)}
+        for i in self.order:
+            link, at = self.links[i], self.joints[i]
+            argument, motions = f"velocities[{link.name!r}]", _motions(self.links[i].joint)
+            relative: Vec = ZERO6
+            if motions:
+                rates = _numbers(argument, given.get(link.name, 0.0), motions.names)
+                sizes[argument] = rates, 1
+                relative = motions.twist(components(rates), self.relative(at, poses))
+            elif link.name in given:
+                whole = as_numbers(argument, given[link.name], (6,))
+                sizes[argument] = whole, 1
+                found[i] = components(whole)
+                continue
+            frame = pose_components(link.joint.body_frame)
+            if at.parent != NOWHERE:
+                relative = add(relative, self.carried(at, poses, found))
+            found[i] = se3.Ad(frame, relative)
+        self.batch_size(**sizes)
+        return {
+            name: finite(f"the twist of {name}", assembled(found[i]))
+            for i, name in enumerate(self.names)
+        }
+
+    @_quiet
+    def velocities(
+        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None
+    ) -> dict[str, Array]:
+        """The rates of the joints' coordinates, (k,) or (n, k), in the order of `coordinate_names`.
+
+        twist, pose : of all links. That they satisfy the joints is not checked.
+
+        Of a joint that has none the link's twist stands there instead, as `twist` takes it; a fixed
+        joint's link is left out.
+        """
+        poses = self.poses("pose", self.pose() if pose is None else pose)
+        twists = self.twists("twist", twist)
+        found = {}
+        for i, link in enumerate(self.links):
+            at = self.joints[i]
+            if motions := _motions(link.joint):
+                moving = self.relative_twist(at, poses, twists)
+                rates = motions.rates(moving, self.relative(at, poses))
+                found[link.name] = finite(f"a rate of {link.name}", assembled(rates))
+            elif not _is_rigid(link.joint):
+                found[link.name] = assembled(twists[i])
+        return found
+
+    def relative(self, at: Connection, poses: list[Pose]) -> Pose:
+        """D = G⁻¹ C_parent⁻¹ C B of a connection."""
+        p = self.parameters(at)
+        ground = p.ground if at.parent == NOWHERE else se3.compose(poses[at.parent], p.ground)
+        return se3.compose(se3.compose(se3.inverse(ground), poses[at.body]), p.body)
+
+    def carried(self, at: Connection, poses: list[Pose], twists: Mapping[int, Vec]) -> Vec:
+        """Ad(D⁻¹G⁻¹) V_parent: how the body's joint frame would move if the joint were rigid."""
+        seen = se3.compose(self.parameters(at).ground, self.relative(at, poses))
+        return se3.Ad(se3.inverse(seen), twists[at.parent])
+
+    def relative_twist(self, at: Connection, poses: list[Pose], twists: Any) -> Vec:
+        """D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent."""
+        own = se3.Ad(se3.inverse(self.parameters(at).body), twists[at.body])
+        return own if at.parent == NOWHERE else sub(own, self.carried(at, poses, twists))
+
+    # ---- poses and twists of all links ---------------------------------------------------------
+
+    def poses(self, argument: str, given: Any) -> list[Pose]:
+        """The poses of all links, checked, one array per component."""
+        found = self._by_link(argument, given)
+        poses = {n: as_poses(f"{argument}[{n!r}]", found[n]) for n in self.names}
+        self.batch_size(**{f"{argument}[{n!r}]": (array, 2) for n, array in poses.items()})
+        return [pose_components(poses[name]) for name in self.names]
+
+    def twists(self, argument: str, given: Any) -> list[Vec]:
+        """The twists of all links, checked, one array per component."""
+        found = self._by_link(argument, given)
+        twists = {n: as_numbers(f"{argument}[{n!r}]", found[n], (6,)) for n in self.names}
+        self.batch_size(**{f"{argument}[{n!r}]": (array, 1) for n, array in twists.items()})
+        return [components(twists[name]) for name in self.names]
+
+    def _by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
+        """A dictionary with the names of links, of all of them where it must be whole."""
+        if given is None and not is_whole:
+            return {}
+        if not isinstance(given, Mapping):
+            raise ArgumentError(
+                f"{argument}={told(given)}; expected a dictionary of what each link has, as "
+                f"{{{self.names[0]!r}: …}}"
+            )
+        for name in given:
+            if name not in self.names:
+                raise unknown_name(argument, name, self.names)
+        lacking = [name for name in self.names if name not in given]
+        if is_whole and lacking:
+            raise ArgumentError(
+                f"{argument} lacks {', '.join(lacking)}; expected an entry for every link"
+            )
+        return dict(given)
+
+
+def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:
+    items = items_of(argument, given, f"{expected}s") if isinstance(given, Iterable) else (given,)
+    for number, item in enumerate(items):
+        reject_functions(f"{argument}[{number}]", item)
+        require(f"{argument}[{number}]", item, kind, f"{expected}(…)")
+    return items
+
+
+def _shown_joint(each: Link | Loop, lines: Lines) -> str:
+    ends = f" of {each.body}" if isinstance(each, Loop) else ""
+    parts = (f"{each.name}: {each.joint.name} joint{ends} to {each.parent}", *map(" ".join, lines))
+    return ", ".join(parts)
+
+
+# ---- coordinates of one link -------------------------------------------------------------------
+
+
+def _motions(joint: Joint) -> Any:
+    """What its coordinates are; None where it has none."""
+    return joint.motions if joint.subgroup or joint.factors else None
+
+
+def _is_rigid(joint: Joint) -> bool:
+    return joint.name == "fixed"
+
+
+def _is_pose(argument: str, given: Any, joint: Joint) -> bool:
+    """Whether a link's coordinates are its whole pose: 4×4 matrices, and no rotation's."""
+    if hasattr(given, "as_matrix"):
+        return bool(np.shape(given.as_matrix())[-1:] == (4,))
+    array = as_floats(argument, given)
+    if array.shape[-2:] != (4, 4):
+        return False
+    motions = _motions(joint)
+    if array.ndim > 2 or motions is None or len(motions.names) != 4:
+        return True
+    if tuple(array[3]) == (0.0, 0.0, 0.0, 1.0):
+        raise two_readings(
+            argument, array.shape, a_pose="pose[None]",
+            four_coordinates_of_each_of_four_members="joint.pose(coordinates=…)",
+        )  # fmt: skip
+    return False
+
+
+def _relative(argument: str, given: Any, joint: Joint) -> tuple[Pose, dict[str, tuple[Array, int]]]:
+    """D of a joint's coordinates or of its rotation, and what is batched of them."""
+    motions = _motions(joint)
+    if motions is None:
+        if given is not None:
+            names = "; leave it out" if _is_rigid(joint) else "; give the link's pose, (4, 4)"
+            raise ArgumentError(f"{argument}: a {joint.name} joint has no coordinates{names}")
+        return (IDENTITY, (0.0, 0.0, joint.length)), {}
+    if given is None:
+        given = np.zeros(len(motions.names))
+    is_turn = hasattr(given, "as_matrix")
+    if motions.names == TURNS and not is_turn:
+        shape = as_floats(argument, given).shape
+        is_turn = len(shape) == 3
+        if shape == (3, 3):
+            raise two_readings(
+                argument, shape, a_rotation_matrix="R[None]",
+                three_rotation_vectors="scipy's Rotation.from_rotvec(xi)",
+            )  # fmt: skip
+    if is_turn:
+        if motions.names != TURNS:
+            raise ArgumentError(
+                f"{argument}: a {joint.name} joint takes no rotation; give its coordinates, "
+                f"{', '.join(motions.names)}"
+            )
+        turns = as_rotations(argument, given)
+        return (components(turns, 2), ZERO3), {argument: (turns, 2)}
+    numbers = _numbers(argument, given, motions.names)
+    return motions.pose(components(numbers)), {argument: (numbers, 1)}
+
+
+def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
+    """One number for each of the coordinates; of one coordinate a bare number or (n,) will do."""
+    array, k = as_floats(argument, given), len(names)
+    if array.ndim == 0 and (k == 1 or not array):
+        array = np.full(k, array)
+    elif array.ndim == 1 and k == 1 and len(array) != 1:
+        array = array[:, None]
+    if array.ndim not in (1, 2) or array.shape[-1] != k:
+        expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
+        raise ArgumentError(
+            f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
+        )
+    return as_numbers(argument, array, (k,))
