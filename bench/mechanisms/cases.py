@@ -142,15 +142,17 @@ def _fourbar(count: int) -> Tree:
     rocker = np.arctan2(pin[:, 1], pin[:, 0] - d)
     speed = 6.0 + 0.5 * z[:, 2, 1]
     turns = _loop_speeds(speed, end, pin, d)
-    plane = Rotation.random(1, rng=rng).as_matrix()[0] @ Rotation.from_rotvec(
-        0.2 * z[:, 0, 4:7]
-    ).as_matrix()
+    plane = (
+        Rotation.random(1, rng=rng).as_matrix()[0]
+        @ Rotation.from_rotvec(0.2 * z[:, 0, 4:7]).as_matrix()
+    )
     pivots, places = np.zeros((count, 3, 3)), np.tile(np.eye(3), (count, 3, 1, 1))
     pivots[:, 1, 0], pivots[:, 2] = a, d[:, None] * plane[..., 0]
     places[:, 0] = places[:, 2] = plane
     com = 0.5 * np.stack([a, b, c], axis=-1)[..., None] * np.eye(3)[0] + 0.01 * z[..., 7:10]
-    turned = lambda numbers: Rotation.random(3 * count, rng=np.random.default_rng(1)) * (
-        Rotation.from_rotvec(0.1 * numbers.reshape(-1, 3))
+    turned = lambda numbers: (
+        Rotation.random(3 * count, rng=np.random.default_rng(1))
+        * (Rotation.from_rotvec(0.1 * numbers.reshape(-1, 3)))
     )
     loop = np.zeros((count, 2, 3))
     loop[:, 0, 0], loop[:, 1, 0] = b, c
@@ -192,9 +194,7 @@ def places(tree: Tree, q: Array) -> list[Array]:
 def positions(tree: Tree, q: Array) -> Array:
     """(n, k, 3) m: where the origins of the bodies' frames are."""
     frames = places(tree, q)
-    return np.stack(
-        [(g @ tree.bodies[:, i])[:, :3, 3] for i, g in enumerate(frames)], axis=1
-    )
+    return np.stack([(g @ tree.bodies[:, i])[:, :3, 3] for i, g in enumerate(frames)], axis=1)
 
 
 def _ancestors(tree: Tree, link: int) -> list[int]:
@@ -224,7 +224,9 @@ def equations(tree: Tree, q: Array, v: Array) -> tuple[Array, Array]:
         a = carried[i] + np.cross(alpha, arm) + np.cross(w, np.cross(w, arm)) - GRAVITY
         spin = np.einsum("nij,nj->ni", inertia, w)
         moment = np.einsum("nij,nj->ni", inertia, alpha) + np.cross(w, spin)
-        f -= np.einsum("nik,ni->nk", turning, moment) + np.einsum("nik,ni->nk", moving, m[..., 0] * a)
+        f -= np.einsum("nik,ni->nk", turning, moment) + np.einsum(
+            "nik,ni->nk", moving, m[..., 0] * a
+        )
     return M, f
 
 
@@ -301,13 +303,13 @@ def harmonics(tree: Tree) -> Array:
     """
     n, turns = len(tree), 2 * np.pi * np.arange(5) / 5
     zero = np.zeros((n, 2))
-    M = np.stack([equations(tree, zero + (0.0, t), zero)[0] for t in turns])
+    M = np.stack([equations(tree, zero + np.array((0.0, t)), zero)[0] for t in turns])
     waves = lambda y, k: (2 / 5 * np.cos(k * turns) @ y, 2 / 5 * np.sin(k * turns) @ y)
     first, second = M[:, :, 0, 0], M[:, :, 0, 1]
     rows = [first.mean(0), *waves(first, 1), *waves(first, 2)]
     rows += [second.mean(0), *waves(second, 1), M[0, :, 1, 1]]
     angles = 2 * np.pi * np.arange(3) / 3
-    V = np.array([[_potential(tree, zero + (p, r)) for r in angles] for p in angles])
+    V = np.array([[_potential(tree, zero + np.array((p, r))) for r in angles] for p in angles])
     basis = np.stack([np.ones(3), np.cos(angles), np.sin(angles)])
     weights = np.array((1 / 3, 2 / 3, 2 / 3))[:, None] * basis
     v = np.einsum("ip,jr,prn->ijn", weights, weights, V)

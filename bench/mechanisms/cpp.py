@@ -13,10 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from peers import cpp as compiler
 
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
-from peers import cpp as compiler
 
 FORMS = {
     "chain2-bodies": Form("chain2", "C++, body by body, RK4", 16384),
@@ -57,7 +57,9 @@ def _integrator(form: str, tree: Tree, lanes: int, group: int) -> Callable[[], n
     def integrate() -> np.ndarray:
         out = np.empty_like(start)
         pointers = (ctypes.c_void_p(a.ctypes.data) for a in (numbers, start, out))
-        kernel(*pointers, ctypes.c_long(out.shape[1]), ctypes.c_long(steps), ctypes.c_double(cases.DT))
+        kernel(
+            *pointers, ctypes.c_long(out.shape[1]), ctypes.c_long(steps), ctypes.c_double(cases.DT)
+        )
         checked = out[:, : min(count, cases.CHECKED)]
         q = np.arctan2(checked[[1, 3]], checked[[0, 2]]).T
         return cases.positions(tree.first(len(q)), q)
@@ -83,7 +85,8 @@ def _bodies(tree: Tree) -> np.ndarray:
     rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
     parts = (
         g, moment[:, 0], axis[:, None], back(e3), u, t,
-        E.transpose(0, 2, 1).reshape(-1, 9), tree.mass[:, 1:], moment[:, 1], J[:, 1][:, rows, columns],
+        E.transpose(0, 2, 1).reshape(-1, 9), tree.mass[:, 1:], moment[:, 1],
+        J[:, 1][:, rows, columns],
     )  # fmt: skip
     return np.concatenate(parts, axis=-1).T
 

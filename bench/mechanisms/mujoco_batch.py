@@ -10,10 +10,10 @@ from collections.abc import Callable
 from importlib.util import find_spec
 
 import numpy as np
+from peers.mujoco_rollout import OFF
 
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
-from peers.mujoco_rollout import OFF
 
 COUNTS = {2: 192, 3: 160, 5: 128, 8: 96}
 FORMS = {
@@ -68,7 +68,7 @@ def _xml(tree: Tree, i: int) -> str:
         placed, back = placed @ own[k], np.linalg.inv(own[k])
         moments = np.diag(own[k][:3, :3].T @ tree.inertia[i, k] @ own[k][:3, :3])
         texts[k] = f"""<body name="body{k}" pos="{text(placed[:3, 3])}" quat="{_quat(placed)}">
-            <joint name="joint{k}" type="hinge" pos="{text(back[:3, 3])}" axis="{text(back[:3, 2])}"/>
+            <joint name="joint{k}" pos="{text(back[:3, 3])}" axis="{text(back[:3, 2])}"/>
             <inertial pos="0 0 0" mass="{tree.mass[i, k]!s}" diaginertia="{text(moments)}"/>
             {children}</body>"""
     roots = "".join(texts[j] for j, parent in enumerate(tree.parents) if parent < 0)
@@ -102,7 +102,9 @@ def _sites(tree: Tree, i: int, own: list[np.ndarray], bodies: str) -> str:
         local = np.linalg.inv(own[k]) @ (*point, 1.0)
         site = f'<site name="end{k}" pos="{_text(local[:3])}"/>'
         head, mark, rest = bodies.partition(f'<joint name="joint{k}"')
-        bodies = f"{head}{mark}{rest}".replace(f'<joint name="joint{k}"', f'{site}<joint name="joint{k}"')
+        bodies = f"{head}{mark}{rest}".replace(
+            f'<joint name="joint{k}"', f'{site}<joint name="joint{k}"'
+        )
     return bodies
 
 

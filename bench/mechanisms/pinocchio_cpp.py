@@ -1,4 +1,4 @@
-"""Pinocchio from C++: ABA and Runge–Kutta 4 in one loop (pinocchio_rk4.cpp), one model a trajectory.
+"""Pinocchio from C++: ABA and Runge–Kutta 4 (pinocchio_rk4.cpp), one model a trajectory.
 
 From Python a call costs more than its flops. Headers come with `pin`, Eigen's with `cmeel-eigen`.
 Loops are Pinocchio's own constraint dynamics (proximal, tolerance 1e-12).
@@ -11,16 +11,17 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from peers.cpp import CACHE
 
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
-from peers.cpp import CACHE
 
 COUNTS = {2: 1024, 3: 768, 5: 384, 8: 256}
 FORMS = {
@@ -56,7 +57,7 @@ def run(form: str, tree: Tree) -> Callable[[], np.ndarray]:
     ).copy()  # fmt: skip
     parents = np.array(tree.parents, np.int32)
     loop = None if tree.loop is None else tree.loop.copy()
-    library = ctypes.CDLL(str(_library()))
+    library = ctypes.CDLL(str(_library(loops=loop is not None)))
     library.create.restype = library.advance.restype = None
     library.create(
         ctypes.c_int(n), ctypes.c_int(k), _pointer(parents), _pointer(numbers), _pointer(loop)
@@ -80,16 +81,17 @@ def _include() -> Path:
     return next(p for p in Path(pinocchio.__file__).parents if p.name == "cmeel.prefix") / "include"
 
 
-def _library() -> Path:
-    """Compiled once: Pinocchio's templates take a minute or two."""
-    include = _include()
-    made_of = (SOURCE.read_text(), FLAGS, config(), str(include))
+def _library(loops: bool) -> Path:
+    """Compiled once: Pinocchio's templates take a minute, those of its constraints several."""
+    include, flags = _include(), [*FLAGS, *(["-DLOOPS"] if loops else [])]
+    made_of = (SOURCE.read_text(), flags, config(), str(include))
     library = CACHE / f"pinocchio-{hashlib.sha256(repr(made_of).encode()).hexdigest()[:16]}.so"
     if not library.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
         fresh = library.with_suffix(f".{os.getpid()}")
         lib = include.parent / "lib"
         paths = [f"-I{include}", f"-I{include / 'eigen3'}", f"-L{lib}", f"-Wl,-rpath,{lib}"]
-        subprocess.run(["g++", *FLAGS, SOURCE, *paths, "-o", fresh], check=True)
+        print("compiling Pinocchio's templates, some minutes", file=sys.stderr, flush=True)
+        subprocess.run(["g++", *flags, SOURCE, *paths, "-o", fresh], check=True)
         fresh.replace(library)
     return library

@@ -3,7 +3,9 @@
 #include <vector>
 
 #include <pinocchio/algorithm/aba.hpp>
+#ifdef LOOPS  // minutes to compile
 #include <pinocchio/algorithm/constrained-dynamics.hpp>
+#endif
 #include <pinocchio/multibody.hpp>
 
 namespace pin = pinocchio;
@@ -18,16 +20,29 @@ constexpr int NUMBERS = 27;  // of a link: frame (9, 3), mass, com (3), inertia 
 struct Trajectory {
     pin::Model model;
     std::unique_ptr<pin::Data> data;
+    VectorXd q0, v0, tau;
+#ifdef LOOPS
     std::vector<pin::RigidConstraintModel> constraints;
     std::vector<pin::RigidConstraintData> constraint_data;
     pin::ProximalSettings settings{1e-12, 1e-12, 1e-10, 20};
-    VectorXd q0, v0, tau;
 
+    void close(pin::JointIndex a, pin::JointIndex b, const double* points) {
+        const pin::SE3 at_a(Eigen::Matrix3d::Identity(), Vector(points));
+        const pin::SE3 at_b(Eigen::Matrix3d::Identity(), Vector(points + 3));
+        constraints.emplace_back(pin::CONTACT_3D, model, a, at_a, b, at_b);
+        constraint_data.emplace_back(constraints[0]);
+        pin::initConstraintDynamics(model, *data, constraints, constraint_data);
+    }
     const VectorXd& accelerations(const VectorXd& q, const VectorXd& v) {
-        if (constraints.empty()) return pin::aba(model, *data, q, v, tau);
         return pin::constraintDynamics(model, *data, q, v, tau, constraints, constraint_data,
                                        settings);
     }
+#else
+    void close(pin::JointIndex, pin::JointIndex, const double*) {}
+    const VectorXd& accelerations(const VectorXd& q, const VectorXd& v) {
+        return pin::aba(model, *data, q, v, tau);
+    }
+#endif
 };
 
 std::vector<Trajectory> all;
@@ -51,15 +66,8 @@ extern "C" void create(int count, int links, const int* parents, const double* n
                 joint[i], pin::Inertia(numbers[12], Vector(numbers + 13), Matrix(numbers + 16)));
             t.q0[i] = numbers[25], t.v0[i] = numbers[26];
         }
-        if (loop) {
-            const pin::SE3 a(Eigen::Matrix3d::Identity(), Vector(loop));
-            const pin::SE3 b(Eigen::Matrix3d::Identity(), Vector(loop + 3));
-            t.constraints.emplace_back(pin::CONTACT_3D, t.model, joint[1], a, joint[2], b);
-            t.constraint_data.emplace_back(t.constraints[0]);
-            loop += 6;
-        }
         t.data = std::make_unique<pin::Data>(t.model);
-        if (loop) pin::initConstraintDynamics(t.model, *t.data, t.constraints, t.constraint_data);
+        if (loop) t.close(joint[1], joint[2], loop), loop += 6;
     }
 }
 
