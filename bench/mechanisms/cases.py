@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -19,6 +20,8 @@ T_END = 1.0  # s
 DT = 1e-3  # s
 CHECKED = 8  # trajectories that are compared with the reference
 SEED = 20261123
+REFERENCE = Path(__file__).with_name("reference.npz")
+MECHANISMS = ("chain2", "chain3", "chain5", "chain8", "fourbar")
 NUMBERS = 19  # that vary of a link: mass, 3 edges, com, 2 rotations, point, q0, v0, placing
 
 
@@ -271,8 +274,13 @@ def accelerations(tree: Tree, q: Array, v: Array) -> Array:
 
 @cache
 def reference(mechanism: str) -> Array:
-    """(CHECKED, k, 3) m: where the links are at T_END, by DOP853 at 1e-12."""
-    tree = tree_of(mechanism, CHECKED)
+    """(CHECKED, k, 3) m: where the links are at T_END; stored, as it takes `solved` a minute."""
+    return np.asarray(np.load(REFERENCE)[mechanism])
+
+
+def solved(mechanism: str, count: int = CHECKED, t_end: float = T_END) -> Array:
+    """(count, k, 3) m: where the links are at t_end, by DOP853 at 1e-12."""
+    tree = tree_of(mechanism, count)
     shape = tree.q0.shape
 
     def rates(t: float, y: Array) -> Array:
@@ -280,7 +288,7 @@ def reference(mechanism: str) -> Array:
         return np.concatenate([v.ravel(), accelerations(tree, q, v).ravel()])
 
     start = np.concatenate([tree.q0.ravel(), tree.v0.ravel()])
-    found = solve_ivp(rates, (0, T_END), start, "DOP853", rtol=1e-12, atol=1e-12)
+    found = solve_ivp(rates, (0, t_end), start, "DOP853", rtol=1e-12, atol=1e-12)
     return positions(tree, found.y[:, -1].reshape(2, *shape)[0])
 
 
