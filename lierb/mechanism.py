@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb import model_files
+from lierb import mechanism_closing, model_files
 from lierb.arrays import (
     Array,
     Pose,
     as_floats,
+    as_number,
     as_numbers,
     as_poses,
     as_rotations,
@@ -48,6 +49,7 @@ from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
+from lierb.mechanism_closing import Mobility
 from lierb.model import Body, require, require_fit, shown_element
 from lierb.shown import Lines, Shown, counted, quantity
 from lierb.user_elements import MOST_NAME, Constraint, Element, Force, Observable, reject_functions
@@ -230,42 +232,53 @@ class Mechanism(Shown):
     # ---- from files ----------------------------------------------------------------------------
 
     @classmethod
-    def from_mjcf(cls, path: Any, *, merge_fixed: bool = False) -> Mechanism:
+    def from_mjcf(
+        cls, path: Any, *, merge_fixed: bool = False, limit_stiffness: float | None = None
+    ) -> Mechanism:
         """The mechanism of an MJCF file, MuJoCo's format.
 
         path : of the file; what it includes and refers to is found from there.
         merge_fixed : make bodies that are welded to each other one link, rather than a link each on
             a fixed joint. A body without mass is merged with its parent anyhow, and one that is
             welded to the world is the ground.
+        limit_stiffness : of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves
+            limits out. MuJoCo's own are softer or harder with the mass that they stop.
 
         Bodies keep their names and frames, hinge, slide, ball and free joints become joints of the
         catalogue (several on one body that joint which is all of them, such as universal),
-        `equality/connect` and `weld` become loops, springs and dampers of hinges forces, and
-        `pose()` is the pose at qpos0. What a simulation by MuJoCo would have had besides (contacts,
-        limits, actuators, tendons …) is left out, and listed in a LeftOutWarning.
+        `equality/connect` and `weld` become loops, springs and dampers of joints that keep their
+        axis become forces, and `pose()` is the pose at qpos0. What a simulation by MuJoCo would
+        have had besides (contacts, friction, actuators, tendons …) is left out, and listed in a
+        LeftOutWarning.
 
         Needs mujoco (the extra `lierb[mjcf]`). Raises ArgumentError for a file that MuJoCo does not
         take, or with joints that are together none of the catalogue.
         """
-        return cls._of_file(path, "MJCF", merge_fixed)
+        return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
 
     @classmethod
     def from_urdf(
-        cls, path: Any, *, gravity: ArrayLike = (0.0, 0.0, -9.81), merge_fixed: bool = False
+        cls,
+        path: Any,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        merge_fixed: bool = False,
+        limit_stiffness: float | None = None,
     ) -> Mechanism:
         """The mechanism of a URDF file; its root link is the ground.
 
         path : of the file. Meshes are not looked for: all mass is in <inertial>.
         gravity : (3,) or (n, 3), m/s²: URDF has none of its own.
+        merge_fixed, limit_stiffness : as of `from_mjcf`.
 
         Revolute and continuous, prismatic, fixed, planar and floating joints; else as `from_mjcf`,
         whose reader it is.
         """
-        return cls._of_file(path, "URDF", merge_fixed, gravity)
+        return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
 
     @classmethod
-    def _of_file(cls, path: Any, language: str, merge: bool, gravity: Any = None) -> Mechanism:
-        parts = model_files.read(path, language, merge)
+    def _of_file(cls, path: Any, language: str, gravity: Any, *options: Any) -> Mechanism:
+        parts = model_files.read(path, language, *options)
         if parts.left_out:
             warnings.warn(LeftOutWarning(path, parts.left_out), stacklevel=3)
         return cls(
@@ -528,7 +541,7 @@ class Mechanism(Shown):
             a number or (n,) where there is one, or a rotation. What is left out is 0. A link whose
             joint has none, such as point_on_line, may be given its pose in the ground frame, (4, 4)
             or (n, 4, 4), and so may any other; left out, its two joint frames coincide.
-        Returns (4, 4) or (n, 4, 4) for each link. `close` then closes the loops.
+        Returns (4, 4) for each link, or (n, 4, 4) where one's is. `close` then closes the loops.
 
         >>> import lierb
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
@@ -557,10 +570,7 @@ class Mechanism(Shown):
         return self._poses_of(found)
 
     def _poses_of(self, found: dict[int, Pose]) -> dict[str, Array]:
-        return {
-            name: finite(f"the pose of {name}", pose_matrix(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: pose_matrix(found[i]) for i, n in enumerate(self.names)}, "pose", 2)
 
     @_quiet
     def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
@@ -591,7 +601,7 @@ class Mechanism(Shown):
             there is one. What is left out is 0. A link whose joint has no coordinates may be given
             its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
         pose : of all links. Default: all coordinates 0.
-        Returns (6,) or (n, 6) for each link. `project` then satisfies the loops.
+        Returns (6,) for each link, or (n, 6) where one's is. `project` then satisfies the loops.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
@@ -621,10 +631,7 @@ class Mechanism(Shown):
                 relative = add(relative, self.carried(at, poses, found))
             found[i] = se3.Ad(frame, relative)
         self.batch_size(**sizes)
-        return {
-            name: finite(f"the twist of {name}", assembled(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: assembled(found[i]) for i, n in enumerate(self.names)}, "twist", 1)
 
     @_quiet
     def velocities(
@@ -666,6 +673,94 @@ class Mechanism(Shown):
         own = se3.Ad(se3.inverse(self.parameters(at).body), twists[at.body])
         return own if at.parent == NOWHERE else sub(own, self.carried(at, poses, twists))
 
+    # ---- closing -------------------------------------------------------------------------------
+
+    def close(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+        """Poses that close all joints and loops, from some near by, by Newton's method.
+
+        pose : of all links, (4, 4) or (n, 4, 4).   Returns the same.
+
+        Every step is the motion of least kinetic energy that makes up for what is open, as in
+        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already
+        comes back as it is. Raises PoseError where that leads nowhere, and says which joint stays
+        open by how much.
+
+        >>> import lierb
+        >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
+        >>> turning = dict(axis=(0.0, 1.0, 0.0))
+        >>> bar = lierb.Link("bar", rod, lierb.joints.revolute((0.0, 0.0, 0.5), **turning))
+        >>> strut = lierb.Link(
+        ...     "strut", rod, lierb.joints.revolute((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), **turning)
+        ... )
+        >>> tie = lierb.Loop(
+        ...     "tie",
+        ...     lierb.joints.revolute((0.0, 0.0, -0.5), parent_point=(0.0, 0.0, -0.5), **turning),
+        ...     "strut",
+        ...     "bar",
+        ... )
+        >>> truss = lierb.Mechanism([bar, strut], tie)
+        >>> closed = truss.close(truss.pose({"bar": -0.4, "strut": 0.4}))
+        >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
+        [-0.523599]
+        """
+        self.poses("pose", pose)
+        given = [as_poses(f"pose[{name!r}]", pose[name]) for name in self.names]
+        with np.errstate(all="ignore"):  # what overflows does not come to close
+            found = mechanism_closing.closed(self, given)
+        return {
+            n: finite(f"the closed pose of {n}", x) for n, x in zip(self.names, found, strict=True)
+        }
+
+    def project(
+        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
+    ) -> dict[str, Array]:
+        """The twists nearest to these that satisfy all joints and loops, in kinetic energy.
+
+        twist : of all links, (6,) or (n, 6), body-fixed.   pose : of all links. Default: all
+            coordinates 0.   t0 : s, at which motors are to have their speeds.
+        Returns V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁺ (J V − prescribed), of all links together.
+
+        Raises TwistError where motors ask for speeds that no twist has.
+
+        >>> import lierb
+        >>> box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+        >>> pair = lierb.Mechanism([
+        ...     lierb.Link("a", box, lierb.joints.free()),
+        ...     lierb.Link("b", box, lierb.joints.fixed(), parent="a"),
+        ... ])
+        >>> found = pair.project({"a": (0, 0, 0, 1.0, 0, 0), "b": (0, 0, 0, 0.0, 0, 0)})
+        >>> found["b"].round(9).tolist()
+        [0.0, 0.0, 0.0, 0.5, 0.0, 0.0]
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed), self.twists("twist", twist)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        twists = [as_numbers(f"twist[{name!r}]", twist[name], (6,)) for name in self.names]
+        with np.errstate(all="ignore"):
+            found = mechanism_closing.projected(self, twists, poses, as_number("t0", t0))
+        return {
+            n: finite(f"the projected twist of {n}", x)
+            for n, x in zip(self.names, found, strict=True)
+        }
+
+    def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
+        """How many freedoms its joints and loops leave at a pose, and how many rows are redundant.
+
+        pose : of all links, closed. Default: all coordinates 0.
+        Returns numbers, or (n,) of them, as `freedoms` and `redundant`. Motors are left out of it.
+
+        >>> import lierb
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
+        >>> bearing = lierb.Loop("bearing", lierb.joints.revolute(), "wheel")
+        >>> lierb.Mechanism(wheel, bearing).freedoms()
+        Mobility(freedoms=1, redundant=5)
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        with np.errstate(all="ignore"):
+            return mechanism_closing.mobility(self, poses)
+
     # ---- poses and twists of all links ---------------------------------------------------------
 
     def poses(self, argument: str, given: Any) -> list[Pose]:
@@ -700,6 +795,21 @@ class Mechanism(Shown):
                 f"{argument} lacks {', '.join(lacking)}; expected an entry for every link"
             )
         return dict(given)
+
+
+def _alike(found: dict[str, Array], what: str, item_axes: int) -> dict[str, Array]:
+    """Of all links, each for every member of the batch where it is of one's."""
+    for name, array in found.items():
+        finite(f"the {what} of {name}", array)
+    sizes = [len(array) for array in found.values() if array.ndim > item_axes]
+    if not sizes:
+        return found
+    return {
+        name: array
+        if array.ndim > item_axes and len(array) == max(sizes)
+        else np.broadcast_to(array, (max(sizes), *array.shape[-item_axes:])).copy()
+        for name, array in found.items()
+    }
 
 
 def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb import forces, joints
-from lierb.arrays import Array
+from lierb.arrays import Array, as_positive
 from lierb.composed_joints import SimpleJoint, composed
 from lierb.errors import ArgumentError, LierbError, told
 from lierb.extras import remedy
@@ -28,7 +28,10 @@ from lierb.user_elements import Force
 WORLD = 0  # MuJoCo's number of the ground
 GROUND = "ground"
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint
-SPECIFICATION = {"MJCF": "<mujoco", "URDF": "<robot"}
+HAVE_FORCES = {  # kinds of the file, and joints about or along whose axis forces act
+    "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
+    "slide": ("prismatic", "cylindrical"),
+}
 
 
 class Placed(NamedTuple):
@@ -49,16 +52,18 @@ class Parts:
     left_out: list[str] = field(default_factory=list)
 
 
-def read(path: Any, language: str, merge_fixed: bool) -> Parts:
-    """The parts of a file. language : "MJCF" or "URDF".
+def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | None) -> Parts:
+    """The parts of a file. language : "MJCF" or "URDF".   limit_stiffness : N m/rad or N/m.
 
     Raises ArgumentError for a file that MuJoCo does not take, or that has what lierb has not.
     """
     model = _compiled(path, language)
     parts = Parts(np.array(model.opt.gravity))
     names = _names(model, parts)
+    if limit_stiffness is not None:
+        as_positive("limit_stiffness", limit_stiffness, "N m/rad, or N/m")
     try:
-        placed = _add_links(model, names, parts, merge_fixed)
+        placed = _add_links(model, names, parts, merge_fixed, limit_stiffness)
         _add_loops(model, names, placed, parts)
     except LierbError as error:
         raise ArgumentError(f"{told(fspath(path))}: {error}") from error
@@ -115,7 +120,9 @@ def _free_name(given: str, default: str, taken: list[str], parts: Parts) -> str:
 # ---- bodies and joints -------------------------------------------------------------------------
 
 
-def _add_links(model: Any, names: list[str], parts: Parts, merge_fixed: bool) -> list[Placed]:
+def _add_links(
+    model: Any, names: list[str], parts: Parts, merge_fixed: bool, limit_stiffness: float | None
+) -> list[Placed]:
     """Fill in the links; for each body of the file, on which of them it is."""
     placed = [Placed(GROUND, np.eye(4))]
     bodies: dict[str, list[tuple[float, Array, Array]]] = {}  # by link: mass, centre, inertia
@@ -135,7 +142,10 @@ def _add_links(model: Any, names: list[str], parts: Parts, merge_fixed: bool) ->
             raise ArgumentError(f"body {names[i]}: {error}") from error
         bodies[names[i]] = [] if massless else [_mass(model, i, np.eye(4))]
         placed.append(Placed(names[i], np.eye(4)))
-        _add_joint_forces(model, i, names[i], held[names[i]][0], parts)
+        for j in _range(model.body_jntadr[i], model.body_jntnum[i]):
+            of = JointForces(model, j, names[i], held[names[i]][0], limit_stiffness)
+            parts.forces += [force.on(names[i]) for force in of.forces()]
+            parts.left_out += of.left_out()
     for name, (joint, parent) in held.items():
         parts.links.append((name, _body(name, bodies[name]), joint, parent))
     return placed
@@ -185,29 +195,79 @@ def _range(first: int, count: int) -> range:
     return range(first, first + count)
 
 
-# ---- springs and dampers -----------------------------------------------------------------------
+# ---- springs, dampers and stops of joints ------------------------------------------------------
 
 
-def _add_joint_forces(model: Any, i: int, link: str, joint: Joint, parts: Parts) -> None:
-    """Spring and damper of a hinge; of other joints the list of what there is no force for."""
-    for j in _range(model.body_jntadr[i], model.body_jntnum[i]):
-        dof, kind = model.jnt_dofadr[j], KINDS[model.jnt_type[j]]
-        label = f"joint {model.joint(j).name or link}"
-        stiffness, damping = float(model.jnt_stiffness[j]), float(model.dof_damping[dof])
-        if stiffness or damping:
-            if kind == "hinge" and joint.name in ("revolute", "cylindrical", "planar"):
-                q = model.jnt_qposadr[j]
-                angle = float(model.qpos_spring[q] - model.qpos0[q])
-                spring = forces.torsional_spring(stiffness=stiffness, damping=damping, angle=angle)
-                parts.forces.append(spring.on(link))
+@dataclass(frozen=True)
+class JointForces:
+    """What acts in joint j of the file, which is on a link and part of a joint of the catalogue."""
+
+    model: Any
+    j: int
+    link: str
+    joint: Joint
+    limit_stiffness: float | None
+
+    @property
+    def kind(self) -> str:
+        return KINDS[self.model.jnt_type[self.j]]
+
+    @property
+    def has_force(self) -> bool:
+        """Whether lierb's forces about or along a joint's axis fit."""
+        return self.joint.name in HAVE_FORCES.get(self.kind, ())
+
+    @property
+    def spring(self) -> tuple[float, float]:
+        """Stiffness and damping."""
+        damping = self.model.dof_damping[self.model.jnt_dofadr[self.j]]
+        return float(self.model.jnt_stiffness[self.j]), float(damping)
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """The limits, from qpos0 on, along the axis of the joint of the catalogue."""
+        if not self.model.jnt_limited[self.j]:
+            return None
+        lower, upper = sorted(self._on_axis(x) for x in self.model.jnt_range[self.j])
+        return lower, upper
+
+    def _on_axis(self, q: float) -> float:
+        """A slide along a hinge's axis may count the other way."""
+        direction = np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2])
+        return float(direction * (q - self.model.qpos0[self.model.jnt_qposadr[self.j]]))
+
+    @property
+    def _has_stops(self) -> bool:
+        if self.range is None or self.limit_stiffness is None or not self.has_force:
+            return False
+        lower, upper = self.range
+        return self.kind == "slide" or upper - lower < 2 * np.pi
+
+    def forces(self) -> Iterator[Force]:
+        stiffness, damping = self.spring
+        if (stiffness or damping) and self.has_force:
+            slack = self._on_axis(self.model.qpos_spring[self.model.jnt_qposadr[self.j]])
+            spring = {"stiffness": stiffness, "damping": damping}
+            if self.kind == "hinge":
+                yield forces.torsional_spring(**spring, angle=slack)
             else:
-                parts.left_out.append(f"{label}: stiffness and damping of a {kind} joint")
-        lost = {
-            "limits": model.jnt_limited[j],
-            "friction": model.dof_frictionloss[dof],
-            "armature": model.dof_armature[dof],
-        }
-        parts.left_out += [f"{label}: {what}" for what, value in lost.items() if value]
+                yield forces.slide_spring(**spring, position=slack)
+        if self._has_stops and self.range is not None and self.limit_stiffness is not None:
+            stop = forces.joint_limit if self.kind == "hinge" else forces.slide_limit
+            lower, upper = self.range
+            yield stop(lower=lower, upper=upper, stiffness=self.limit_stiffness)
+
+    def left_out(self) -> Iterator[str]:
+        model = self.model
+        label = f"joint {model.joint(self.j).name or self.link}"
+        if any(self.spring) and not self.has_force:
+            yield f"{label}: stiffness and damping of a {self.kind} joint"
+        if self.range is not None and not self._has_stops:
+            yield f"{label}: limits {self.range[0]:.6g} … {self.range[1]:.6g}"
+        at = model.jnt_dofadr[self.j]
+        for what, value in (("friction", model.dof_frictionloss), ("armature", model.dof_armature)):
+            if value[at]:
+                yield f"{label}: {what} {value[at]:.6g}"
 
 
 # ---- loops -------------------------------------------------------------------------------------

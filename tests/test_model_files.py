@@ -164,6 +164,29 @@ def test_springs_are_slack_where_those_of_the_file_are():
     assert left_out == ()
 
 
+def test_a_slide_has_its_spring_and_its_stops(tmp_path):
+    slide = (
+        '<joint name="rail" type="slide" axis="0 0 1" ref="0.1" springref="0.3" stiffness="20"'
+        ' damping="0.5" range="-0.2 0.4" limited="true"/>'
+    )
+    path = one_body(tmp_path, slide)
+    mechanism, left_out = read(path, limit_stiffness=1e4)
+    spring, stop = mechanism.forces
+    found = {n: float(x) for n, x in (spring.parameters | stop.parameters).items()}
+    expected = {"stiffness": 1e4, "damping": 0.0, "position": 0.2, "lower": -0.3, "upper": 0.3}
+    assert found == pytest.approx(expected, rel=1e-14)
+    assert (spring.parameters["stiffness"], spring.parameters["damping"]) == (20.0, 0.5)
+    assert (stop.at, left_out) == (("body",), ())
+
+
+def test_stops_of_more_than_a_turn_are_left_out(tmp_path):
+    joint = '<joint name="screw" range="-4 4" limited="true"/>'
+    mechanism, left_out = read(one_body(tmp_path, joint), limit_stiffness=10.0)
+    assert (mechanism.forces, left_out) == ((), ("joint screw: limits -4 … 4",))
+    with pytest.raises(ArgumentError, match="limit_stiffness"):
+        lierb.Mechanism.from_mjcf(tmp_path / "body.xml", limit_stiffness=-1.0)
+
+
 def test_merged_bodies_weigh_the_same():
     mechanism = assert_same_mechanics(
         DATA / "double_pendulum.xml", rates=rates_of, merge_fixed=True
@@ -199,7 +222,8 @@ def test_arm_stands_where_its_origins_put_it():
     np.testing.assert_allclose(pose["flange"], placed, atol=ROUNDING)
     np.testing.assert_array_equal(mechanism.gravity, (0.0, 0.0, -1.62))
     assert left_out == tuple(
-        f"joint {name}: limits" for name in ("base_yaw", "shoulder_pitch", "elbow", "wrist_pitch")
+        f"joint {name}: limits -2.5 … 2.5"
+        for name in ("base_yaw", "shoulder_pitch", "elbow", "wrist_pitch")
     )
 
 
@@ -320,6 +344,26 @@ EQUALLY_FREE = {
 }  # fmt: skip
 
 
+def test_a_slide_against_its_hinge_counts_the_other_way(tmp_path):
+    """The springs hold as much energy as MuJoCo's at a random pose."""
+    joints = (
+        '<joint type="slide" axis="0 0 -1" springref="0.3" stiffness="20" range="-1 2"'
+        ' limited="true"/><joint axis="0 0 1" springref="-0.2" stiffness="3"/>'
+    )
+    flipped = lambda source: (
+        lambda *given: {
+            link: (numbers[1], -numbers[0]) if link == "body" else numbers
+            for link, numbers in source(*given).items()
+        }
+    )
+    path = one_body(tmp_path, joints)
+    mechanism = assert_same_mechanics(path, flipped(coordinates_of), flipped(rates_of))
+    slide, turn = (force.parameters for force in mechanism.forces)
+    np.testing.assert_allclose((slide["position"], turn["angle"]), (-0.3, -0.2), rtol=1e-14)
+    stop = read(path, limit_stiffness=1.0)[0].forces[1].parameters
+    assert (stop["lower"], stop["upper"]) == (-2.0, 1.0)
+
+
 @pytest.mark.parametrize("name", EQUALLY_FREE)
 def test_other_joints_allow_the_same_poses(tmp_path, name):
     """MuJoCo's pose, taken for lierb's, leaves the joint closed: no row has a value there."""
@@ -370,10 +414,10 @@ def test_what_is_left_out_is_said_once(tmp_path):
     )
     _, left_out = read(path)
     assert left_out == (
-        "joint knee: limits", "joint knee: friction", "joint knee: armature",
+        "joint knee: limits -1 … 1", "joint knee: friction 0.1", "joint knee: armature 0.01",
         "equality 0: equality/joint", "1 geoms that collide", "1 actuators",
     )  # fmt: skip
-    with pytest.warns(LeftOutWarning, match="left out are joint knee: limits; joint knee"):
+    with pytest.warns(LeftOutWarning, match="left out are joint knee: limits -1 … 1; joint knee"):
         lierb.Mechanism.from_mjcf(path)
 
 

@@ -1,7 +1,7 @@
 """Drake: a continuous MultibodyPlant of revolute joints, fifth-order Runge–Kutta at a fixed step.
 
-Drake has no fixed-step RK4; at this step its RK5 is about as accurate. One plant a trajectory. Loops it
-has in discrete time only, so that there is no four-bar.
+Drake has no fixed-step RK4; at this step its RK5 is about as accurate. One plant a trajectory.
+Loops it has in discrete time only, so that there is no four-bar.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from peers import exudyn_tops
 
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
-from peers import exudyn_tops
 
 COUNTS = {2: 96, 3: 80, 5: 64, 8: 48}
 FORMS = {

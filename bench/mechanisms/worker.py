@@ -21,8 +21,9 @@ def main() -> None:
     given = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
 
-    from mechanisms import cases
     from peers.worker import timed
+
+    from mechanisms import cases
 
     peer = importlib.import_module(f"mechanisms.{given.peer}")
     form = peer.FORMS[given.form]
