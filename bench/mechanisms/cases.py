@@ -317,14 +317,14 @@ def harmonics(tree: Tree) -> Array:
     rows = [first.mean(0), *waves(first, 1), *waves(first, 2)]
     rows += [second.mean(0), *waves(second, 1), M[0, :, 1, 1]]
     angles = 2 * np.pi * np.arange(3) / 3
-    V = np.array([[_potential(tree, zero + np.array((p, r))) for r in angles] for p in angles])
+    V = np.array([[potential(tree, zero + np.array((p, r))) for r in angles] for p in angles])
     basis = np.stack([np.ones(3), np.cos(angles), np.sin(angles)])
     weights = np.array((1 / 3, 2 / 3, 2 / 3))[:, None] * basis
     v = np.einsum("ip,jr,prn->ijn", weights, weights, V)
     return np.stack([*rows, *v[1], *v[2], v[0, 1], v[0, 2]])
 
 
-def _potential(tree: Tree, q: Array) -> Array:
+def potential(tree: Tree, q: Array) -> Array:
     found = np.zeros(len(q))
     for i, g in enumerate(places(tree, q)):
         centre = g[:, :3, 3] + np.einsum("nij,nj->ni", g[:, :3, :3], tree.com[:, i])
