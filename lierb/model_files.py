@@ -131,7 +131,9 @@ def _add_links(
         on, sequence = placed[model.body_parentid[i]], _joints(model, i)
         where = on.pose @ _pose(model.body_pos[i], model.body_quat[i])
         massless = model.body_mass[i] == 0.0
-        if not sequence and (massless or merge_fixed or on.link == GROUND):
+        # What hangs on a link without mass of its own is that link's mass.
+        is_merged = massless or merge_fixed or on.link == GROUND or not bodies[on.link]
+        if not sequence and is_merged:
             placed.append(Placed(on.link, where))
             if not massless and on.link != GROUND:
                 bodies[on.link].append(_mass(model, i, where))

@@ -165,6 +165,14 @@ def test_springs_are_slack_where_those_of_the_file_are():
     assert left_out == ()
 
 
+def test_a_link_weighs_what_is_welded_to_it(tmp_path):
+    """As where a file has an empty link for the joint, and the mass on a fixed one after it."""
+    inside = f'<body name="shell" pos="0 0.1 0" euler="0.3 0 0">{INERTIA}</body>'
+    path = one_body(tmp_path, '<joint axis="1 2 2"/>', inertial="", inside=inside)
+    mechanism = assert_same_mechanics(path, rates=rates_of)
+    assert mechanism.names == ("base", "body")
+
+
 def test_a_slide_has_its_spring_and_its_stops(tmp_path):
     slide = (
         '<joint name="rail" type="slide" axis="0 0 1" ref="0.1" springref="0.3" stiffness="20"'

@@ -79,12 +79,11 @@ def _bodies(tree: Tree) -> np.ndarray:
     steiner = squares - np.einsum("nki,nkj->nkij", c, c)
     J = tree.inertia + tree.mass[..., None, None] * steiner
     moment = tree.mass[..., None] * c
-    axis = J[:, 0, 2, 2] + tree.mass[:, 1] * np.einsum("ni,ni->n", u, u)
     g = np.einsum("nji,j->ni", ground, cases.GRAVITY)
     t = back(np.cross(e3, np.cross(e3, p)))
     rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
     parts = (
-        g, moment[:, 0], axis[:, None], back(e3), u, t,
+        g, moment[:, 0], J[:, 0, 2:, 2], back(e3), u, t,
         E.transpose(0, 2, 1).reshape(-1, 9), tree.mass[:, 1:], moment[:, 1],
         J[:, 1][:, rows, columns],
     )  # fmt: skip
