@@ -23,7 +23,7 @@ from lierb.errors import (
 )
 from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.rows import Row
-from lierb.mechanism_closing import violation
+from lierb.mechanism_checks import violation
 
 RNG = np.random.default_rng(19)
 WITH_COORDINATES = [n for n, e in lierb.joints.JOINTS.items() if e.subgroup or e.factors]
@@ -173,11 +173,11 @@ def test_a_rotation_or_a_whole_pose_stands_for_coordinates():
     np.testing.assert_allclose(
         found["crank"][0], arm.link("crank").joint.pose(rotation=R), rtol=0, atol=0
     )
-    np.testing.assert_array_equal(found["rod"], C)
-    np.testing.assert_array_equal(arm.coordinates(found)["rod"], C)
+    np.testing.assert_array_equal(found["rod"], C[None])
+    np.testing.assert_array_equal(arm.coordinates(found)["rod"], C[None])
     twist = arm.twist({"rod": np.arange(6.0)}, found)
-    np.testing.assert_array_equal(twist["rod"], np.arange(6.0))
-    np.testing.assert_array_equal(arm.velocities(twist, found)["rod"], np.arange(6.0))
+    np.testing.assert_array_equal(twist["rod"], np.arange(6.0)[None])
+    np.testing.assert_array_equal(arm.velocities(twist, found)["rod"], np.arange(6.0)[None])
 
 
 def test_a_link_without_rates_moves_with_its_parent():
@@ -281,6 +281,43 @@ def test_close_takes_what_is_off_in_every_direction():
         assert angles["rod"][i, 0] == pytest.approx(rod, abs=1e-12)
         assert angles["rocker"][i, 0] == pytest.approx(rocker, abs=1e-12)
     assert violation(bars, closed, bars.twist({}, closed)) is None
+
+
+def bricard() -> lierb.Mechanism:
+    """Six links of 1 m, each joint's axis normal to the next one's: Bricard's, with one freedom
+    where Grübler counts none. The sixth link is the ground."""
+    sides = [frame((turn * np.pi / 2, 0, 0), (1.0, 0, 0)) for turn in (1, -1) * 3]
+    ball = lierb.bodies.sphere(0.1, mass=1.0)
+    links = [
+        lierb.Link(
+            f"l{i}",
+            ball,
+            lierb.joints.revolute(
+                body_frame=np.eye(4), parent_frame=sides[i - 1] if i else np.eye(4)
+            ),
+            f"l{i - 1}" if i else "ground",
+        )
+        for i in range(5)
+    ]
+    last = lierb.joints.revolute(body_frame=sides[4], parent_frame=np.linalg.inv(sides[5]))
+    return lierb.Mechanism(links, lierb.Loop("last", last, "l4"))
+
+
+def test_bricard_closes_from_afar_and_moves():
+    """Angles alternate, as the linkage's symmetry has them: ±π/2 is one of its places."""
+    linkage, rng = bricard(), np.random.default_rng(0)
+    place = np.array((1, -1, 1, -1, 1)) * np.pi / 2
+    starts = place + rng.uniform(-0.5, 0.5, (4, 5))
+    pose = linkage.close(linkage.pose({f"l{i}": starts[:, i] for i in range(5)}))
+    assert violation(linkage, pose, linkage.twist({}, pose)) is None
+    freedoms, redundant = linkage.freedoms(pose)
+    assert freedoms.tolist() == [1] * 4
+    assert redundant.tolist() == [1] * 4
+    angles = np.hstack([linkage.coordinates(pose)[n] for n in linkage.names])
+    # cos aᵢ + cos aᵢ₊₁ + cos aᵢ cos aᵢ₊₁ = 0 of neighbours; every second one is the same
+    a, b = np.cos(angles[:, 0]), np.cos(angles[:, 1])
+    np.testing.assert_allclose(a + b + a * b, 0.0, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(angles[:, 2:], angles[:, :3], rtol=0, atol=1e-11)
 
 
 def test_members_that_are_closed_stay_as_they_are():
@@ -406,7 +443,7 @@ def test_an_open_loop_is_told_by_name_size_and_remedy():
     pose = bars.pose({"crank": 0.7, "rod": -0.1, "rocker": [1.7, 1.8]})
     error = violation(bars, pose, bars.twist({}, pose))
     assert isinstance(error, PoseError)
-    tip = [pose["rocker"][0] @ (0.3, 0, 0, 1), pose["rod"] @ (0.4, 0, 0, 1)]
+    tip = [pose["rocker"][0] @ (0.3, 0, 0, 1), pose["rod"][0] @ (0.4, 0, 0, 1)]
     opening = np.linalg.norm(tip[0] - tip[1])
     for word in (r"pose0[0]", "loop pin (revolute, rocker to rod)", f"{opening:.3g} m", "close("):
         assert word in str(error)
