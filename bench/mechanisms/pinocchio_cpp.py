@@ -23,10 +23,10 @@ from peers.cpp import CACHE
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
 
-COUNTS = {2: 1024, 3: 768, 5: 384, 8: 256}
+COUNTS = {2: 256, 3: 192, 5: 96, 8: 64}
 FORMS = {
     **{f"chain{n}": Form(f"chain{n}", "Pinocchio, ABA, RK4", c) for n, c in COUNTS.items()},
-    "fourbar": Form("fourbar", "Pinocchio, constraint dynamics, RK4", 128, allowed=1e-6),
+    "fourbar": Form("fourbar", "Pinocchio, constraint dynamics, RK4", 48, allowed=1e-6),
 }
 SOURCE = Path(__file__).with_name("pinocchio_rk4.cpp")
 FLAGS = ["-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-shared", "-fPIC", "-w"]

@@ -17,7 +17,7 @@ def main() -> None:
     parser.add_argument("peer")
     parser.add_argument("form")
     parser.add_argument("--count", type=int, help="trajectories; default: the form's own")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     given = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
 
