@@ -76,7 +76,7 @@ def measured(names: list[str], which: list[str], passes: int) -> dict[str, Any]:
                     label = f"{name}/{form_name}"
                     print(f"[{turn + 1}/{passes}] {label}", file=sys.stderr, flush=True)
                     fixed = {
-                        "label": form.label, "mechanism": form.mechanism, "allowed_m": form.allowed,
+                        "label": form.label, "mechanism": form.mechanism, "allowed_m": form.limit,
                     }  # fmt: skip
                     keep(entries, label, fixed | worker(name, form_name))
     return {

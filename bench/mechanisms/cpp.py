@@ -36,7 +36,7 @@ def config() -> dict[str, object]:
 
 
 def run(form: str, tree: Tree) -> Callable[[], np.ndarray]:
-    few = tree.first(256)
+    few = tree.first(1024)
     widths = (4, 8) if "__AVX512F__" in compiler.target() else (4,)
     kinds = [(w, g) for w in widths for g in (1, 2, 4, 8)]
     taken = {kind: _duration(_integrator(form, few, *kind)) for kind in kinds}
@@ -96,4 +96,4 @@ def _duration(integrate: Callable[[], np.ndarray]) -> float:
         integrate()
         return time.process_time() - start
 
-    return min(once() for _ in range(3))
+    return min(once() for _ in range(5))

@@ -1,6 +1,6 @@
 """Drake: a continuous MultibodyPlant of revolute joints, fifth-order Runge–Kutta at a fixed step.
 
-Drake has no fixed-step RK4; at this step its RK5 is about as accurate. One plant a trajectory.
+Drake has no fixed-step RK4; at these steps its RK5 is about as accurate. One plant a trajectory.
 Loops it has in discrete time only, so that there is no four-bar.
 """
 
@@ -14,10 +14,10 @@ import numpy as np
 from mechanisms import cases
 from mechanisms.cases import Form, Tree
 
-STEP = 4e-3  # s
+STEPS = {2: 4e-3, 3: 4e-3, 5: 4e-3, 8: 2e-3}  # s
 COUNTS = {2: 96, 3: 80, 5: 64, 8: 48}
 FORMS = {
-    f"chain{n}": Form(f"chain{n}", "Drake, RK5 at 4 ms", count, dt=STEP)
+    f"chain{n}": Form(f"chain{n}", f"Drake, RK5 at {1e3 * STEPS[n]:.0f} ms", count, dt=STEPS[n])
     for n, count in COUNTS.items()
 }
 
@@ -33,11 +33,11 @@ def config() -> dict[str, object]:
 
 
 def run(form: str, tree: Tree) -> Callable[[], np.ndarray]:
-    advances = [_simulation(tree, i) for i in range(len(tree))]
+    advances = [_simulation(tree, i, FORMS[form].dt) for i in range(len(tree))]
     return lambda: cases.positions(tree, np.array([advance() for advance in advances]))
 
 
-def _simulation(tree: Tree, i: int) -> Callable[[], np.ndarray]:
+def _simulation(tree: Tree, i: int, dt: float) -> Callable[[], np.ndarray]:
     from pydrake.math import RigidTransform
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import (
@@ -65,7 +65,7 @@ def _simulation(tree: Tree, i: int) -> Callable[[], np.ndarray]:
         joints.append(plant.AddJoint(joint))
     plant.Finalize()
     simulator = Simulator(plant)
-    ResetIntegratorFromFlags(simulator, "runge_kutta5", STEP)
+    ResetIntegratorFromFlags(simulator, "runge_kutta5", dt)
     simulator.get_mutable_integrator().set_fixed_step_mode(True)
     context = simulator.get_mutable_context()
 

@@ -17,7 +17,7 @@ FORMS = {
         for n, count in COUNTS.items()
     },
     **{
-        f"chain{n}-SE3": Form(f"chain{n}", "lierb, SE(3)ⁿ, saddle point, RK4", count // 4, 1e-5)
+        f"chain{n}-SE3": Form(f"chain{n}", "lierb, SE(3)ⁿ, saddle point, RK4", count // 4)
         for n, count in COUNTS.items()
     },
     "fourbar-reduced": Form("fourbar", "lierb, reduced, projected, RK4", 2048),

@@ -18,7 +18,7 @@ from mechanisms.cases import Form, Tree
 COUNTS = {2: 192, 3: 160, 5: 128, 8: 96}
 FORMS = {
     **{f"chain{n}": Form(f"chain{n}", "MuJoCo, RK4", count) for n, count in COUNTS.items()},
-    "fourbar": Form("fourbar", "MuJoCo, RK4, connect", 96, allowed=5e-2),
+    "fourbar": Form("fourbar", "MuJoCo, RK4, connect", 96, allowed=1e-5),
 }
 LOOP_NEEDS = ("constraint", "equality", "warmstart")
 STIFF = {"solref": "0.002 1", "solimp": "0.9999 0.9999 0.001"}  # time constant of two steps
