@@ -517,16 +517,7 @@ class TreeFormulation:
         """forces : whether elements act."""
         plan = self.plan
         relatives = _Relatives(plan.connections, body.ends, motion)
-        loads = {
-            i: neg(constants.rigid.bias(twist))
-            for i, (node, constants, twist) in enumerate(
-                zip(plan.tree, body.nodes, motion.twists, strict=True)
-            )
-            if node.link != MASSLESS
-        }
-        applied, power = self._applied(body, relatives) if forces else ({}, ZERO)
-        for i, load in applied.items():
-            loads[i] = add(loads[i], load)
+        loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
         wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
         fall = {
             i: ZERO3 + neg(body.nodes[i].gravity)
