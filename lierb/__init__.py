@@ -10,7 +10,8 @@ from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
 from lierb.kernels.functions.user_number import where
 from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
-from lierb.mechanism import Link, Loop, Mechanism
+from lierb.links import Link, Loop
+from lierb.mechanism import Mechanism
 from lierb.model import Body, Problem
 from lierb.prediction import predict
 from lierb.result import Result

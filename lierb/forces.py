@@ -19,13 +19,24 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lierb.arrays import as_numbers, as_positive, batch_size
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element, Wrench
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Frames, Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow
-from lierb.kernels.numbers.arithmetic import PI, fma, plain, rint, sqrt, where
+from lierb.kernels.numbers.arithmetic import (
+    PI,
+    absolute,
+    fma,
+    maximum,
+    minimum,
+    plain,
+    rint,
+    sqrt,
+    where,
+)
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
@@ -69,7 +80,9 @@ class BuiltIn(Element):
     name: ClassVar[str]
     parameters: ClassVar[dict[str, Parameter]]
 
-    def __init_subclass__(cls) -> None:
+    def __init_subclass__(cls, is_abstract: bool = False) -> None:
+        if is_abstract:
+            return
         units = FORCE_UNITS.setdefault(cls.name, {})
         units |= {name: parameter.unit for name, parameter in cls.parameters.items()}
 
@@ -292,6 +305,244 @@ def torsional_spring(
     return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
 
 
+class AtJoint(BuiltIn, is_abstract=True):
+    """About the joint axis e₃, or along it: by the rate there, and the place."""
+
+    needs_axis: ClassVar = True
+
+    def rate(self, x: Motion) -> Any:
+        return x.omega[2]
+
+    def place(self, x: Motion, middle: Any) -> Any:
+        """From the middle on."""
+        return _turn(x, middle)
+
+    def pushed(self, size: Any) -> Wrench:
+        return (ZERO, ZERO, size), ZERO3
+
+
+class AlongJoint(AtJoint, is_abstract=True):
+    """Along e₃, by how far the joint's point is along it, and how fast."""
+
+    needs_slide: ClassVar = True
+
+    def rate(self, x: Motion) -> Any:
+        return x.v[2]
+
+    def place(self, x: Motion, middle: Any) -> Any:
+        return x.place[2] - middle
+
+    def pushed(self, size: Any) -> Wrench:
+        return ZERO3, (ZERO, ZERO, size)
+
+
+class SlideSpring(AlongJoint):
+    """Along the joint axis, back to a place."""
+
+    name = "slide_spring"
+    parameters: ClassVar = {
+        "stiffness": Parameter("N/m", is_signed=False),
+        "damping": Parameter("N s/m", is_signed=False),
+        "position": Parameter("m"),
+    }
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        stiffness, damping, position = placed
+        return self.pushed(-fma(stiffness, self.place(x, position), damping * self.rate(x)))
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        stiffness, _, position = placed
+        stretch = self.place(x, position)
+        return 0.5 * stiffness * (stretch * stretch)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return -placed[1] * (self.rate(x) * self.rate(x))
+
+
+def slide_spring(
+    *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, position: ArrayLike = 0.0
+) -> Force:
+    """A spring and damper along the joint axis.
+
+    stiffness : N/m.   damping : N s/m.   position : m, the coordinate d₃ at which it is slack.
+
+    It counts in the energy, ½k(d₃ − position)², what the damper takes in the work. For joints that
+    keep the axis e₃ and slide along it: prismatic, cylindrical, screw and the like.
+
+    >>> import lierb
+    >>> lierb.forces.slide_spring(stiffness=[10.0, 20.0], position=0.1)
+    <slide_spring: stiffness, damping, position>
+    """
+    return SlideSpring().force(stiffness=stiffness, damping=damping, position=position)
+
+
+# ---- friction in joints ------------------------------------------------------------------------
+
+
+class JointFriction(AtJoint):
+    """Against the turning about the joint axis: viscous, and Coulomb's, made smooth."""
+
+    name = "joint_friction"
+    parameters: ClassVar = {
+        "viscous": Parameter("N m s/rad", is_signed=False),
+        "coulomb": Parameter("N m", is_signed=False),
+        "speed": Parameter("rad/s"),
+    }
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        viscous, coulomb, speed = placed
+        rate = self.rate(x)
+        per_rate = coulomb / sqrt(fma(rate, rate, speed * speed))
+        return self.pushed(-((viscous + per_rate) * rate))
+
+
+class SlideFriction(AlongJoint, JointFriction):
+    """Against the sliding along the joint axis."""
+
+    name = "slide_friction"
+    parameters: ClassVar = {
+        "viscous": Parameter("N s/m", is_signed=False),
+        "coulomb": Parameter("N", is_signed=False),
+        "speed": Parameter("m/s"),
+    }
+
+
+def joint_friction(
+    *, viscous: ArrayLike = 0.0, coulomb: ArrayLike = 0.0, speed: ArrayLike = 1e-2
+) -> Force:
+    """Friction in a joint that turns: −(viscous + coulomb/√(ω² + speed²))·ω about its axis.
+
+    viscous : N m s/rad.   coulomb : N m.   speed : rad/s, positive.
+
+    Coulomb's friction is made smooth: it is 71 % of `coulomb` at ω = speed, all of it far above,
+    and viscous below, so that what would stick creeps. Near ω = 0 it is as stiff as coulomb/speed:
+    steps are to be short beside the inertia over that. For joints that keep the axis e₃.
+
+    >>> import lierb
+    >>> lierb.forces.joint_friction(viscous=0.01, coulomb=[0.0, 0.2])
+    <joint_friction: viscous, coulomb, speed>
+    """
+    as_positive("speed", speed, "rad/s")
+    return JointFriction().force(viscous=viscous, coulomb=coulomb, speed=speed)
+
+
+def slide_friction(
+    *, viscous: ArrayLike = 0.0, coulomb: ArrayLike = 0.0, speed: ArrayLike = 1e-3
+) -> Force:
+    """Friction in a joint that slides: −(viscous + coulomb/√(u² + speed²))·u along its axis.
+
+    viscous : N s/m.   coulomb : N.   speed : m/s, positive: see `joint_friction`.
+
+    For joints that keep the axis e₃ and slide along it.
+
+    >>> import lierb
+    >>> lierb.forces.slide_friction(coulomb=2.0, speed=[1e-3, 1e-2])
+    <slide_friction: viscous, coulomb, speed>
+    """
+    as_positive("speed", speed, "m/s")
+    return SlideFriction().force(viscous=viscous, coulomb=coulomb, speed=speed)
+
+
+# ---- limits of joints --------------------------------------------------------------------------
+
+
+class JointLimit(AtJoint):
+    """A stop at either end: a spring and damper beyond it, nothing before."""
+
+    name = "joint_limit"
+    parameters: ClassVar = {
+        "lower": Parameter("rad"),
+        "upper": Parameter("rad"),
+        "stiffness": Parameter("N m/rad", is_signed=False),
+        "damping": Parameter("N m s/rad", is_signed=False),
+    }
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
+        """How far it is beyond a stop, of either sign, and the damping there."""
+        lower, upper, _, damping = placed
+        half = 0.5 * (upper - lower)
+        place = self.place(x, 0.5 * (lower + upper))
+        beyond = maximum(place - half, 0.0) + minimum(place + half, 0.0)
+        return beyond, where(absolute(place) > half, damping, 0.0)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        beyond, damping = self._beyond(placed, x)
+        return self.pushed(-fma(placed[2], beyond, damping * self.rate(x)))
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        beyond, _ = self._beyond(placed, x)
+        return 0.5 * placed[2] * (beyond * beyond)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        _, damping = self._beyond(placed, x)
+        return -damping * (self.rate(x) * self.rate(x))
+
+
+class SlideLimit(AlongJoint, JointLimit):
+    """The same along the joint axis."""
+
+    name = "slide_limit"
+    parameters: ClassVar = {
+        "lower": Parameter("m"),
+        "upper": Parameter("m"),
+        "stiffness": Parameter("N/m", is_signed=False),
+        "damping": Parameter("N s/m", is_signed=False),
+    }
+
+
+def joint_limit(
+    *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+) -> Force:
+    """Stops of a joint that turns: beyond either one a spring and a damper about its axis.
+
+    lower : rad, the least angle φ.   upper : rad, the largest one.   stiffness : N m/rad.
+    damping : N m s/rad.
+
+    The spring counts in the energy, what the damper takes in the work. The stop knows the pose, not
+    how it came about: of a turn beyond it the shorter way back counts, so that lower and upper are
+    to be less than 2π apart. Steps are to be short beside √(inertia/stiffness); the one in which a
+    stop is met is of lower order. For joints that keep the axis e₃.
+
+    >>> import lierb
+    >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
+    <joint_limit: lower, upper, stiffness, damping>
+    """
+    _require_order(lower, upper)
+    return JointLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
+
+
+def slide_limit(
+    *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+) -> Force:
+    """Stops of a joint that slides: beyond either one a spring and a damper along its axis.
+
+    lower : m, the least coordinate d₃.   upper : m, the largest one.   stiffness : N/m.
+    damping : N s/m.
+
+    As `joint_limit`. For joints that keep the axis e₃ and slide along it.
+
+    >>> import lierb
+    >>> lierb.forces.slide_limit(lower=0.0, upper=0.2, stiffness=[1e3, 1e4])
+    <slide_limit: lower, upper, stiffness, damping>
+    """
+    _require_order(lower, upper)
+    return SlideLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
+
+
+def _require_order(lower: ArrayLike, upper: ArrayLike) -> None:
+    low, high = as_numbers("lower", lower, ()), as_numbers("upper", upper, ())
+    batch_size(lower=low, upper=high)
+    lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(low, high))
+    for body in np.flatnonzero(lows > highs)[:1]:
+        label = body_label("lower", int(body), lows.size)
+        below, above = float(lows[body]), float(highs[body])
+        raise ArgumentError(f"{label} is {below}, above upper, {above}; expected lower ≤ upper")
+
+
 # ---- drag --------------------------------------------------------------------------------------
 
 
@@ -353,6 +604,17 @@ class Motor(BuiltIn):
 
 
 @dataclass(frozen=True)
+class SlideMotor(Motor):
+    """A force along the joint axis."""
+
+    parameters: ClassVar = {"force": Parameter("N")}
+    needs_slide: ClassVar = True
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        return ZERO3, (ZERO, ZERO, self.at(placed, x.time))
+
+
+@dataclass(frozen=True)
 class SpeedMotor(Motor):
     """The turn about the joint axis at a given rate, rad/s: a row, and no force."""
 
@@ -391,13 +653,15 @@ def motor(
     torque: ArrayLike | Callable[..., Any] | None = None,
     *,
     speed: ArrayLike | Callable[..., Any] | None = None,
+    force: ArrayLike | Callable[..., Any] | None = None,
     **parameters: ArrayLike,
 ) -> Force:
-    """A motor on the joint axis: its torque, N m, or its speed, rad/s, given.
+    """A motor on the joint axis: its torque, N m, or its speed, rad/s; or a force, N, along it.
 
-    torque or speed : number or (n,), or a function (t) or (t, params), and (…, body), with t in s;
-        see `lierb.wrench` for what such a function may do. A speed is a constraint of its own, on
-        which the twist at the start must be; −λ of its row is the torque that the motor needs.
+    torque, speed or force : number or (n,), or a function (t) or (t, params), and (…, body), with t
+        in s; see `lierb.wrench` for what such a function may do. A speed is a constraint of its
+        own, on which the twist at the start must be; −λ of its row is the torque that the motor
+        needs. A force, N, needs a joint that slides along e₃, such as prismatic.
     parameters : of the function, each a number or (n,).
 
     For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like.
@@ -406,10 +670,11 @@ def motor(
     >>> lierb.forces.motor(lambda t, params: params.peak * math.sin(3.0 * t), peak=[0.1, 0.2])
     <motor: peak>
     """
-    if (torque is None) == (speed is None):
-        raise ArgumentError("give torque= or speed=, one of the two")
-    name, given = ("torque", torque) if speed is None else ("speed", speed)
-    kind = Motor if speed is None else SpeedMotor
+    ways = {"torque": (torque, Motor), "speed": (speed, SpeedMotor), "force": (force, SlideMotor)}
+    chosen = [(name, given, kind) for name, (given, kind) in ways.items() if given is not None]
+    if len(chosen) != 1:
+        raise ArgumentError("give torque= or speed= or force=, one of them")
+    name, given, kind = chosen[0]
     if callable(given):
         if not inspect.isfunction(given):
             raise ForceError(
@@ -420,7 +685,7 @@ def motor(
         return kind(function).force(**parameters)
     if parameters:
         raise ArgumentError(f"{', '.join(parameters)}: only a function takes parameters")
-    return kind(None).force(**{name: given})  # type: ignore[arg-type]
+    return kind(None).force(**{name: given})
 
 
 __all__ = [*FORCE_UNITS]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,11 +18,9 @@ from lierb import mechanism_closing
 from lierb.arrays import (
     Array,
     Pose,
-    as_floats,
     as_number,
     as_numbers,
     as_poses,
-    as_rotations,
     assembled,
     batch_size,
     components,
@@ -33,125 +31,19 @@ from lierb.arrays import (
     taken,
 )
 from lierb.column_names import require_free
-from lierb.errors import ArgumentError, items_of, told, two_readings, unknown_name
-from lierb.joint_motions import TURNS
-from lierb.joints import Joint
+from lierb.errors import ArgumentError, items_of, told, unknown_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
-from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
+from lierb.link_coordinates import is_pose, is_rigid, motions_of, numbers_of, relative_of
+from lierb.links import GROUND, NOWHERE, Connection, Link, Loop
 from lierb.mechanism_closing import Mobility
-from lierb.model import Body, require, require_fit, shown_element
+from lierb.model import require, require_fit, shown_element
 from lierb.shown import Lines, Shown, counted, quantity
-from lierb.user_elements import MOST_NAME, Constraint, Element, Force, Observable, reject_functions
+from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
 
-GROUND = "ground"
-NOWHERE = -1  # the number of the ground
 _quiet = np.errstate(all="ignore")  # what overflows is found in the result
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Link(Shown):
-    """A body of a mechanism, and the joint by which it hangs on another one or on the ground.
-
-    name : letters, digits and _; of its columns in the results.
-    joint : its `parent_point` or `parent_frame`, which is `ground_point` or `ground_frame` by
-        another name, is in the body frame of the parent.
-    parent : the name of another link, or "ground".
-
-    >>> import lierb
-    >>> lierb.Link("crank", lierb.bodies.box((0.1, 0.02, 0.02), mass=0.3), lierb.joints.revolute())
-    lierb.Link crank: revolute joint to ground
-      mass     0.3 kg
-      inertia  (2e-05, 0.00026, 0.00026) kg m², principal
-    """
-
-    name: str
-    body: Body
-    joint: Joint
-    parent: str = GROUND
-
-    def __post_init__(self) -> None:
-        _require_name("a link", self.name)
-        require(f"the body of link {self.name}", self.body, Body, "a lierb.Body")
-        _require_held("link", self.name, self.joint, self.parent)
-
-    def _shown(self) -> tuple[str, Lines]:
-        title = f"lierb.Link {self.name}: {self.joint.name} joint to {self.parent}"
-        return title, self.body._shown()[1]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Loop(Shown):
-    """A joint beside those of the links, which closes a loop of them.
-
-    name : as of a link.   body, parent : names of the links that it is between; `parent`, in whose
-    body frame its `parent_point` is, may be "ground".
-
-    >>> import lierb
-    >>> lierb.Loop("pin", lierb.joints.spherical(), body="rod")
-    <lierb.Loop pin: spherical joint of rod to ground>
-    """
-
-    name: str
-    joint: Joint
-    body: str
-    parent: str = GROUND
-
-    def __post_init__(self) -> None:
-        _require_name("a loop", self.name)
-        if not isinstance(self.body, str):
-            raise ArgumentError(f"loop {self.name}: body={told(self.body)}; expected a link's name")
-        _require_held("loop", self.name, self.joint, self.parent)
-        if self.body == self.parent:
-            raise ArgumentError(
-                f"loop {self.name} is between {self.body} and itself; expected two bodies"
-            )
-
-    def _shown(self) -> tuple[str, Lines]:
-        return (
-            f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}",
-            (),
-        )
-
-
-def _require_name(what: str, name: Any) -> None:
-    if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
-        raise ArgumentError(
-            f"{what} is named {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
-            "them, for columns are named after it"
-        )
-    if name == GROUND:
-        raise ArgumentError(f'{what} is named "{GROUND}", which is what does not move; rename it')
-
-
-def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
-    require(
-        f"the joint of {what} {name}", joint, Joint, "a joint from lierb.joints, as revolute(…)"
-    )
-    if not isinstance(parent, str):
-        raise ArgumentError(
-            f'{what} {name}: parent={told(parent)}; expected the name of a link, or "{GROUND}"'
-        )
-
-
-class Connection(NamedTuple):
-    """Two frames and what acts between them: a joint, or an element.
-
-    name : of the link or the loop whose joint it is; of an element its own.
-    body, parent : numbers of links; NOWHERE is the ground.
-    joint : the one whose frames they are; None where they are the body frames themselves.
-    rows : of the joint, or of the element.
-    elements : numbers of those that act between these frames: of an element that one.
-    """
-
-    name: str
-    body: int
-    parent: int
-    joint: Joint | None
-    rows: Rows = ()
-    elements: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -474,7 +366,7 @@ class Mechanism(Shown):
             a number or (n,) where there is one, or a rotation. What is left out is 0. A link whose
             joint has none, such as point_on_line, may be given its pose in the ground frame, (4, 4)
             or (n, 4, 4), and so may any other; left out, its two joint frames coincide.
-        Returns (4, 4) or (n, 4, 4) for each link. `close` then closes the loops.
+        Returns (4, 4) for each link, or (n, 4, 4) where one's is. `close` then closes the loops.
 
         >>> import lierb
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
@@ -488,12 +380,12 @@ class Mechanism(Shown):
             link, joint = self.links[i], self.links[i].joint
             argument = f"coordinates[{link.name!r}]"
             place = given.get(link.name)
-            if place is not None and _is_pose(argument, place, joint):
+            if place is not None and is_pose(argument, place, joint):
                 whole = as_poses(argument, place)
                 sizes[argument] = whole, 2
                 found[i] = pose_components(whole)
                 continue
-            relative, size = _relative(argument, place, joint)
+            relative, size = relative_of(argument, place, joint)
             sizes |= size
             ground, body = pose_components(joint.ground_frame), pose_components(joint.body_frame)
             local = se3.compose(se3.compose(ground, relative), se3.inverse(body))
@@ -503,10 +395,7 @@ class Mechanism(Shown):
         return self._poses_of(found)
 
     def _poses_of(self, found: dict[int, Pose]) -> dict[str, Array]:
-        return {
-            name: finite(f"the pose of {name}", pose_matrix(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: pose_matrix(found[i]) for i, n in enumerate(self.names)}, "pose", 2)
 
     @_quiet
     def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
@@ -520,10 +409,10 @@ class Mechanism(Shown):
         poses = self.poses("pose", pose)
         found = {}
         for i, link in enumerate(self.links):
-            if motions := _motions(link.joint):
+            if motions := motions_of(link.joint):
                 numbers = motions.coordinates(self.relative(self.joints[i], poses))
                 found[link.name] = finite(f"a coordinate of {link.name}", assembled(numbers))
-            elif not _is_rigid(link.joint):
+            elif not is_rigid(link.joint):
                 found[link.name] = pose_matrix(poses[i])
         return found
 
@@ -537,7 +426,7 @@ class Mechanism(Shown):
             there is one. What is left out is 0. A link whose joint has no coordinates may be given
             its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
         pose : of all links. Default: all coordinates 0.
-        Returns (6,) or (n, 6) for each link. `project` then satisfies the loops.
+        Returns (6,) for each link, or (n, 6) where one's is. `project` then satisfies the loops.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
@@ -551,10 +440,10 @@ class Mechanism(Shown):
         sizes: dict[str, Any] = {f"pose[{n!r}]": poses[i][1][0] for i, n in enumerate(self.names)}
         for i in self.order:
             link, at = self.links[i], self.joints[i]
-            argument, motions = f"velocities[{link.name!r}]", _motions(self.links[i].joint)
+            argument, motions = f"velocities[{link.name!r}]", motions_of(self.links[i].joint)
             relative: Vec = ZERO6
             if motions:
-                rates = _numbers(argument, given.get(link.name, 0.0), motions.names)
+                rates = numbers_of(argument, given.get(link.name, 0.0), motions.names)
                 sizes[argument] = rates, 1
                 relative = motions.twist(components(rates), self.relative(at, poses))
             elif link.name in given:
@@ -567,10 +456,7 @@ class Mechanism(Shown):
                 relative = add(relative, self.carried(at, poses, found))
             found[i] = se3.Ad(frame, relative)
         self.batch_size(**sizes)
-        return {
-            name: finite(f"the twist of {name}", assembled(found[i]))
-            for i, name in enumerate(self.names)
-        }
+        return _alike({n: assembled(found[i]) for i, n in enumerate(self.names)}, "twist", 1)
 
     @_quiet
     def velocities(
@@ -588,11 +474,11 @@ class Mechanism(Shown):
         found = {}
         for i, link in enumerate(self.links):
             at = self.joints[i]
-            if motions := _motions(link.joint):
+            if motions := motions_of(link.joint):
                 moving = self.relative_twist(at, poses, twists)
                 rates = motions.rates(moving, self.relative(at, poses))
                 found[link.name] = finite(f"a rate of {link.name}", assembled(rates))
-            elif not _is_rigid(link.joint):
+            elif not is_rigid(link.joint):
                 found[link.name] = assembled(twists[i])
         return found
 
@@ -736,6 +622,21 @@ class Mechanism(Shown):
         return dict(given)
 
 
+def _alike(found: dict[str, Array], what: str, item_axes: int) -> dict[str, Array]:
+    """Of all links, each for every member of the batch where it is of one's."""
+    for name, array in found.items():
+        finite(f"the {what} of {name}", array)
+    sizes = [len(array) for array in found.values() if array.ndim > item_axes]
+    if not sizes:
+        return found
+    return {
+        name: array
+        if array.ndim > item_axes and len(array) == max(sizes)
+        else np.broadcast_to(array, (max(sizes), *array.shape[-item_axes:])).copy()
+        for name, array in found.items()
+    }
+
+
 def _all_of(argument: str, given: Any, kind: type, expected: str) -> Any:
     items = items_of(argument, given, f"{expected}s") if isinstance(given, Iterable) else (given,)
     for number, item in enumerate(items):
@@ -748,79 +649,3 @@ def _shown_joint(each: Link | Loop, lines: Lines) -> str:
     ends = f" of {each.body}" if isinstance(each, Loop) else ""
     parts = (f"{each.name}: {each.joint.name} joint{ends} to {each.parent}", *map(" ".join, lines))
     return ", ".join(parts)
-
-
-# ---- coordinates of one link -------------------------------------------------------------------
-
-
-def _motions(joint: Joint) -> Any:
-    """What its coordinates are; None where it has none."""
-    return joint.motions if joint.subgroup or joint.factors else None
-
-
-def _is_rigid(joint: Joint) -> bool:
-    return joint.name == "fixed"
-
-
-def _is_pose(argument: str, given: Any, joint: Joint) -> bool:
-    """Whether a link's coordinates are its whole pose: 4×4 matrices, and no rotation's."""
-    if hasattr(given, "as_matrix"):
-        return bool(np.shape(given.as_matrix())[-1:] == (4,))
-    array = as_floats(argument, given)
-    if array.shape[-2:] != (4, 4):
-        return False
-    motions = _motions(joint)
-    if array.ndim > 2 or motions is None or len(motions.names) != 4:
-        return True
-    if tuple(array[3]) == (0.0, 0.0, 0.0, 1.0):
-        raise two_readings(
-            argument, array.shape, a_pose="pose[None]",
-            four_coordinates_of_each_of_four_members="joint.pose(coordinates=…)",
-        )  # fmt: skip
-    return False
-
-
-def _relative(argument: str, given: Any, joint: Joint) -> tuple[Pose, dict[str, tuple[Array, int]]]:
-    """D of a joint's coordinates or of its rotation, and what is batched of them."""
-    motions = _motions(joint)
-    if motions is None:
-        if given is not None:
-            names = "; leave it out" if _is_rigid(joint) else "; give the link's pose, (4, 4)"
-            raise ArgumentError(f"{argument}: a {joint.name} joint has no coordinates{names}")
-        return (IDENTITY, (0.0, 0.0, joint.length)), {}
-    if given is None:
-        given = np.zeros(len(motions.names))
-    is_turn = hasattr(given, "as_matrix")
-    if motions.names == TURNS and not is_turn:
-        shape = as_floats(argument, given).shape
-        is_turn = len(shape) == 3
-        if shape == (3, 3):
-            raise two_readings(
-                argument, shape, a_rotation_matrix="R[None]",
-                three_rotation_vectors="scipy's Rotation.from_rotvec(xi)",
-            )  # fmt: skip
-    if is_turn:
-        if motions.names != TURNS:
-            raise ArgumentError(
-                f"{argument}: a {joint.name} joint takes no rotation; give its coordinates, "
-                f"{', '.join(motions.names)}"
-            )
-        turns = as_rotations(argument, given)
-        return (components(turns, 2), ZERO3), {argument: (turns, 2)}
-    numbers = _numbers(argument, given, motions.names)
-    return motions.pose(components(numbers)), {argument: (numbers, 1)}
-
-
-def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
-    """One number for each of the coordinates; of one coordinate a bare number or (n,) will do."""
-    array, k = as_floats(argument, given), len(names)
-    if array.ndim == 0 and (k == 1 or not array):
-        array = np.full(k, array)
-    elif array.ndim == 1 and k == 1 and len(array) != 1:
-        array = array[:, None]
-    if array.ndim not in (1, 2) or array.shape[-1] != k:
-        expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
-        raise ArgumentError(
-            f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
-        )
-    return as_numbers(argument, array, (k,))

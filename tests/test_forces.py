@@ -20,6 +20,7 @@ from cases import (
     slow_but,
     tilted,
 )
+from scipy.integrate import solve_ivp
 
 import lierb
 from lierb.errors import ArgumentError, ForceError, TwistError, UnknownNameError
@@ -603,3 +604,161 @@ def test_parameters_of_forces_set_the_number_of_bodies():
     assert problem.batch_size() == 2
     with pytest.raises(ArgumentError, match=r"drag\.linear has 2, twist0 has 3"):
         lierb.integrate(problem, twist0=np.zeros((3, 6)), dt=1e-3, t_end=0.1)
+
+
+# ---- friction, stops and slides of joints ------------------------------------------------------
+
+COULOMB, SLOW, STIFF, START = 0.2, 0.5, 40.0, 3.0
+ACTING = ("viscous", "coulomb", "stop", "stop_beyond_pi", "spring", "slide", "slide_stop", "motor")
+
+
+@pytest.fixture(scope="module")
+def joints_with_forces():
+    """One cylindrical joint for each of ACTING, on which that force acts and no other.
+
+    All turn at START rad/s, or slide at 0.3 m/s: the two are apart, for the axis is fixed.
+    """
+    held = joint("cylindrical")
+
+    def only(**values):
+        return np.array([values.get(name, 0.0) for name in ACTING])
+
+    forces = [
+        lierb.forces.joint_friction(
+            viscous=only(viscous=0.05), coulomb=only(coulomb=COULOMB), speed=SLOW
+        ),
+        lierb.forces.joint_limit(
+            lower=only(stop=-2.0, stop_beyond_pi=2.0),
+            upper=only(stop=0.5, stop_beyond_pi=2 * np.pi - 2.0),
+            stiffness=only(stop=STIFF, stop_beyond_pi=STIFF),
+        ),
+        lierb.forces.slide_spring(
+            stiffness=only(spring=50.0), damping=only(spring=3.0), position=only(spring=0.2)
+        ),
+        lierb.forces.slide_friction(
+            viscous=only(slide=2.0), coulomb=only(slide=1.0), speed=SLOW
+        ),
+        lierb.forces.slide_limit(
+            lower=-0.1, upper=0.1, stiffness=only(slide_stop=500.0), damping=only(slide_stop=20.0)
+        ),
+        lierb.forces.motor(force=only(motor=1.5)),
+    ]  # fmt: skip
+    turning = np.isin(ACTING, ("viscous", "coulomb", "stop", "stop_beyond_pi"))
+    rates = np.where(turning[:, None], (START, 0.0), (0.0, 0.3))
+    places = np.where((np.array(ACTING) == "stop_beyond_pi")[:, None], (2.5, 0.0), (0.0, 0.0))
+    problem = lierb.Problem(box(turned=True), held, forces=forces)
+    result = integrate(
+        problem, pose0=held.pose(places), twist0=held.twist(velocities=rates, coordinates=places),
+        dt=2.5e-4, t_end=1.0, save_every=400, record=("state", "energy"), cspace="SE3",
+    )  # fmt: skip
+    axis = held.body_frame[:3, 2]
+    arm = np.cross(axis, held.body_frame[:3, 3])  # the centre of mass is at the origin
+    inertia = axis @ problem.body.inertia @ axis + float(problem.body.mass) * (arm @ arm)
+    poses = np.zeros((*result.omega.shape[:2], 4, 4)) + np.eye(4)
+    poses[..., :3, :3], poses[..., :3, 3] = result.rotation, result.position
+    flat, shape = poses.reshape(-1, 4, 4), (*poses.shape[:2], 2)
+    twists = np.concatenate([result.omega, result.v], axis=-1).reshape(-1, 6)
+    places = held.coordinates(flat).reshape(shape).swapaxes(0, 1)
+    rates = held.velocities(twists, flat).reshape(shape).swapaxes(0, 1)
+    t = np.linspace(0.0, 1.0, 11)
+    return {
+        name: (t, places[i].T, rates[i].T, result.summary["energy_drift_max"][i].as_py())
+        for i, name in enumerate(ACTING)
+    } | {"inertia": inertia}
+
+
+@pytest.mark.parametrize("name", ACTING)
+def test_joint_forces_keep_account_of_energy(joints_with_forces, name):
+    *_, drift = joints_with_forces[name]
+    assert drift < 1e-6  # of some joules; one step of 0.25 ms meets each stop
+
+
+def test_viscous_joint_friction_slows_exponentially(joints_with_forces):
+    t, _, (turning, _), _ = joints_with_forces["viscous"]
+    inertia = joints_with_forces["inertia"]
+    np.testing.assert_allclose(turning, START * np.exp(-0.05 / inertia * t), rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["coulomb", "slide"])
+def test_coulomb_friction_slows_as_its_smooth_law_says(joints_with_forces, name):
+    """dω √(ω² + s²)/ω = −k/I dt; of the slide with a viscous part, by DOP853."""
+    t, _, rates, _ = joints_with_forces[name]
+    inertia = joints_with_forces["inertia"]
+    if name == "coulomb":
+        root = np.sqrt(rates[0] ** 2 + SLOW**2)
+        passed = root - SLOW * np.arcsinh(SLOW / rates[0])
+        np.testing.assert_allclose(passed - passed[0], -COULOMB / inertia * t, rtol=0, atol=1e-9)
+        return
+    mass = float(box().mass)
+    found = solve_ivp(
+        lambda _, u: -(2.0 * u + u / np.sqrt(u * u + SLOW**2)) / mass,
+        (0.0, 1.0), [0.3], "DOP853", t, rtol=1e-12, atol=1e-14,
+    )  # fmt: skip
+    np.testing.assert_allclose(rates[1], found.y[0], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(("name", "before"), [("stop", 0.5), ("stop_beyond_pi", 2 * np.pi - 4.5)])
+def test_a_stop_sends_the_joint_back(joints_with_forces, name, before):
+    """Free to the stop, half a period on its spring, back at the same speed, also beyond ±π."""
+    t, (angle, _), (rate, _), _ = joints_with_forces[name]
+    met = before / START
+    pace = np.sqrt(STIFF / joints_with_forces["inertia"])
+    left = met + np.pi / pace
+    assert left < 1.0  # it comes back in this time
+    since = np.clip(t - met, 0.0, np.pi / pace)
+    start = {"stop": 0.0, "stop_beyond_pi": 2.5}[name]
+    expected = start + START * np.minimum(t, met) + START / pace * np.sin(pace * since)
+    expected -= START * np.maximum(t - left, 0.0)
+    off = np.angle(np.exp(1j * (angle - expected)))
+    # of the two steps that meet the stop and leave it: k ω dt² / I each, within them
+    np.testing.assert_allclose(off, 0.0, atol=2e-5)
+    assert rate[-1] == pytest.approx(-START, rel=1e-5)
+
+
+def test_slide_spring_is_a_damped_oscillator(joints_with_forces):
+    t, (_, place), _, _ = joints_with_forces["spring"]
+    mass = float(box().mass)
+    decay, pace = 1.5 / mass, np.sqrt(50.0 / mass - (1.5 / mass) ** 2)
+    swing = -0.2 * np.cos(pace * t) + (0.3 - 0.2 * decay) / pace * np.sin(pace * t)
+    np.testing.assert_allclose(place, 0.2 + np.exp(-decay * t) * swing, rtol=0, atol=1e-12)
+
+
+def test_slide_stop_damps_while_it_is_met(joints_with_forces):
+    """It meets the stop after 1/3 s, and leaves it slower by what the damper took."""
+    t, (_, place), (_, rate), _ = joints_with_forces["slide_stop"]
+    free = t < 0.3333
+    np.testing.assert_allclose(place[free], 0.3 * t[free], rtol=0, atol=1e-14)
+    mass = float(box().mass)
+    decay, pace = 10.0 / mass, np.sqrt(500.0 / mass - (10.0 / mass) ** 2)
+    # back at the stop after half a damped period, by when its speed fell by exp(−decay π/pace); the
+    # damper sets in within a step, in which it takes 20 dt/m = 8e-4 of the speed
+    assert rate[-1] == pytest.approx(-0.3 * np.exp(-decay * np.pi / pace), rel=5e-4)
+
+
+def test_motor_force_accelerates_evenly(joints_with_forces):
+    t, (_, place), _, _ = joints_with_forces["motor"]
+    mass = float(box().mass)
+    np.testing.assert_allclose(place, 0.3 * t + 0.75 / mass * t**2, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: lierb.forces.joint_friction(speed=0.0), ArgumentError, "speed is 0"),
+        (lambda: lierb.forces.joint_friction(coulomb=-1.0), ArgumentError, "coulomb is -1"),
+        (
+            lambda: lierb.forces.joint_limit(lower=[0.0, 1.0], upper=0.5, stiffness=1.0),
+            ArgumentError, r"lower\[1\] is 1.0, above upper, 0.5",
+        ),
+        (
+            lambda: lierb.Problem(
+                box(), joint("revolute"), forces=lierb.forces.slide_spring(stiffness=1.0)
+            ),
+            ForceError, "slide_spring acts along .* a revolute joint does not",
+        ),
+        (lambda: lierb.forces.motor(1.0, force=1.0), ArgumentError, "torque= or speed= or force="),
+    ],
+)  # fmt: skip
+def test_bad_joint_force_is_named(make, error, message):
+    with pytest.raises(error, match=message):
+        make()

@@ -55,12 +55,13 @@ Shape = tuple[int, ...]
 class Element:
     """What all kinds have; by itself, one that does nothing.
 
-    needs_axis: whether it acts about e₃ of the joint, which must then be the body's and the
-    ground's at once.   rows: how many constraints it adds.   does_work: whether it can change
-    E = T + U, U being the `energy` of all elements.
+    needs_axis: whether it acts about or along e₃ of the joint, which must then be the body's and
+    the ground's at once.   needs_slide: whether along it.   rows: how many constraints it adds.
+    does_work: whether it can change E = T + U, U being the `energy` of all elements.
     """
 
     needs_axis: ClassVar[bool] = False
+    needs_slide: ClassVar[bool] = False
     is_conservative: ClassVar[bool] = False  # but for what is `working`
     is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
     does_work: ClassVar[bool] = True
