@@ -308,9 +308,7 @@ def a04() -> Benchmark:
         frame = _frame(A04_CORNERS[i], np.eye(3)[A04_AXES[i]])
         body = poses[(i + 1) % 6]
         made.append(_between(lierb.joints.revolute, frame, body, poses[i]))
-    links = [
-        lierb.Link(name(i + 1), _body(1.0, moments[i]), made[i], name(i)) for i in range(5)
-    ]
+    links = [lierb.Link(name(i + 1), _body(1.0, moments[i]), made[i], name(i)) for i in range(5)]
     # the last one is of the last rod on the ground
     last = _between(lierb.joints.revolute, _frame(A04_CORNERS[5], np.eye(3)[A04_AXES[5]]),
                     poses[5], np.eye(4))  # fmt: skip

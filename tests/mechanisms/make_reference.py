@@ -29,10 +29,15 @@ def off(found: list[LinkState], other: list[LinkState], free_axis=()) -> float:
     """The largest difference of two states of all links, relative to 1 + the size of its kind."""
     worst = 0.0
     for i, (a, b) in enumerate(zip(found, other, strict=True)):
-        e = a.R[:, 2]
-        across = (lambda w: w - e * (e @ w)) if i in free_axis else lambda w: w
-        turn = slice(2, 3) if i in free_axis else slice(None)
-        pairs = [(a.x, b.x), (a.R[:, turn], b.R[:, turn]), (a.v, b.v), (across(a.w), across(b.w))]
+        shown, across = slice(None), np.eye(3)
+        if i in free_axis:
+            shown, across = slice(2, 3), np.eye(3) - np.outer(a.R[:, 2], a.R[:, 2])
+        pairs = [
+            (a.x, b.x),
+            (a.R[:, shown], b.R[:, shown]),
+            (a.v, b.v),
+            (across @ a.w, across @ b.w),
+        ]
         for x, y in pairs:
             size = 1.0 + float(np.max(np.abs(x)))
             worst = max(worst, float(np.max(np.abs(x - y))) / size)
@@ -86,7 +91,10 @@ def made(name: str) -> dict:
             agreement["elliptic functions"][t] = float(np.max(np.abs(np.subtract(here, there))))
     if name == "A03":
         far = np.abs(y[-1].astype(float) - A03_PUBLISHED) / np.abs(A03_PUBLISHED)
-        agreement["test set, PSIDE"] = {"0.03": float(far[:7].max()), "0.03, rates": float(far[7:].max())}
+        agreement["test set, PSIDE"] = {
+            "0.03": float(far[:7].max()),
+            "0.03, rates": float(far[7:].max()),
+        }
     return {
         "times": list(given.times),
         "y": [[np.format_float_positional(v, unique=True) for v in row] for row in y[1:]],

@@ -556,6 +556,30 @@ class System:
             found[:, k, 3:] = np.einsum("nij,ni->nj", axes, wrench[:, :3])
         return found
 
+    def unique(self, state: np.ndarray) -> np.ndarray:
+        """(n, joints, 6): which entries of `reactions` follow from the motion.
+
+        They are those that no multipliers without an effect on any body, Jᵀλ = 0, change.
+        """
+        placed = self._placed(state)
+        rows, places = self.conditions(placed)
+        found = np.ones((self.size, len(self.given.joints), 6), bool)
+        for n in range(self.size):
+            U, s, _ = np.linalg.svd(rows.jacobian[n])
+            idle = U[:, int(np.sum(s > RANK_TOLERANCE * s[:1].max(initial=0.0))) :]
+            for k, (joint, own) in enumerate(zip(self.given.joints, places, strict=True)):
+                i = joint.body
+                wrenches = rows.jacobian[n, own, 6 * i : 6 * i + 6].T @ idle[own]
+                if not wrenches.size:
+                    continue
+                B = np.broadcast_to(joint.B, (self.size, 4, 4))[n]
+                arm = placed[i].R[n] @ (B[:3, 3] - self.com[n, i])
+                axes = placed[i].R[n] @ B[:3, :3]
+                torque = wrenches[3:] - np.cross(arm, wrenches[:3], axisb=0, axisc=0)
+                both = np.concatenate([axes.T @ torque, axes.T @ wrenches[:3]])
+                found[n, k] = np.max(np.abs(both), axis=1) < 1e-8
+        return found
+
     # -- what is conserved
 
     def energy(self, state: np.ndarray) -> np.ndarray:

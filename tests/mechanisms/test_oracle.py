@@ -44,8 +44,17 @@ def test_step_has_order_sixteen():
 
 
 def test_estimate_is_larger_than_the_error():
-    y, estimate = extrapolation.step(lambda y: y, np.array([1.0]), 1.0)
-    assert abs(y[0] - np.e) <= 2e-15 + abs(estimate[0])  # and rounding
+    for columns in (2, 3, 4):
+        y, estimate = extrapolation.step(lambda y: y, np.array([1.0]), 1.0, columns)
+        assert 1e-12 < abs(y[0] - np.e) < abs(estimate[0])
+
+
+def test_integrated_takes_shorter_steps_where_they_are_needed():
+    # 1/(1 + 10⁴ t²) turned into an equation: steps of 0.5 would not see the peak
+    peak = lambda y: np.array([1.0, 1.0 / (1.0 + 1e4 * y[0] ** 2)])
+    y, worst = extrapolation.integrated(peak, np.array([-1.0, 0.0]), [0.0, 2.0], 0.5)
+    assert worst <= 1e-14
+    assert abs(y[-1, 1] - 0.02 * np.arctan(100.0)) < 1e-13
 
 
 # ---- joints ------------------------------------------------------------------------------------
