@@ -24,6 +24,7 @@ from mechanisms.extrapolation import integrated
 
 RANK_TOLERANCE = 1e-7  # of the largest singular value: what is smaller says the same twice
 LONGEST_STEP = 0.1  # s; steps get shorter where their estimated error asks for it
+TOLERANCE = 1e-14  # of a step
 CLOSED = 1e-14  # rad and m
 NEWTON_STEPS = 8
 
@@ -628,13 +629,24 @@ class Motion(NamedTuple):
     error: float
 
 
-def motion(description: Description, poses, twists, times, longest: float = LONGEST_STEP) -> Motion:
-    """The motion at the given times; poses (n, links, 4, 4) and twists are those of the first."""
+def motion(
+    description: Description,
+    poses,
+    twists,
+    times,
+    longest: float = LONGEST_STEP,
+    tolerance: float = TOLERANCE,
+) -> Motion:
+    """The motion at the given times; poses (n, links, 4, 4) and twists are those of the first.
+
+    tolerance : of the estimated error of a step, relative to 1 + |entry|. Accelerations of 1e6, as
+    in A03, are rounded by more than the default allows.
+    """
     system, times = System(description), np.asarray(times, float)
     start = system.state(np.asarray(poses, float), np.asarray(twists, float))
     system.learn_rank(system.settled(start))
     with np.errstate(all="ignore"):
-        states, error = integrated(system.rate, start, times, longest, system.settled)
+        states, error = integrated(system.rate, start, times, longest, system.settled, tolerance)
         reactions = np.stack([system.reactions(s) for s in states])
     place = np.stack([system.poses(s) for s in states])
     speed = np.stack([system.twists(s) for s in states])

@@ -59,13 +59,16 @@ def test_links_start_where_the_mechanism_does(name):
 
 @pytest.mark.parametrize("name", BENCHMARKS)
 def test_independent_solutions_agree(name):
-    # as measured when reference.json was made; the oracle has 64-bit rounding, and A03 turns fast
+    # as measured when reference.json was made. In maximal coordinates, of 53 bits, A03's
+    # accelerations of 1e6 rad/s² round to 1e-12 of its state in a step; those of the others do not
+    loosest = dict.fromkeys(("maximal coordinates", "elliptic functions"), 5e-12)
+    if name == "A03":
+        loosest = {"maximal coordinates": 5e-9, "test set, PSIDE": 1e-7}  # of q̇; see below
     found = kept(name)["agreement"]
-    loosest = 1e-9 if name == "A03" else 5e-12
-    assert found["maximal coordinates"]
+    assert "maximal coordinates" in found
     for way, by_time in found.items():
         for t, value in by_time.items():
-            assert value < loosest, (way, t)
+            assert value < loosest[way], (way, t)
 
 
 @pytest.mark.parametrize("name", ["A01", "A02_1", "A04", "slider_crank", "rssr",
@@ -95,10 +98,31 @@ def test_reference_has_the_energy_of_the_start(name):
     assert max(abs(float(e - energies[0])) for e in energies) < 1e-14 * scale
 
 
+def a03_balance(y: np.ndarray):
+    """Energy of A03 less the work of its motor, of angles and rates, J."""
+    given = benchmark("A03")
+    description = description_of(given.mechanism)
+    system, total = oracle.System(description), -REAL("0.033") * y[0]
+    links = given.links(y)
+    for i, s in enumerate(links):
+        m, w = REAL(system.mass[0, i]), s.R.T @ s.w
+        total += m * (s.v @ s.v) / 2 + w @ system.inertia[0, i].astype(REAL) @ w / 2
+    spring = next(f for f in description.forces if isinstance(f, oracle.Spring))
+    tip = links[spring.body].x + links[spring.body].R @ spring.point[0].astype(REAL)
+    line = tip - spring.anchor[0].astype(REAL)
+    stretch = np.sqrt(line @ line) - REAL(spring.length[0])
+    return total + REAL(spring.stiffness[0]) * stretch**2 / 2
+
+
 def test_a03_is_the_published_solution_of_the_test_set():
-    # which has 12 to 14 digits; the start has 30
-    found = numbers("A03", "0.03").astype(float)
-    np.testing.assert_allclose(found, A03_PUBLISHED, rtol=1e-10)
+    found, published = numbers("A03", "0.03"), np.array(A03_PUBLISHED)
+    # 1e-9 rad and 1e-7 rad/s where the crank has turned by 16 rad and at 1140 rad/s: the digits
+    # that the test set has, as its balance of energy shows
+    np.testing.assert_allclose(found[:7].astype(float), published[:7], rtol=3e-10)
+    np.testing.assert_allclose(found[7:].astype(float), published[7:], rtol=1e-7)
+    start = a03_balance(benchmark("A03").y0)
+    assert abs(float(a03_balance(found) - start)) < 1e-14
+    assert 1e-10 < abs(float(a03_balance(published.astype(REAL)) - start)) < 3e-10
 
 
 def test_a04_has_the_moments_of_a_square_bar():
