@@ -9,20 +9,10 @@ import numpy as np
 from lierb.arrays import as_poses, pose_components, taken
 from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.constraints import (
-    rate_errors_squared,
-)
-from lierb.kernels.mechanics.scale import (
-    ROUNDING,
-    START_TOLERANCE,
-)
+from lierb.kernels.mechanics.constraints import rate_errors_squared
+from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
-from lierb.kernels.numbers.vec import (
-    Vec,
-    cross_add,
-    norm,
-    sub,
-)
+from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
 from lierb.mechanism_closing import closed
 from lierb.mechanism_rows import (
     Held,

@@ -16,20 +16,11 @@ import numpy as np
 from lierb.arrays import Array, assembled, pose_components, pose_matrix
 from lierb.errors import PoseError, TwistError, body_label
 from lierb.kernels.groups import se3, so3
-from lierb.kernels.mechanics.constraints import (
-    residuals,
-)
-from lierb.kernels.mechanics.newton_euler import (
-    Pose,
-)
-from lierb.kernels.mechanics.scale import (
-    START_TOLERANCE,
-)
+from lierb.kernels.mechanics.constraints import residuals
+from lierb.kernels.mechanics.newton_euler import Pose
+from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
-from lierb.kernels.numbers.vec import (
-    Vec,
-    add,
-)
+from lierb.kernels.numbers.vec import Vec, add
 from lierb.mechanism_rows import (
     Held,
     System,

@@ -13,10 +13,7 @@ import numpy as np
 
 from lierb.arrays import Array, assembled
 from lierb.kernels.groups import se3
-from lierb.kernels.mechanics.constraints import (
-    position_error_squared,
-    rotation_error_squared,
-)
+from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
@@ -25,12 +22,7 @@ from lierb.kernels.mechanics.newton_euler import (
     Pose,
     inertia_about_com,
 )
-from lierb.kernels.mechanics.scale import (
-    ROUNDING,
-    bearings,
-    length_of,
-    rounding_of,
-)
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt, where
 from lierb.kernels.numbers.vec import (
     Mat,
