@@ -115,8 +115,8 @@ def a02(windows: int) -> Benchmark:
     The freedoms grow from 1 to N + 1 as it lies down, first at 0.7 s or so (`a02_lies_down`); the
     motion that goes on, with all cranks parallel, is that of one pendulum: y is (φ, φ̇), with
     B₀ = (sin φ, cos φ). The times of the reference are before that, but for the last one.
-    Rods: 1/12 kg m² about their centres, as the library says of a uniform rod; about their own
-    axes 1e-3 kg m², which does not matter in the plane.
+    Rods: 1/12 kg m² about their centres, those of slender rods, as ports of the
+    library have them; about their own axes 1e-3 kg m², which does not matter in the plane.
     """
     rod, N = 1.0 / 12.0, windows
     crank = Planar(1.0, rod, (Arm(0.5j, (-1.0,)),), (-1.0,))

@@ -172,8 +172,8 @@ def expected(given: Benchmark, kept: dict, t: str) -> list[LinkState]:
 # at times at which reference.json has them; A02 before it lies down
 QUICK = ("A01", "A02_1", "A02_2", "A03", "slider_crank")
 AT = {"A01": "1", "A03": "0.03", **{f"A02_{N}": "0.5" for N in range(1, 9)}}
-# A03 is accelerated by 1e6 rad/s², which no state of 53 bits has to better than 1e-10: the oracle is
-# off by 2e-10 itself, and what is published by 1e-9 rad (`test_benchmarks`)
+# A03 is accelerated by 1e6 rad/s²: the oracle, of 53 bits, is off by 2e-10 itself, and what is
+# published by 1e-9 rad (`test_benchmarks`)
 TOLERANCES = {"A03": 1e-9}
 
 

@@ -12,6 +12,7 @@ from mechanisms.benchmarks import A03_PUBLISHED, BENCHMARKS, Benchmark
 from mechanisms.make_reference import PATH, off
 from mechanisms.minimal import REAL, Jet, solved, turned
 from mechanisms.samples import description_of
+from mechanisms.test_oracle import EXTENDED
 
 # of the library's own counting: an assembly closes, and moves with this many freedoms
 FREEDOMS = {"A01": 1, "A03": 1, "A04": 1, "slider_crank": 1, "rssr": 2,
@@ -71,6 +72,7 @@ def test_independent_solutions_agree(name):
             assert value < loosest[way], (way, t)
 
 
+@EXTENDED
 @pytest.mark.parametrize("name", ["A01", "A02_1", "A04", "slider_crank", "rssr",
                                   "spherical_double_pendulum"])  # fmt: skip
 def test_reference_is_what_minimal_coordinates_give(name):
@@ -135,6 +137,7 @@ def test_a04_has_the_moments_of_a_square_bar():
 # ---- the tools of minimal coordinates ----------------------------------------------------------
 
 
+@EXTENDED
 def test_solved_has_extended_precision():
     rng = np.random.default_rng(0)
     A, x = rng.normal(size=(7, 7)).astype(REAL), rng.normal(size=7).astype(REAL)
@@ -142,6 +145,7 @@ def test_solved_has_extended_precision():
     assert np.max(np.abs(solved(A, A @ x) - x)) < 1e-16
 
 
+@EXTENDED
 def test_jets_are_taylor_series():
     # of a rotated vector's norm and inverse, against mpmath's derivatives
     def by_jet(p):
