@@ -59,8 +59,8 @@ class States(Shown):
         A trajectory that failed ends there; the history goes on.
         """
         if self.history is not None and self._has_states:
-            return self._array(self.history, "t")[:, 0]
-        return self._array(self.summary, "t")[0]
+            return np.asarray(self._array(self.history, "t")[:, 0])
+        return np.asarray(self._array(self.summary, "t")[0])
 
     @property
     def position(self) -> Array:
@@ -102,7 +102,7 @@ class States(Shown):
         """asked : what it is for, for messages."""
         if self.history is not None and self._has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
-        return self._array(self.summary, f"{self._prefix}{name}", *item)[0]
+        return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
 
     def _array(self, table: pa.Table, column: str, *item: int) -> Array:
         """(times, n, *item)"""
