@@ -156,12 +156,12 @@ def some_rows(rows: int, most: int) -> Array:
 
 def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
     """The errors of which there are any, and their columns."""
-    seen = {
-        kind
-        for s in study.settings
-        for kind, size in sizes_of(dataset, study, s).items()
-        if ok_columns(dataset, s, [ERRORS[kind]])[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size
-    }
+    seen = set()
+    for setting in study.settings:
+        columns = ok_columns(dataset, setting, list(ERRORS.values()))
+        for kind, size in sizes_of(dataset, study, setting).items():
+            if columns[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size:
+                seen.add(kind)
     return {kind: name for kind, name in ERRORS.items() if kind in (seen or {"energy"})}
 
 

@@ -377,10 +377,10 @@ def multipliers_of(
         li: list[Any] = []
         si: list[Any] = []
         for j in range(i):
-            si.append(_reduced(schur[i][j], li, scaled[j]))
+            si.append(less(schur[i][j], li, scaled[j]))
             li.append(si[j] * pivots_inverse[j])
-        pivot = _reduced(schur[i][i], li, si)
-        y.append(_reduced(excess[i], li, y))
+        pivot = less(schur[i][i], li, si)
+        y.append(less(excess[i], li, y))
         kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + sizes[i])
         pivots_inverse.append(where(kept, 1.0, 0.0) / where(kept, pivot, 1.0))
         dropped.append(where(kept, 0.0, 1.0))
@@ -407,7 +407,7 @@ def multipliers_of(
     return multipliers, branch(any_lanes(count > 0.5), look, lambda: 0.0, likely=False), count
 
 
-def _reduced(x: Any, left: list[Any], right: list[Any]) -> Any:
+def less(x: Any, left: list[Any], right: list[Any]) -> Any:
     """x − left·right."""
     for a, b in zip(left, right, strict=False):
         x = fma(-a, b, x)
