@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.animation.page import Animation, animate
+from lierb.animation.page import Animation, animate, links_told
 from lierb.arrays import Array, assembled, components
 from lierb.column_names import COMPONENTS
 from lierb.errors import ArgumentError, require_name, told, unknown_name
@@ -58,7 +58,7 @@ class States(Shown):
 
         A trajectory that failed ends there; the history goes on.
         """
-        if self.history is not None and self._has_states:
+        if self.history is not None and self.has_states:
             return np.asarray(self._array(self.history, "t")[:, 0])
         return np.asarray(self._array(self.summary, "t")[0])
 
@@ -95,12 +95,13 @@ class States(Shown):
         return self._state("v", 3)
 
     @property
-    def _has_states(self) -> bool:
+    def has_states(self) -> bool:
+        """Whether the history has the state, which its arrays are then of."""
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
     def _state(self, name: str, *item: int, asked: str = "") -> Array:
         """asked : what it is for, for messages."""
-        if self.history is not None and self._has_states:
+        if self.history is not None and self.has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
 
@@ -109,7 +110,7 @@ class States(Shown):
         return as_array(table[column]).reshape(-1, self.summary.num_rows, *item)
 
     def _told_arrays(self) -> str:
-        times = (len(self.t),) if self._has_states else ()
+        times = (len(self.t),) if self.has_states else ()
         return f"({', '.join(map(str, (*times, self.summary.num_rows)))}, …)"
 
 
@@ -204,7 +205,8 @@ class Result(States):
         return super()._state(name, *item)
 
     @property
-    def _has_states(self) -> bool:
+    def has_states(self) -> bool:
+        """Whether the history has the states of all links."""
         name = f"{self.links[0]}.position" if self.links else "position"
         return self.history is not None and name in self.history.column_names
 
@@ -341,7 +343,7 @@ class Result(States):
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if self.links:
             title += (
-                f" of {_told_parts(_metadata(self.summary)) or counted(len(self.links), 'link')}"
+                f" of {links_told(_metadata(self.summary)) or counted(len(self.links), 'link')}"
             )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
@@ -392,7 +394,7 @@ class Result(States):
         more = [name for name in ("energy", "work", "lambda", "reaction") if name in there]
         problem = _metadata(self.summary).get("problem", {})
         more += [each["name"] for each in problem.get(OBSERVED, [])]
-        recorded = ", ".join(["errors", *["state"] * self._has_states, *more])
+        recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
 
 
@@ -401,13 +403,6 @@ def _metadata(table: pa.Table) -> dict[str, Any]:
     metadata = (table.schema.metadata or {}).get(b"lierb")
     found: dict[str, Any] = json.loads(metadata) if metadata else {}
     return found
-
-
-def _told_parts(told: dict[str, Any]) -> str:
-    """`2 links and 1 loop`, of a mechanism."""
-    kinds = [each["kind"] for each in told.get("problem", {}).get("mechanism", {}).values()]
-    parts = [counted(kinds.count(kind), kind) for kind in ("link", "loop") if kind in kinds]
-    return " and ".join(parts)
 
 
 def _kinds_of(told: dict[str, Any]) -> list[str]:
