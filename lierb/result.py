@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
+    from lierb.mechanism import Mechanism
     from lierb.model import Problem
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
@@ -267,13 +268,16 @@ class Result(States):
         columns: str | Iterable[str] = (),
         *,
         trajectories: int | Iterable[int] | None = None,
-        problem: Problem | None = None,
+        problem: Problem | Mechanism | None = None,
     ) -> Figure:
         """What is in the history, over time, as a Matplotlib figure; needs `lierb[plot]`.
 
         columns : which panels: "angles", "trace" (where the body's axis points, on the sphere),
             "position" and "omega", of a recorded state; and any column of the history, such as
-            "energy", "position_error" or an observable. Default: all but rates of errors.
+            "energy", "position_error" or an observable. Default: all but rates of errors. Of a
+            mechanism "angles" and "slides", the coordinates of its joints, and what all joints have
+            together; "rod.omega", "pin.position_error", "pin.force" and the like are drawn when
+            they are asked for.
         trajectories : their numbers. Default: all; of more than six, median and 5 to 95 %.
         problem : of a result that was pickled, which has lost its own.
 

@@ -574,6 +574,9 @@ class Study(Shown, Section):
         """Whether it is of one body, or of a mechanism."""
         links = [each.name for each in self.problem.held()]
         self.sample.require_names(links)
+        for loop in self.problem.loops:
+            for section in {*(self.sample.model_extra or {}).get(loop.name, {})} - {"joint"}:
+                raise StudyError(f"sample.{loop.name}.{section}: a loop has a joint, and no more")
         if self.problem.links:
             for name in links:
                 if name.lower() in RESERVED:
@@ -662,13 +665,20 @@ class Study(Shown, Section):
         drawn = "\n".join(f"{path}: {value!r}" for path, value in quantities.items())
         rows.insert(0, ("sampled", drawn or "nothing"))
         if self.problem.links:
-            parts = [counted(len(self.problem.links), "link")]
-            if self.problem.loops:
-                parts.append(counted(len(self.problem.loops), "loop"))
-            count = counted(len(self.design), "mechanism")
-            return f"lierb.Study {self.name!r}: {count} of {' and '.join(parts)}", rows
-        on = "" if self.joint is None else f" on a {self.joint.type} joint"
-        return f"lierb.Study {self.name!r}: {count}{on}", rows
+            several = self.kind.replace("mechanism", "mechanisms", 1)
+            of_all = self.kind if len(self.design) == 1 else several
+            return f"lierb.Study {self.name!r}: {len(self.design)} {of_all}", rows
+        return f"lierb.Study {self.name!r}: {count} on a {self.kind}", rows
+
+    @property
+    def kind(self) -> str:
+        """What each of its bodies is on: `spherical joint`, `mechanism of 3 links and 1 loop`."""
+        if self.joint is not None:
+            return f"{self.joint.type} joint"
+        parts = [counted(len(self.problem.links), "link")]
+        if self.problem.loops:
+            parts.append(counted(len(self.problem.loops), "loop"))
+        return f"mechanism of {' and '.join(parts)}"
 
     __str__ = Shown.__repr__
 
