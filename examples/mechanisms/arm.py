@@ -20,8 +20,12 @@ A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)  # m
 ALPHA = np.pi * np.array([0.5, 0.0, 0.0, 0.5, -0.5, 0.0])
 MASS = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)  # kg
 COM = [
-    (0.0, -0.02561, 0.00193), (0.2125, 0.0, 0.11336), (0.15, 0.0, 0.0265),
-    (0.0, -0.0018, 0.01634), (0.0, 0.0018, 0.01634), (0.0, 0.0, -0.001159),
+    (0.0, -0.02561, 0.00193),
+    (0.2125, 0.0, 0.11336),
+    (0.15, 0.0, 0.0265),
+    (0.0, -0.0018, 0.01634),
+    (0.0, 0.0018, 0.01634),
+    (0.0, 0.0, -0.001159),
 ]  # fmt: skip, m, in the frame at the link's end
 TARGET = np.radians([30.0, -80.0, 100.0, -110.0, -90.0, 20.0])
 STIFFNESS = np.array([4e3, 4e3, 3e3, 1e3, 1e3, 3e2])  # N m/rad
@@ -47,7 +51,9 @@ joints = [
 ]
 links = [
     lierb.Link(name, body, joint, parent)
-    for name, body, joint, parent in zip(names, bodies, joints, ["ground", *names[:-1]], strict=True)
+    for name, body, joint, parent in zip(
+        names, bodies, joints, ["ground", *names[:-1]], strict=True
+    )
 ]
 load = lierb.Body(
     PAYLOAD + 1e-3, (PAYLOAD[:, None] + 1e-3) * (BALL, BALL, BALL)

@@ -67,7 +67,7 @@ ends = {
     for i, (name, middle) in enumerate(zip(names[1:], middles[1:]))
 }  # fmt: skip
 for k, shade in ((0, 1.0), (25, 0.5), (50, 0.25)):
-    for i, (name, points) in enumerate(ends.items()):
+    for i, points in enumerate(ends.values()):
         # the plot's third axis is up, and here that is −gravity, y
         space.plot(*points[:, k, [0, 2, 1]].T, color=f"C{i}", alpha=shade, linewidth=3)
 space.plot([0, 0], [0, 1], [0, 0], color="0.3", linewidth=3)

@@ -1,6 +1,6 @@
 """Chaos: two hundred double pendulums, released a nanoradian apart, fan out.
 
-    python double_pendulum.py [FIGURE.png]
+python double_pendulum.py [FIGURE.png]
 """
 
 import sys

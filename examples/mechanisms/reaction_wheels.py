@@ -17,7 +17,7 @@ import lierb
 HULL = lierb.bodies.box((0.5, 0.4, 0.6), mass=60.0)
 WHEEL = lierb.bodies.cylinder(0.08, 0.04, density=2700.0)  # about its e₃
 AXES = {"wheel_x": np.eye(3)[0], "wheel_y": np.eye(3)[1]}
-PLACES = {"wheel_x": np.array([0.2, 0.0, 0.0]), "wheel_y": np.array([0.0, 0.15, 0.0])}  # m
+PLACES = {"wheel_x": np.array([0.0, 0.0, 0.2]), "wheel_y": np.array([0.0, 0.0, -0.2])}  # m
 SLEW = 30.0  # s, for each of the three
 
 
@@ -32,22 +32,21 @@ def frame(axis, point):
 def slew(t, params):
     """Smooth, from rest to rest: the wheel's torque over one turn of a sine, begun at a time."""
     phase = (t - params.begin) / 30.0
-    return lierb.where((phase > 0.0) & (phase < 1.0), params.peak * math.sin(2 * math.pi * phase), 0.0)
+    return lierb.where(
+        (phase > 0.0) & (phase < 1.0), params.peak * math.sin(2 * math.pi * phase), 0.0
+    )
 
 
 def inertia_about(axis):
-    """Of all that a wheel's torque turns: hull and wheels, but for its own spin."""
+    """Of all that a wheel's torque turns: the hull and the wheels, but for its own spin."""
     total = HULL.inertia @ axis @ axis
     for name, place in PLACES.items():
         own = frame(AXES[name], place)[:3, :3].T @ axis
-        held = own if not np.allclose(axis, AXES[name]) else np.zeros(3)
-        away = np.cross(axis, place - CENTRE)
-        total += WHEEL.inertia @ held @ held + WHEEL.mass * away @ away
-    away = np.cross(axis, CENTRE)
-    return total + HULL.mass * away @ away
+        away = np.cross(axis, place)
+        total += WHEEL.inertia @ own @ own * (own[2] == 0.0) + WHEEL.mass * away @ away
+    return total
 
 
-CENTRE = WHEEL.mass * sum(PLACES.values()) / (HULL.mass + 2.0 * WHEEL.mass)
 wanted = np.radians(np.linspace(-90.0, 90.0, 37))  # about z, of a satellite each
 peak = {name: 2.0 * np.pi * inertia_about(axis) / SLEW**2 for name, axis in AXES.items()}  # per rad
 turn = lambda name, begin, angle: lierb.forces.motor(
@@ -72,14 +71,18 @@ satellite = lierb.Mechanism(
 )  # fmt: skip
 
 
+def in_ground(state, vectors):
+    """Vectors that were in the body's axes."""
+    return np.einsum("...ij,...j->...i", state.rotation, vectors)
+
+
 def angular_momentum(result):
     """Of all bodies about the ground's origin, (times, n, 3), kg m²/s."""
     total = 0.0
     for link in satellite.links:
         state, body = result[link.name], link.body
-        turned = lambda v: np.einsum("...ij,...j->...i", state.rotation, v)
-        spin = turned(np.einsum("ij,...j->...i", body.inertia, state.omega))
-        total = total + spin + body.mass * np.cross(state.position, turned(state.v))
+        spin = in_ground(state, state.omega @ body.inertia)
+        total = total + spin + body.mass * np.cross(state.position, in_ground(state, state.v))
     return total
 
 
@@ -92,9 +95,9 @@ R = result["hull"].rotation[-1]
 found = np.arctan2(R[:, 1, 0], R[:, 0, 0])
 away = np.abs(np.linalg.norm(angular_momentum(result), axis=-1)).max()
 spins = {name: WHEEL.inertia[2, 2] * result[name].omega[..., 2] for name in AXES}
-print(f"turned about z by {np.degrees(found[-1]):.4f}° where {np.degrees(wanted[-1]):.0f}° were wanted; "
-      f"at worst off by {np.degrees(np.abs(found - wanted).max()):.0e}°")  # fmt: skip
-print(f"total angular momentum: {away:.0e} kg m²/s, of which a wheel had "
+print(f"turned about z by {np.degrees(found[0]):.3f}° … {np.degrees(found[-1]):.3f}°, "
+      f"off by {np.degrees(np.abs(found - wanted).max()):.0e}° at worst")  # fmt: skip
+print(f"total angular momentum {away:.0e} kg m²/s, of which a wheel had "
       f"{np.abs(spins['wheel_x']).max():.2f}")  # fmt: skip
 
 figure, (momenta, turns) = plt.subplots(1, 2, figsize=(10.4, 4.0), layout="constrained")

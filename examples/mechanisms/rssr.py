@@ -38,10 +38,13 @@ machine = lierb.Mechanism(
     loops=[lierb.Loop("ball", ball(end, parent_point=(0.0, ROCKER, 0.0)), "rod", "rocker")],
 )  # fmt: skip
 
-# Each rod closes by itself. Of the two angles of the rocker at which one fits, that which is larger;
+# Each rod closes by itself. Of the two angles of the rocker at which it fits, the larger;
 # the rod's own axis, e₁, is from the crank's end to the rocker's.
 crank_end = np.array([CRANK, 0.0, 0.0])
-side, arm = np.cross(AXIS, (0.0, 1.0, 0.0)), crank_end - PIVOT  # the rocker's e₂ is y cos φ + side sin φ
+side, arm = (
+    np.cross(AXIS, (0.0, 1.0, 0.0)),
+    crank_end - PIVOT,
+)  # the rocker's e₂ is y cos φ + side sin φ
 reach = (arm @ arm + ROCKER**2 - LENGTHS**2) / (2.0 * ROCKER)
 angle = np.arctan2(arm @ side, arm[1]) + np.arccos(reach / np.hypot(arm @ side, arm[1]))
 rocker_end = PIVOT + ROCKER * (np.outer(np.cos(angle), (0, 1, 0)) + np.outer(np.sin(angle), side))
@@ -75,7 +78,9 @@ swing = np.degrees(np.ptp(rocker, axis=0))
 print(f"{runs.sum()} of {len(LENGTHS)} rods let the crank turn all the way round: "
       f"{LENGTHS[runs].min():.3f} to {LENGTHS[runs].max():.3f} m")  # fmt: skip
 print(f"there the rocker swings by {swing[runs].min():.1f}° to {swing[runs].max():.1f}°")
-opened, drift = (result.summary[c].to_numpy().max() for c in ("position_error_max", "energy_drift_max"))
+opened, drift = (
+    result.summary[c].to_numpy().max() for c in ("position_error_max", "energy_drift_max")
+)
 print(f"open by at most {opened:.0e} m, energy off by at most {drift:.0e} J")
 
 figure, (transfer, width) = plt.subplots(1, 2, figsize=(10.4, 4.0), layout="constrained")

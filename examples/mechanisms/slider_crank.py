@@ -16,14 +16,19 @@ import lierb
 
 R, L = 0.08, 0.3  # m, crank and rod
 PIVOT, SLIDER = np.array([0.0, 0.1, 0.12]), np.array([0.2, 0.0, 0.0])  # m
-BALL = PIVOT + (0.0, 0.0, R)  # where crank and rod meet at the start: the crank is upright
+BALL = PIVOT + np.array(
+    [0.0, 0.0, R]
+)  # where crank and rod meet at the start: the crank is upright
 X = np.array([1.0, 0.0, 0.0])
 
 # Body frames are at the centres of mass; the rod's e₂ is along it, from the slider to the crank.
 e2 = (BALL - SLIDER) / L
 e1 = np.cross(X, e2) / np.linalg.norm(np.cross(X, e2))
 rod_pose = np.eye(4)
-rod_pose[:3, :3], rod_pose[:3, 3] = np.stack([e1, e2, np.cross(e1, e2)], axis=1), (BALL + SLIDER) / 2
+rod_pose[:3, :3], rod_pose[:3, 3] = (
+    np.stack([e1, e2, np.cross(e1, e2)], axis=1),
+    (BALL + SLIDER) / 2,
+)
 knuckle = np.eye(4)  # of the universal joint: its e₃ is the slider's axis X, its e₂ the rod's e₁
 knuckle[:3, :3], knuckle[:3, 3] = np.stack([np.cross(e1, X), e1, X], axis=1), SLIDER
 slider_pose = np.eye(4)
@@ -71,7 +76,9 @@ runs = {
 }  # fmt: skip
 print(f"{'stabilise':20} open by at most   energy drifts by")
 for name, result in runs.items():
-    opened, drift = (result.summary[c][0].as_py() for c in ("position_error_max", "energy_drift_max"))
+    opened, drift = (
+        result.summary[c][0].as_py() for c in ("position_error_max", "energy_drift_max")
+    )
     print(f"{name:20} {opened:12.0e} m {drift:14.0e} J")
 
 result = runs['"project"']
