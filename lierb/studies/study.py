@@ -81,6 +81,7 @@ from lierb.studies.study_file import (
 NOTHING = "nothing"  # a design draws something
 ELEMENTS = ("forces", "constraints", "observables")
 HELD = ("links", "loops")  # what has a joint
+OF_LINK = ("body", "joint", "initial")  # what can be drawn of a link; of a loop its joint
 MOST_LINKS = 1000
 PREVIEW = 8  # bodies that are made when a study is checked
 MOST_SETTINGS = 1000  # each is looked at when a study is checked
@@ -353,7 +354,16 @@ class SampleSection(BaseModel):
     stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
     """
 
-    model_config = SECTION | ConfigDict(extra="allow")
+    model_config = SECTION | ConfigDict(
+        extra="allow",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "properties": {name: {"type": "object"} for name in OF_LINK},
+                "additionalProperties": False,
+            }
+        },
+    )
 
     n: Count | None = None
     seed: Annotated[NonNegativeInt, Whole] = 0
@@ -485,7 +495,15 @@ class Study(Shown, Section):
     (100, 6)
     """
 
-    model_config = SECTION | ConfigDict(json_schema_extra={"description": "A study of lierb."})
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={
+            "description": "A study of lierb.",
+            "anyOf": [
+                {"required": ["body", "joint"]},
+                {"required": ["problem"], "properties": {"problem": {"required": ["links"]}}},
+            ],
+        }
+    )
 
     name: str = "study"
     body: BodySection | None = None
@@ -913,7 +931,6 @@ KEYS: dict[str, tuple[str, ...]] = {
     "body": tuple(k for k in BodySection.model_fields if k != "solid"),
     "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
-OF_LINK = ("body", "joint", "initial")
 KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}
 # A link's columns are named after it, and so are its tables in [sample].
 RESERVED = frozenset({"sample", *SampleSection.model_fields})
