@@ -778,7 +778,8 @@ class Study(Shown, Section):
                 f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: "
                 f"{names}"
             )
-        return Batch(*ready, draws)
+        problem, twist0, pose0 = ready
+        return Batch(problem, twist0, pose0, draws)
 
     def _elements(self, own: Draws) -> dict[str, list[Any]]:
         """Forces, constraints and observables, with what their bodies draw of them."""
