@@ -183,15 +183,16 @@ class Mechanism(Shown):
         owners: dict[str, str] = {}
         for each in self.held:
             what = "link" if isinstance(each, Link) else "loop"
-            if each.name in owners:
+            name = each.name.lower()  # SQL, in which their columns are named, is blind to case
+            if name in owners:
                 hint = ""
-                if what == owners[each.name] == "link":
+                if what == owners[name] == "link":
                     hint = "; a body with two parents is one Link, and a Loop for its other joint"
                 raise ArgumentError(
-                    f"two are named {each.name}, a {owners[each.name]} and a {what}; give every "
+                    f"two are named {each.name}, a {owners[name]} and a {what}; give every "
                     f"link and every loop its own name{hint}"
                 )
-            owners[each.name] = what
+            owners[name] = what
         known = (*self.names, GROUND)
         for link in self.links:
             if link.parent not in known:

@@ -263,6 +263,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.study import Study
 
     batch = Study.load(study, changes).batch(0, 1)
+    if isinstance(batch.problem, lierb.Mechanism):
+        raise StudyError("lierb predict is for studies of one body; this one is of a mechanism")
     found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
     click.echo(str(found))
     for prediction in found.values():

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from unicodedata import normalize
 
 from lierb.arrays import Array
-from lierb.studies.study import Study
-from lierb.studies.units import each_unit
+from lierb.studies.study import ELEMENTS, Study
+from lierb.studies.units import each_unit, joint_of
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SYMBOLS = {  # of the components of a vector, or one word for each of them
@@ -44,12 +44,20 @@ def labelled(
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
     """A name for each component."""
-    if quantity in ("initial.coordinates", "initial.velocities"):
-        return _of_coordinates(quantity, width, study)
-    if is_vector and len(SYMBOLS.get(quantity, ())) == width:
-        return list(SYMBOLS[quantity])
     section, _, key = quantity.rpartition(".")
-    owner = f"{section.removeprefix('forces.')}: " if section.startswith("forces.") else ""
+    first, _, of_link = section.partition(".")
+    owner = ""
+    if of_link and first not in ELEMENTS:  # what one body has, with the link's name before
+        owner, quantity = f"{first}: ", f"{of_link}.{key}"
+    elif first == "forces":
+        owner = f"{of_link}: "
+    if quantity in ("initial.coordinates", "initial.velocities"):
+        names = _of_coordinates(
+            f"{owner.removesuffix(': ')}.{quantity}" if owner else quantity, width, study
+        )
+        return [owner + name for name in names]
+    if is_vector and len(SYMBOLS.get(quantity, ())) == width:
+        return [owner + symbol for symbol in SYMBOLS[quantity]]
     word = owner + key.replace("_", " ")
     if not is_vector:
         return [word]
@@ -57,7 +65,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
 
 
 def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
-    names = study.batch(0, 1).problem.joint.coordinate_names
+    names = joint_of(quantity, study.batch(0, 1).problem).coordinate_names
     if len(names) != width:
         return [f"{quantity} {i + 1}" for i in range(width)]
     rate = "\N{COMBINING DOT ABOVE}" if quantity.endswith("velocities") else ""
