@@ -7,12 +7,10 @@ to hold the solutions at *all* of C₀K, therefore: of the constraint set, and o
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from lierb.arrays import Array, Pose
-from lierb.completion_space import Configuration, Place, Space
+from lierb.completion_space import Configurations, Place, Seen, Space
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
 from lierb.mechanism_closing import DAMPING, least
 
@@ -23,6 +21,7 @@ CONSTANT = 1e-9  # how far a row that is constant on C₀K may be off, over 1 + 
 BATCH = 8  # configurations between two looks at the rank; it is stable after two without a rise
 STEP = 0.7  # rad, or so many times the mechanism's length, from one sample to the next
 NEWTON_STEPS = 20
+MARGIN = 1e-3  # of J's singular values: rounding turns its kernel by 1e-14 over the least of them
 SEED = 2016
 
 
@@ -35,7 +34,7 @@ class OpenError(ValueError):
 
 
 class Completion:
-    """algebra : (k, 6 nodes), a basis of that of K, of length 1 each.   exact : of each row."""
+    """algebra : (k, 6 nodes), an orthonormal basis of that of K.   exact : of each row."""
 
     def __init__(self, space: Space, poses: list[Pose]) -> None:
         """Raises OpenError."""
@@ -44,88 +43,97 @@ class Completion:
         self.rounding = space.rounding(poses)
         start = space.of_poses(poses)
         self._require_closed(start)
-        self.left = np.zeros(len(space.rows))  # what is open however near Newton's method comes
-        self.start = self._closed(start) or self._nearest(start)
+        self.left = np.zeros(len(space.rows))
+        found, is_closed = self._closed(start)
+        if not is_closed[0]:  # rows contradict each other by as much as their numbers are rounded
+            found, self.left = start, 2.0 * np.abs(space.at(start).values[0])
+        self.start = np.repeat(found, BATCH, axis=0)
         self.algebra = self._completed()
         self.exact = self._kept()
 
-    def _require_closed(self, start: Configuration) -> None:
-        space = self.space
-        off = np.abs(space.at(start)[0]) > START_TOLERANCE + self.rounding
-        owners = [place for place in space.places for _ in place.rows]
-        if wrong := [place for place, is_off in zip(owners, off, strict=True) if is_off]:
+    def _require_closed(self, start: Configurations) -> None:
+        seen = self.space.at(start)
+        off = np.abs(seen.values[0]) > START_TOLERANCE + self.rounding
+        owners = [place for place in self.space.places for _ in place.rows]
+        wrong = [place for place, is_off in zip(owners, off, strict=True) if is_off]
+        wrong += [self.space.places[k] for k in np.flatnonzero(~seen.upright[0])]
+        if wrong:
             raise OpenError(wrong[0])
-        if place := space.reversed(start):
-            raise OpenError(place)
-
-    def _nearest(self, start: Configuration) -> Configuration:
-        """A start that rows contradict each other at, as lengths that are rounded make them."""
-        self.left = 2.0 * np.abs(self.space.at(start)[0])
-        return start
 
     # ---- configurations ------------------------------------------------------------------------
 
-    def _closed(self, found: Configuration) -> Configuration | None:
-        """Newton's method onto the joints; None where it does not get there."""
-        space = self.space
+    def _closed(self, at: Configurations) -> tuple[Configurations, Array]:
+        """Newton's method onto the joints, and where it gets there."""
+        space, lost = self.space, np.zeros(len(at), dtype=bool)
         for _ in range(NEWTON_STEPS):
-            values, jac, lengths = space.at(found)
-            if self._vanish(values, found, 2e-14):
-                return found
-            wanted = -values / lengths
-            damping = np.array([DAMPING * float(wanted @ wanted)])
-            step = least(jac[None], wanted[None], damping)[0]
-            if not np.isfinite(step).all() or np.linalg.norm(step) > np.sqrt(len(space.tree)):
-                return None
-            found = space.moved(found, space.lifted(step[None])[0])
-        return found if self._vanish(space.at(found)[0], found, 1e-12) else None
+            seen = space.at(at)
+            is_closed = self._vanish(seen, 2e-14)
+            if (is_closed | lost).all():
+                return at, is_closed & ~lost
+            wanted, gradients = -seen.values / seen.lengths, seen.gradients
+            lost |= ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))
+            wanted[lost], gradients[lost] = 0.0, 0.0
+            steps = least(gradients, wanted, DAMPING * np.sum(wanted**2, axis=1))
+            lost |= ~(np.linalg.norm(steps, axis=1) <= np.sqrt(len(space.tree)))
+            steps[lost | is_closed] = 0.0
+            at = space.moved(at, space.lifted(steps))
+        return at, self._vanish(space.at(at), 1e-12) & ~lost
 
-    def _vanish(self, values: Array, at: Configuration, most: float) -> bool:
+    def _vanish(self, seen: Seen, most: float) -> Array:
         """Whether the values of all rows are that small, or rounding."""
-        allowed = most + ROUNDING * self.space.sizes(at) + self.rounding + self.left
-        return bool(np.all(np.abs(values) <= allowed))
+        allowed = most + ROUNDING * seen.far + self.rounding + self.left
+        return np.all(np.abs(seen.values) <= allowed, axis=1)
 
-    def _feasible(self) -> Iterator[Array]:
-        """Velocities, (n, 6 nodes) of unit length, at configurations that hang together."""
-        space, here = self.space, self.start
-        while True:
-            free = self._solutions(here)
-            yield free
-            reach = STEP
-            while reach > 1e-3 and len(free):
-                motion = self.random.normal(size=len(free)) @ free
-                size = np.linalg.norm(motion)
-                tried = self._closed(space.moved(here, reach * motion / (size or 1.0)))
-                if tried is not None:
-                    here = tried
-                    break
-                reach *= 0.5
+    def _walked(self, at: Configurations, solutions: list[Array]) -> Configurations:
+        """From each configuration a step along its solutions, as large as Newton's method takes."""
+        found, waiting = at.copy(), np.arange(len(at))
+        reach = STEP
+        while reach > 1e-3 and len(waiting):
+            motions = []
+            for i in waiting:
+                motion = self.random.normal(size=len(solutions[i])) @ solutions[i]
+                size = float(np.linalg.norm(motion))
+                motions.append(reach * motion / (size or 1.0))
+            tried, arrived = self._closed(self.space.moved(at[waiting], np.array(motions)))
+            found[waiting[arrived]] = tried[arrived]
+            waiting = waiting[~arrived]
+            reach *= 0.5
+        return found
 
-    def _solutions(self, at: Configuration) -> Array:
-        """Velocities that all rows allow."""
-        return self.space.lifted(null_space(self.space.at(at)[1]))
+    def _solutions(self, at: Configurations) -> tuple[list[Array], Array]:
+        """Velocities that all rows allow, (k, 6 nodes) at each configuration, of length 1; and how
+        far from losing its rank J is."""
+        found, margins = [], []
+        for gradients in self.space.at(at).gradients:
+            free, margin = null_space(gradients)
+            found.append(self.space.lifted(free))
+            margins.append(margin)
+        return found, np.array(margins)
+
+    def _anywhere(self, algebra: Array, count: int) -> Configurations:
+        """Products of random elements of K, from the start on."""
+        found = np.repeat(self.start[:1], count, axis=0)
+        for _ in range(3):
+            weights = self.random.normal(size=(count, len(algebra)))
+            found = self.space.moved(found, weights @ algebra)
+        return found
 
     # ---- the group -----------------------------------------------------------------------------
 
     def _completed(self) -> Array:
-        algebra = np.empty((0, 6 * len(self.space.tree)))
+        """From solutions at more and more configurations, until twice there is nothing new."""
+        here, vectors, algebra = self.start, [], np.empty((0, 6 * len(self.space.tree)))
         stable = 0
-        feasible = self._feasible()
         while stable < 2 and len(algebra) < self.space.freedoms:
-            found = [next(feasible) for _ in range(BATCH)]
+            free, margins = self._solutions(here)
+            vectors += _reliable(free, margins)
             if len(algebra):
-                found += [self._solutions(self._anywhere(algebra)) for _ in range(BATCH)]
-            larger = self._closed_under_brackets(np.vstack([algebra, *found]))
+                vectors += _reliable(*self._solutions(self._anywhere(algebra, BATCH)))
+            larger = self._closed_under_brackets(np.vstack(vectors))
             stable = stable + 1 if len(larger) == len(algebra) else 0
             algebra = larger
+            here = self._walked(here, free)
         return algebra
-
-    def _anywhere(self, algebra: Array) -> Configuration:
-        """A product of random elements of K, from the start on."""
-        found = self.start
-        for _ in range(3):
-            found = self.space.moved(found, self.random.normal(size=len(algebra)) @ algebra)
-        return found
 
     def _closed_under_brackets(self, vectors: Array) -> Array:
         basis = row_space(vectors)
@@ -139,20 +147,23 @@ class Completion:
 
     def _kept(self) -> Array:
         """Whether each row is constant on C₀K: looked at on products of random elements of K."""
-        exact = np.ones(len(self.space.rows), dtype=bool)
-        for _ in range(3 * BATCH):
-            at = self._anywhere(self.algebra)
-            allowed = CONSTANT * (1.0 + self.space.sizes(at)) + self.rounding + self.left
-            exact &= np.abs(self.space.at(at)[0]) <= allowed
-        return exact
+        seen = self.space.at(self._anywhere(self.algebra, 3 * BATCH))
+        allowed = CONSTANT * (1.0 + seen.far) + self.rounding + self.left
+        return np.all(np.abs(seen.values) <= allowed, axis=0)
 
 
-def null_space(jac: Array) -> Array:
-    """(k, columns); rows of `jac` are of length 1, or nothing."""
+def _reliable(solutions: list[Array], margins: Array) -> list[Array]:
+    """Those at configurations far from singular ones, near which rounding turns them; all, if there
+    is none."""
+    enough = [x for x, margin in zip(solutions, margins, strict=True) if margin > MARGIN]
+    return enough or solutions
+
+
+def null_space(jac: Array) -> tuple[Array, float]:
+    """(k, columns); and the least singular value that is one, as rows are of length 1 or nothing."""
     _, sizes, vectors = np.linalg.svd(np.vstack([jac, np.zeros((1, jac.shape[1]))]))
-    rank = int((sizes > RANK_TOLERANCE * max(float(sizes[0]), 1.0)).sum()) if sizes.size else 0
-    found: Array = vectors[rank:]
-    return found
+    counted = sizes[sizes > RANK_TOLERANCE * max(1.0, *sizes)]
+    return vectors[len(counted) :], float(counted.min(initial=1.0))
 
 
 def row_space(vectors: Array) -> Array:

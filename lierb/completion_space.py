@@ -1,14 +1,16 @@
 """A c-space of a mechanism as `lierb.completion` explores it: configurations, rows, Jacobians.
 
-A configuration is a tuple of poses, one for each node of the tree that is integrated, and the group
-is the direct product of the nodes'. Absolute nodes have the pose of the joint's frame on their link,
-seen from one frame of the ground; reduced ones the pose that their joint's coordinates are of.
+A configuration has a pose for each node of the tree that is integrated, and the group is the direct
+product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from one
+frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
+configurations are looked at together.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,26 +21,19 @@ from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
 from lierb.kernels.mechanics.rows import PITCHED, Rows
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, rounding_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
-from lierb.kernels.numbers.vec import (
-    ZERO6,
-    add,
-    cross_add,
-    mat_t_vec,
-    mat_vec_add,
-    norm,
-    scale,
-    sub,
-)
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
+from lierb.kernels.stepping.mechanism import NONE
 from lierb.link_coordinates import motions_of
 from lierb.links import Connection
 from lierb.mechanism_rows import System
-from lierb.kernels.stepping.mechanism import NONE
 from lierb.runs.mechanisms import plan_of
 
 if TYPE_CHECKING:
     from lierb.mechanism import Mechanism
 
-Configuration = tuple[Pose, ...]
+Configurations = Array  # (n, nodes, 12): rotations row by row, places
+Motions = dict[int, tuple[Pose, Vec]]  # of nodes: their frames, (n, 1), and twists, (n, freedoms)
 GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
@@ -55,6 +50,21 @@ class Place(NamedTuple):
     outer: Pose
     constants: BodyConstants
     rows: Rows
+
+
+class Seen(NamedTuple):
+    """Of all rows at some configurations; lengths in units of the mechanism's own.
+
+    values : h, (n, rows).   gradients : (n, rows, freedoms), over their `lengths` as rows on D,
+    (n, rows).   far : ‖d‖, (n, rows).   upright : (n, places), whether no joint is held half a turn
+    the wrong way round, which no row sees.
+    """
+
+    values: Array
+    gradients: Array
+    lengths: Array
+    far: Array
+    upright: Array
 
 
 class Space:
@@ -81,7 +91,8 @@ class Space:
         ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
         self.columns = [slice(*pair) for pair in zip(ends, ends[1:], strict=False)]
         self.freedoms = int(ends[-1])
-        self.places = [self._place(at) for at in mechanism.connections]
+        acting = tuple(at for at in mechanism.places if at.rows)
+        self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
         self.rows: Rows = tuple(r for place in self.places for r in place.rows)
         translational = [r.is_translational for r in self.rows]
         self.row_units = np.where(np.array(translational, dtype=bool), self.length, 1.0)
@@ -129,57 +140,50 @@ class Space:
 
     # ---- configurations ------------------------------------------------------------------------
 
-    def of_poses(self, poses: list[Pose]) -> Configuration:
-        """Of the links' poses in the ground's frame; what is off a joint's subgroup is left."""
-        seats: dict[int, Pose] = {}
+    def of_poses(self, poses: list[Pose]) -> Configurations:
+        """The one of the links' poses in the ground's frame, on the subgroups of their joints."""
+        seats: dict[int, Pose] = {GROUND: HERE}
         found: list[Pose] = []
         for i, node in enumerate(self.tree):
             if node.link == MASSLESS:
                 continue  # with the node after it
             seat = self._outer(GROUND, se3.compose(poses[node.link], self.frames[node.link]))
-            if node.cspace == "SE3":
-                found.append(seat)
-            elif node.cspace == "SO3xR3":
-                found.append((seat[0], self._outer(GROUND, poses[node.link])[1]))
-            else:
-                found += self._relative(i, seat, seats)
-                seat = self._seat(i, found, seats)
-            seats[i] = seat
-        return tuple(found)
+            if node.cspace == "SO3xR3":
+                seat = seat[0], self._outer(GROUND, poses[node.link])[1]
+            own = self._factors(i, seat, seats) if node.is_reduced else [seat]
+            for k, pose in enumerate(own, i + 1 - len(own)):
+                base = self._base(k, seats) if node.is_reduced else HERE
+                seats[k] = se3.compose(base, pose)
+            found += own
+        return np.array([[assembled(q + d) for q, d in found]])
 
-    def _relative(self, i: int, seat: Pose, seats: dict[int, Pose]) -> list[Pose]:
+    def _factors(self, i: int, seat: Pose, seats: dict[int, Pose]) -> list[Pose]:
         """D of a reduced node, or of both that make up its joint."""
         joint = self.mechanism.links[self.tree[i].link].joint
-        first = i - 1 if joint.factors else i
-        base = self._base(first, seats)
+        base = self._base(i - 1 if joint.factors else i, seats)
         relative = se3.compose(se3.inverse(base), seat)
         motions = motions_of(joint)
         if motions is None:
-            rigid = not len(self.bases[i])
-            return [HERE if rigid else relative]
+            return [relative if len(self.bases[i]) else HERE]
         numbers = motions.coordinates(relative)
         if joint.factors:
             return [f.motion(x) for f, x in zip(joint.factors, numbers, strict=True)]
         return [motions.pose(numbers)]
 
-    def _base(self, i: int, seats: dict[int, Pose]) -> Pose:
-        parent = self.tree[i].parent
-        return self.hangs[i] if parent == GROUND else se3.compose(seats[parent], self.hangs[i])
+    def _base(self, i: int, seats: Mapping[int, Pose]) -> Pose:
+        """The frame that a reduced node's pose is seen from."""
+        return se3.compose(seats[self.tree[i].parent], self.hangs[i])
 
-    def _seat(self, i: int, configuration: list[Pose], seats: dict[int, Pose]) -> Pose:
-        """A reduced node's frame; that of a massless one before it is filled in."""
-        parent = self.tree[i].parent
-        if parent != GROUND and parent not in seats:
-            seats[parent] = self._seat(parent, configuration, seats)
-        return se3.compose(self._base(i, seats), configuration[i])
-
-    def moved(self, configuration: Configuration, motion: Array) -> Configuration:
-        """C exp X, node by node; X is (6 nodes,)."""
+    def moved(self, at: Configurations, motions: Array) -> Configurations:
+        """C exp X, node by node; motions are (n, 6 nodes)."""
         found = []
-        for node, pose, x in zip(self.tree, configuration, motion.reshape(-1, 6), strict=True):
+        for i, node in enumerate(self.tree):
             group = GROUPS[node.cspace]
-            found.append(group.compose(pose, group.exp(tuple(x * self.units))))
-        return tuple(found)
+            x = components(motions[:, 6 * i : 6 * i + 6] * self.units)
+            pose = components(at[:, i, :9]), components(at[:, i, 9:])
+            q, d = group.compose(pose, group.exp(x))
+            found.append(assembled(q + d))
+        return np.stack(found, axis=1)
 
     def lifted(self, velocities: Array) -> Array:
         """(n, freedoms) → (n, 6 nodes)."""
@@ -191,96 +195,83 @@ class Space:
         parts = []
         for i, node in enumerate(self.tree):
             x, y = (components(v[:, 6 * i : 6 * i + 6]) for v in (a, b))
-            found = assembled(GROUPS[node.cspace].ad(x, y))
-            parts.append(np.broadcast_to(found, (len(a), 6)))
+            parts.append(assembled(GROUPS[node.cspace].ad(x, y)))
         return np.hstack(parts)
 
     # ---- rows ----------------------------------------------------------------------------------
 
-    def _movements(self, configuration: Configuration) -> dict[int, tuple[Pose, Array]]:
-        """Of every node its frame, and (freedoms, 6) how the velocities move it, body-fixed."""
-        found: dict[int, tuple[Pose, Array]] = {GROUND: (HERE, np.zeros((self.freedoms, 6)))}
-        seats: dict[int, Pose] = {}
+    def _motions(self, at: Configurations) -> Motions:
+        """Of every node its frame, and how unit velocities move it, body-fixed."""
+        found: Motions = {GROUND: (HERE, ZERO6)}
         for i, node in enumerate(self.tree):
-            pose = configuration[i]
-            own = np.zeros((self.freedoms, 6))
-            own[self.columns[i]] = self.bases[i] * self.units
+            pose: Pose = components(at[:, None, i, :9]), components(at[:, None, i, 9:])
+            columns = np.zeros((1, self.freedoms, 6))
+            columns[:, self.columns[i]] = self.bases[i] * self.units
+            own = components(columns)
             if node.cspace == "SO3xR3":
-                link = self.frames[node.link]
-                arm = mat_t_vec(link[0], link[1])
-                omega = components(own[:, :3])
-                sliding = mat_t_vec(pose[0], components(own[:, 3:]))
-                own = assembled(omega + cross_add(omega, arm, sliding))
+                frame = self.frames[node.link]
+                arm = mat_t_vec(frame[0], frame[1])
+                own = own[:3] + cross_add(own[:3], arm, mat_t_vec(pose[0], own[3:]))
                 pose = pose[0], mat_vec_add(pose[0], arm, pose[1])
             elif node.is_reduced:
-                carried = se3.inverse(se3.compose(self.hangs[i], pose))
-                own = own + assembled(se3.Ad(carried, components(found[node.parent][1])))
-                pose = se3.compose(self._base(i, seats), pose)
-            seats[i] = pose
+                carrying = se3.inverse(se3.compose(self.hangs[i], pose))
+                own = add(own, se3.Ad(carrying, found[node.parent][1]))
+                pose = se3.compose(se3.compose(found[node.parent][0], self.hangs[i]), pose)
             found[i] = pose, own
         return found
 
-    def at(self, configuration: Configuration) -> tuple[Array, Array, Array]:
-        """h of all rows, their gradients, (rows, freedoms), over their lengths as rows on D, and
-        these lengths."""
-        nodes = self._movements(configuration)
-        values, gradients, lengths = [], [], []
-        for place in self.places:
-            relative, moving = self._relative_motion(place, nodes)
+    def _between(self, place: Place, motions: Motions) -> tuple[Pose, Vec]:
+        """D, and how unit velocities move it, D⁻¹Ḋ."""
+        (body, moving), (parent, carrying) = motions[place.body], motions[place.parent]
+        seen = se3.inverse(se3.compose(parent, place.outer))
+        relative = se3.compose(seen, se3.compose(body, place.inner))
+        carried = se3.inverse(se3.compose(place.outer, relative))
+        own = se3.Ad(se3.inverse(place.inner), moving)
+        return relative, sub(own, se3.Ad(carried, carrying))
+
+    def at(self, at: Configurations) -> Seen:
+        """All rows there."""
+        n, motions = len(at), self._motions(at)
+        values, gradients, lengths, far = [], [], [], []
+        upright = np.ones((n, len(self.places)), dtype=bool)
+        for number, place in enumerate(self.places):
+            relative, moving = self._between(place, motions)
             x = SE3.kinematics(place.constants, relative, ZERO6)
-            values += residuals(place.rows, x, place.constants)
-            for r in place.rows:
+            for bearing in bearings(place.rows, relative[0]):
+                upright[:, number] &= np.ravel(bearing > 0.0)
+            twists, away = assembled(moving), plain(norm(relative[1]))
+            for r, h in zip(place.rows, residuals(place.rows, x, place.constants), strict=True):
                 row = assembled(r.jacobian(x, place.constants))
-                size = float(np.linalg.norm(row * self.units)) or 1.0
-                gradients.append(moving @ row / size)
+                size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
+                size = np.where(size == 0.0, 1.0, size)
+                gradients.append(np.sum(twists * row, axis=-1) / size)
+                values.append(h)
                 lengths.append(size)
-        jac = np.array(gradients).reshape(-1, self.freedoms)
-        return (
-            np.array([float(h) for h in values]) / self.row_units,
-            jac,
-            np.array(lengths) / self.row_units,
+                far.append(away)
+        return Seen(
+            self._columns(n, values) / self.row_units,
+            np.swapaxes(self._columns(n, gradients, self.freedoms), 1, 2),
+            self._columns(n, lengths) / self.row_units,
+            self._columns(n, far) / self.length,
+            upright,
         )
 
-    def _relative_motion(
-        self, place: Place, nodes: dict[int, tuple[Pose, Array]]
-    ) -> tuple[Pose, Array]:
-        """D, and how the velocities move it, (freedoms, 6)."""
-        (body, moving), (parent, carrying) = nodes[place.body], nodes[place.parent]
-        outer = se3.compose(parent, place.outer)
-        relative = se3.compose(se3.inverse(outer), se3.compose(body, place.inner))
-        own = se3.Ad(se3.inverse(place.inner), components(moving))
-        carried = se3.inverse(se3.compose(place.outer, relative))
-        return relative, assembled(sub(own, se3.Ad(carried, components(carrying))))
-
-    def relatives(self, configuration: Configuration) -> list[Pose]:
-        """D of every place."""
-        nodes = self._movements(configuration)
-        return [self._relative_motion(place, nodes)[0] for place in self.places]
-
-    def sizes(self, configuration: Configuration) -> Array:
-        """‖d‖ of every row, in units of the mechanism's length."""
-        found = [
-            float(norm(relative[1]))
-            for place, relative in zip(self.places, self.relatives(configuration), strict=True)
-            for _ in place.rows
-        ]
-        return np.array(found) / self.length
+    def _columns(self, n: int, of_rows: list[Any], *shape: int) -> Array:
+        """(n, rows), or (n, freedoms, rows), from what may be the same for all configurations."""
+        found = np.zeros((n, *(shape or (1,)), len(of_rows)))
+        for number, column in enumerate(of_rows):
+            found[..., number] = plain(column)
+        return found if shape else found[:, 0]
 
     def rounding(self, poses: list[Pose]) -> Array:
-        """What rounding may leave of every row: places are rounded as far away as they are."""
+        """What rounding may leave of every row, (rows,): places are rounded as far away as they
+        are, which rows of joints see where loops ask for one thing twice."""
         found = []
         for place in self.places:
-            total = rounding_of(self.mechanism.parameters(self.mechanism.joints[place.at.body]),
-                                poses[place.at.body])  # fmt: skip
+            joint = self.mechanism.joints[place.at.body]
+            total = rounding_of(self.mechanism.parameters(joint), poses[place.at.body])
             if place.at.parent >= 0:
                 total = total + ROUNDING * norm(poses[place.at.parent][1])
-            seen = len(self.mechanism.loops) > 0
-            found += [float(total) * (seen or not r.is_of_joint) for r in place.rows]
+            is_seen = len(self.mechanism.loops) > 0
+            found += [float(total) * (is_seen or not r.is_of_joint) for r in place.rows]
         return np.array(found) / self.length
-
-    def reversed(self, configuration: Configuration) -> Place | None:
-        """A place that is held half a turn the wrong way round, which no row sees."""
-        for place, relative in zip(self.places, self.relatives(configuration), strict=True):
-            if any(bearing <= 0.0 for bearing in bearings(place.rows, relative[0])):
-                return place
-        return None
