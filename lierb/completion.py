@@ -21,7 +21,11 @@ CONSTANT = 1e-9  # how far a row that is constant on C₀K may be off, over 1 + 
 BATCH = 8  # configurations between two looks at the rank; it is stable after two without a rise
 STEP = 0.7  # rad, or so many times the mechanism's length, from one sample to the next
 NEWTON_STEPS = 20
-MARGIN = 1e-3  # of J's singular values: rounding turns its kernel by 1e-14 over the least of them
+MOST_BATCHES = 25
+# Rounding turns J's kernel by 1e-16 over the square of its least singular value, and a direction of
+# the algebra by that over how much of it was seen.
+MARGIN = 1e-2  # of J, for a configuration to count
+WEAK = 1e-3  # of the algebra, for it to be settled
 SEED = 2016
 
 
@@ -64,20 +68,26 @@ class Completion:
 
     def _closed(self, at: Configurations) -> tuple[Configurations, Array]:
         """Newton's method onto the joints, and where it gets there."""
-        space, lost = self.space, np.zeros(len(at), dtype=bool)
+        lost = np.zeros(len(at), dtype=bool)
         for _ in range(NEWTON_STEPS):
-            seen = space.at(at)
+            seen = self.space.at(at)
             is_closed = self._vanish(seen, 2e-14)
+            at, lost = self._stepped(at, seen, lost)  # of a closed one too, for J's kernel
             if (is_closed | lost).all():
                 return at, is_closed & ~lost
-            wanted, gradients = -seen.values / seen.lengths, seen.gradients
-            lost |= ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))
-            wanted[lost], gradients[lost] = 0.0, 0.0
-            steps = least(gradients, wanted, DAMPING * np.sum(wanted**2, axis=1))
-            lost |= ~(np.linalg.norm(steps, axis=1) <= np.sqrt(len(space.tree)))
-            steps[lost | is_closed] = 0.0
-            at = space.moved(at, space.lifted(steps))
-        return at, self._vanish(space.at(at), 1e-12) & ~lost
+        return at, self._vanish(self.space.at(at), 1e-12) & ~lost
+
+    def _stepped(
+        self, at: Configurations, seen: Seen, lost: Array
+    ) -> tuple[Configurations, Array]:
+        """A step of Newton's, and where there was none so far."""
+        wanted, gradients = -seen.values / seen.lengths, seen.gradients
+        lost = lost | ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))
+        wanted[lost], gradients[lost] = 0.0, 0.0
+        steps = least(gradients, wanted, DAMPING * np.sum(wanted**2, axis=1))
+        lost = lost | ~(np.linalg.norm(steps, axis=1) <= np.sqrt(len(self.space.tree)))
+        steps[lost] = 0.0
+        return self.space.moved(at, self.space.lifted(steps)), lost
 
     def _vanish(self, seen: Seen, most: float) -> Array:
         """Whether the values of all rows are that small, or rounding."""
@@ -124,22 +134,25 @@ class Completion:
         """From solutions at more and more configurations, until twice there is nothing new."""
         here, vectors, algebra = self.start, [], np.empty((0, 6 * len(self.space.tree)))
         stable = 0
-        while stable < 2 and len(algebra) < self.space.freedoms:
+        for _ in range(MOST_BATCHES):
             free, margins = self._solutions(here)
             vectors += _reliable(free, margins)
             if len(algebra):
                 vectors += _reliable(*self._solutions(self._anywhere(algebra, BATCH)))
-            larger = self._closed_under_brackets(np.vstack(vectors))
-            stable = stable + 1 if len(larger) == len(algebra) else 0
+            spanned, weakest = row_space(np.vstack(vectors))
+            larger = self._closed_under_brackets(spanned)
+            is_new = len(larger) > len(algebra) or weakest < WEAK
+            stable = 0 if is_new else stable + 1
             algebra = larger
+            if stable == 2 or len(algebra) == self.space.freedoms:
+                break
             here = self._walked(here, free)
         return algebra
 
-    def _closed_under_brackets(self, vectors: Array) -> Array:
-        basis = row_space(vectors)
+    def _closed_under_brackets(self, basis: Array) -> Array:
         while len(basis) > 1:
             i, j = np.tril_indices(len(basis), -1)
-            larger = row_space(np.vstack([basis, self.space.bracket(basis[i], basis[j])]))
+            larger, _ = row_space(np.vstack([basis, self.space.bracket(basis[i], basis[j])]))
             if len(larger) == len(basis):
                 break
             basis = larger
@@ -153,10 +166,9 @@ class Completion:
 
 
 def _reliable(solutions: list[Array], margins: Array) -> list[Array]:
-    """Those at configurations far from singular ones, near which rounding turns them; all, if there
-    is none."""
-    enough = [x for x, margin in zip(solutions, margins, strict=True) if margin > MARGIN]
-    return enough or solutions
+    """Those at configurations far from singular ones, near which rounding turns them."""
+    least_one = min(MARGIN, 0.1 * float(margins.max()))
+    return [x for x, margin in zip(solutions, margins, strict=True) if margin >= least_one]
 
 
 def null_space(jac: Array) -> tuple[Array, float]:
@@ -166,13 +178,14 @@ def null_space(jac: Array) -> tuple[Array, float]:
     return vectors[len(counted) :], float(counted.min(initial=1.0))
 
 
-def row_space(vectors: Array) -> Array:
-    """Orthonormal basis of the rows' span."""
+def row_space(vectors: Array) -> tuple[Array, float]:
+    """Orthonormal basis of the rows' span; and its weakest direction's part of the strongest."""
     if not len(vectors):
-        return vectors
+        return vectors, 1.0
     _, sizes, basis = np.linalg.svd(vectors, full_matrices=False)
-    found: Array = basis[sizes > RANK_TOLERANCE * max(float(sizes[0]), 1.0)]
-    return found
+    largest = max(float(sizes[0]), 1.0)
+    counted = sizes[sizes > RANK_TOLERANCE * largest]
+    return basis[: len(counted)], float(counted.min(initial=largest)) / largest
 
 
 # ---- names -------------------------------------------------------------------------------------
@@ -186,7 +199,7 @@ def group_name(cspace: str, algebra: Array) -> str:
 
     algebra : (k, 6), lengths in units of the problem's own.
     """
-    turning = row_space(algebra[:, :3])
+    turning, _ = row_space(algebra[:, :3])
     shifts = _pure_translations(algebra)
     if not len(turning):
         return POWERS[len(shifts)] or "{I}"
@@ -210,7 +223,7 @@ def _pure_translations(algebra: Array) -> Array:
     turning = algebra[:, :3]
     _, sizes, mixed = np.linalg.svd(turning.T, full_matrices=True)
     still = mixed[int((sizes > RANK_TOLERANCE).sum()) :]
-    return row_space(still @ algebra[:, 3:])
+    return row_space(still @ algebra[:, 3:])[0]
 
 
 def _drift(algebra: Array, shifts: Array) -> float:
