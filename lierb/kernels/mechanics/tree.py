@@ -434,10 +434,16 @@ class ArticulatedBodies:
     ) -> Response:
         """What the nodes do under loads, wrenches about their frames' origins.
 
-        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there.
+        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there;
+        with it, the nodes have their velocities, else they are at rest.
         """
         nodes, steps = self.motion.nodes, self.motion.steps
         totals = [loads.get(i, ZERO6) for i in range(len(nodes))]
+        if fall is not None:
+            for i, node in enumerate(nodes):
+                if node.link != MASSLESS:
+                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i])
+                    totals[i] = sub(totals[i], bias)
         forced: list[Vec] = [()] * len(nodes)
         for i in reversed(range(len(nodes))):
             bias = biases[i] if biases else ZERO6
@@ -505,8 +511,11 @@ class JointSpace:
             carried = motion.carry(i, before)
             start.append(add(carried, biases[i]) if biases else carried)
             lacking = loads.get(i, ZERO6)
-            if node.link != MASSLESS and (biases or fall):
-                lacking = sub(lacking, motion.body.nodes[i].rigid.momentum(start[i]))
+            rigid = motion.body.nodes[i].rigid
+            if node.link != MASSLESS and fall is not None:
+                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i]))
+            elif node.link != MASSLESS and biases:
+                lacking = sub(lacking, rigid.momentum(start[i]))
             if not is_zero(*lacking):
                 for j, column in motion.columns(i).items():
                     forces[j] = forces[j] + dot(column, lacking)
@@ -516,8 +525,13 @@ class JointSpace:
             columns = motion.columns(i)
             moved.append(_combined([rates[j] for j in columns], [*columns.values()], start[i]))
             relative.append(_combined([rates[j] for j in motion.own[i]], directions))
-        totals = tuple(loads.get(i, ZERO6) for i in range(len(motion.nodes)))
-        return Response(tuple(moved), tuple(relative), totals)
+        totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
+        if fall is not None:
+            for i, node in enumerate(motion.nodes):
+                if node.link != MASSLESS:
+                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i])
+                    totals[i] = sub(totals[i], bias)
+        return Response(tuple(moved), tuple(relative), tuple(totals))
 
     def transmitted(self, i: int, response: Response) -> Vec:
         """As `ArticulatedBodies.transmitted`."""
