@@ -328,8 +328,14 @@ def test_command_shows_a_study_of_mechanisms(whole):
     shown = CliRunner().invoke(cli, ["show", str(whole)], catch_exceptions=False)
     assert shown.exit_code == 0
     assert "position, m" in shown.output
-    refused = CliRunner().invoke(cli, ["predict", str(whole / "study.toml")])
-    assert "this one is of a mechanism" in refused.output
+
+
+@pytest.mark.slow
+def test_command_predicts_joint_by_joint(whole):
+    said = CliRunner().invoke(cli, ["predict", str(whole / "study.toml")], catch_exceptions=False)
+    words = [line.split()[:2] for line in said.output.splitlines()]
+    assert ["pin", "reduced"] in words  # of its table
+    assert ["pin,", "reduced:"] in words  # of the reasons
 
 
 @pytest.mark.slow

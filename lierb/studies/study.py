@@ -476,6 +476,14 @@ class Batch:
     pose0: Any  # (n, 4, 4), of a mechanism by link; None for the closed joint
     draws: dict[str, Array]
 
+    @property
+    def first(self) -> tuple[Any, Any]:
+        """The first body alone, and its pose."""
+        poses = self.pose0
+        if isinstance(poses, dict):
+            return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
+        return self.problem.of_body(0), None if poses is None else poses[0]
+
 
 class Study(Shown, Section):
     """A study, checked when it is made; see the module for its tables.
