@@ -16,6 +16,7 @@ from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connectio
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.mechanism import MechanismPlan, Stabilisation
+from lierb.kernels.stepping.systems import system_of
 from lierb.links import NOWHERE
 from lierb.mechanism import Mechanism
 from lierb.runs.continuation import continuation_of
@@ -86,10 +87,10 @@ def plan_of(
     numbers = {each.name: i for i, each in enumerate(mechanism.held)}
     acting = []
     for k, (element, c) in enumerate(zip(mechanism.elements, mechanism.places, strict=True)):
-        joint = numbers[element.at[0]] if element.kind.needs_axis else NONE
-        hangs = joint != NONE and joints[joint].hangs
+        number = numbers[element.at[0]] if element.kind.needs_axis else NONE
+        hangs = number != NONE and joints[number].hangs
         rows = tuple(element.kind.row(k, i) for i in range(element.kind.rows))
-        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, joint))
+        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number))
     return MechanismPlan(
         lanes=DEFAULT_LANES,
         tree=tuple(tree),
@@ -141,7 +142,7 @@ def ready_mechanism(
     if known is not None:
         clock = Clock(*clock[:4], *known.origin(clock.dt))
     state = None if known is None else known.state
-    inputs = Inputs(mechanism, plan.system.inputs, starts, count, t0, state)
+    inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)
     return Ready(plan, inputs, clock, poses, twists, known is not None)
 
 

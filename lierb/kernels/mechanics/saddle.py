@@ -277,8 +277,8 @@ def solve(
             dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
         ]
         scales = _Scales(body, support, load, velocity)
-        moved = [turned + shifted for turned, shifted in responses]
-        schur = [[dot(arm, moved[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
+        answers = [turned + shifted for turned, shifted in responses]
+        schur = [[dot(arm, answers[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
         sizes = [scales.of(arm) for arm in arms]
         multipliers, singular, dropped = multipliers_of(
             schur, excess, sizes, lambda i: scales.acceleration(arms[i])
@@ -362,7 +362,8 @@ def multipliers_of(
     sizes: list[Any],
     brought: Callable[[int], Any],
 ) -> tuple[list[Any], Any, Any]:
-    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on others.
+    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on
+    others.
 
     schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
     alone.   brought : the acceleration of row i that load and motion could bring about.

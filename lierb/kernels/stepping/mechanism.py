@@ -150,19 +150,15 @@ class MechanismPlan(AnyPlan):
         return self.connections[: self.links + self.loops]
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> Rows:  # type: ignore[override]
         """Of all joints."""
         return tuple(row for joint in self.joints for row in joint.rows)
 
     __hash__ = AnyPlan.__hash__
 
     @cached_property
-    def formulation(self) -> TreeFormulation:  # type: ignore[override]
+    def formulation(self) -> TreeFormulation:
         return TreeFormulation(self)
-
-    @property
-    def system(self) -> TreeFormulation:
-        return self.formulation
 
 
 @lru_cache(64)
@@ -251,8 +247,8 @@ class TreeFormulation:
         velocity = tuple(x for v in velocities for x in v)
         still = tuple(0.0 * x for x in velocity)
         state = State(tuple(charts), still, velocity, 0.0 * body.mass)
-        charts = self.tidied(body, self.structured(state, body).chart)
-        return self.structured(state._replace(chart=charts), body)
+        tidied = self.tidied(body, self.structured(state, body).chart)
+        return self.structured(state._replace(chart=tidied), body)
 
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         """From its numbers side by side, as the driver carries them."""
@@ -263,7 +259,9 @@ class TreeFormulation:
     def structured(self, state: State, body: TreeConstants | None = None) -> State:
         """With the structural zeros of each node's subgroup."""
         plan = self.plan
-        charts, xs, velocities = [], [], []
+        charts: list[Chart] = []
+        xs: list[Any] = []
+        velocities: list[Any] = []
         for i, (node, chart, x, v) in enumerate(
             zip(plan.tree, state.chart, _sixes(state.x), _sixes(state.v_or_mu), strict=True)
         ):
@@ -311,7 +309,7 @@ class TreeFormulation:
         self,
         body: TreeConstants,
         state: State,
-        seen: TreeMotion,
+        seen: Any,
         time: Any,
         first_energy: Any = ZERO,
     ) -> Observed:
@@ -363,7 +361,7 @@ class TreeFormulation:
                 total = total + element.energy(placed, still.motion)
         return total
 
-    def observed(self, body: TreeConstants, seen: TreeMotion, time: Any) -> tuple[Any, ...]:
+    def observed(self, body: TreeConstants, seen: Any, time: Any) -> tuple[Any, ...]:
         """Each observable's value."""
         relatives = _Relatives(self.plan.connections, body.ends, seen)
         pairs = zip(self.plan.elements, body.elements, strict=True)
