@@ -77,9 +77,7 @@ class Completion:
                 return at, is_closed & ~lost
         return at, self._vanish(self.space.at(at), 1e-12) & ~lost
 
-    def _stepped(
-        self, at: Configurations, seen: Seen, lost: Array
-    ) -> tuple[Configurations, Array]:
+    def _stepped(self, at: Configurations, seen: Seen, lost: Array) -> tuple[Configurations, Array]:
         """A step of Newton's, and where there was none so far."""
         wanted, gradients = -seen.values / seen.lengths, seen.gradients
         lost = lost | ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))

@@ -77,7 +77,13 @@ class Space:
         self.mechanism, self.cspace = mechanism, cspace
         cspaces = (cspace,) * len(mechanism.links)
         self.tree: tuple[Node, ...] = plan_of(
-            mechanism, cspaces, NONE, update="local", stages=((),), weights=(1.0,), multipliers=False
+            mechanism,
+            cspaces,
+            NONE,
+            update="local",
+            stages=((),),
+            weights=(1.0,),
+            multipliers=False,
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
         self.nodes[GROUND] = GROUND

@@ -255,12 +255,13 @@ class Coordinates:
     @cached_property
     def _coordinates(self) -> dict[str, Array]:
         """(times, trajectories, k) of each link; NaN after a failure."""
-        poses, lost = {}, np.bool_(False)
+        poses: dict[str, Array] = {}
         for name in self.mechanism.names:
             link = self.result[name]
             pose = np.zeros((*link.position.shape[:2], 4, 4))
             pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = link.rotation, link.position, 1.0
-            poses[name], lost = pose, lost | ~np.isfinite(pose).all(axis=(2, 3))
+            poses[name] = pose
+        lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
         for pose in poses.values():
             pose[lost] = np.eye(4)
         each = [

@@ -11,7 +11,7 @@ see two links alone: what K is on that pair decides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -80,9 +80,7 @@ class JointPredictions(dict[str, Prediction]):
         return all(p.rotation_exact for p in self.values())
 
     def __str__(self) -> str:
-        return _table(
-            ("joint", *HEAD), [(name, *_table_row(p)) for name, p in self.items()]
-        )
+        return _table(("joint", *HEAD), [(name, *_table_row(p)) for name, p in self.items()])
 
     __repr__ = __str__
 
@@ -96,6 +94,17 @@ class MechanismPredictions(dict[str, JointPredictions]):
         return _table(("joint", *HEAD), rows)
 
     __repr__ = __str__
+
+
+def joint_by_joint(
+    found: Predictions | MechanismPredictions,
+) -> Iterator[tuple[str, Prediction]]:
+    """Each prediction, with the name of the joint that it is about: of one body none."""
+    if isinstance(found, Predictions):
+        yield from (("", each) for each in found.values())
+    else:
+        names = dict.fromkeys(name for joints in found.values() for name in joints)
+        yield from ((name, joints[name]) for name in names for joints in found.values())
 
 
 HEAD = ("c-space", "completion group", "dim", "position", "rotation", "kept / drifting rows")
@@ -271,7 +280,9 @@ def _why(space: Space, place: Place, group: str) -> str:
         if isinstance(held.get(at.name), Link) and at.joint is not None:
             if not space.tree[place.body].rows:
                 return f"{at.name}'s joint has its own coordinates, in {group}"
-            return f"{at.name}'s joint is no subgroup, its coordinates are a free body's; K = {group}"
+            return (
+                f"{at.name}'s joint is no subgroup, its coordinates are a free body's; K = {group}"
+            )
         return f"closed by rows on the coordinates of the joints in between; there K = {group}"
     if not parent:
         return f"{body} hangs on the ground; its completion group K = {group}"

@@ -388,7 +388,9 @@ def _swept(poses: Array, shape: Shape) -> Array:
         alive = poses[(np.abs(poses) < RUNAWAY).all(axis=(1, 2))]
     corners = shape.vertices[np.unique(np.r_[shape.vertices.argmin(0), shape.vertices.argmax(0)])]
     swept = np.einsum("tij,kj->tki", alive[:, :3, :3], corners) + alive[:, None, :3, 3]
-    return swept.reshape(-1, 3) if len(alive) else corners  # failed from the start: no place
+    return np.asarray(
+        swept.reshape(-1, 3) if len(alive) else corners
+    )  # failed from the start: no place
 
 
 def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:

@@ -235,7 +235,8 @@ def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
     else:
         first = problem.names[0]
         expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
-    return f"{told(name)} is no quantity of the problem; expected names such as {expected}"
+    what = "problem" if isinstance(problem, Problem) else "mechanism"
+    return f"{told(name)} is no quantity of a {what}; expected names such as {expected}"
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:

@@ -81,6 +81,7 @@ from lierb.studies.study_file import (
 NOTHING = "nothing"  # a design draws something
 ELEMENTS = ("forces", "constraints", "observables")
 HELD = ("links", "loops")  # what has a joint
+OF_LINK = ("body", "joint", "initial")  # what can be drawn of a link; of a loop its joint
 MOST_LINKS = 1000
 PREVIEW = 8  # bodies that are made when a study is checked
 MOST_SETTINGS = 1000  # each is looked at when a study is checked
@@ -353,7 +354,16 @@ class SampleSection(BaseModel):
     stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
     """
 
-    model_config = SECTION | ConfigDict(extra="allow")
+    model_config = SECTION | ConfigDict(
+        extra="allow",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "properties": {name: {"type": "object"} for name in OF_LINK},
+                "additionalProperties": False,
+            }
+        },
+    )
 
     n: Count | None = None
     seed: Annotated[NonNegativeInt, Whole] = 0
@@ -466,6 +476,14 @@ class Batch:
     pose0: Any  # (n, 4, 4), of a mechanism by link; None for the closed joint
     draws: dict[str, Array]
 
+    @property
+    def first(self) -> tuple[Any, Any]:
+        """The first body alone, and its pose."""
+        poses = self.pose0
+        if isinstance(poses, dict):
+            return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
+        return self.problem.of_body(0), None if poses is None else poses[0]
+
 
 class Study(Shown, Section):
     """A study, checked when it is made; see the module for its tables.
@@ -485,7 +503,15 @@ class Study(Shown, Section):
     (100, 6)
     """
 
-    model_config = SECTION | ConfigDict(json_schema_extra={"description": "A study of lierb."})
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={
+            "description": "A study of lierb.",
+            "anyOf": [
+                {"required": ["body", "joint"]},
+                {"required": ["problem"], "properties": {"problem": {"required": ["links"]}}},
+            ],
+        }
+    )
 
     name: str = "study"
     body: BodySection | None = None
@@ -760,7 +786,8 @@ class Study(Shown, Section):
                 f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: "
                 f"{names}"
             )
-        return Batch(*ready, draws)
+        problem, twist0, pose0 = ready
+        return Batch(problem, twist0, pose0, draws)
 
     def _elements(self, own: Draws) -> dict[str, list[Any]]:
         """Forces, constraints and observables, with what their bodies draw of them."""
@@ -913,7 +940,6 @@ KEYS: dict[str, tuple[str, ...]] = {
     "body": tuple(k for k in BodySection.model_fields if k != "solid"),
     "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
-OF_LINK = ("body", "joint", "initial")
 KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}
 # A link's columns are named after it, and so are its tables in [sample].
 RESERVED = frozenset({"sample", *SampleSection.model_fields})

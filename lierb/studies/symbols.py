@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from unicodedata import normalize
 
+import numpy as np
+
 from lierb.arrays import Array
 from lierb.studies.study import ELEMENTS, Study
 from lierb.studies.units import each_unit, joint_of
@@ -29,6 +31,8 @@ def labelled(
 ) -> Iterator[tuple[str, Array]]:
     """Sampled numbers one by one, but for matrices, by a label with their unit.
 
+    Of a vector in which bodies differ, components in which they do not are left out.
+
     drawn : columns and their units.   rows : their values, (n,) or (n, k).
     """
     for name, unit in drawn.items():
@@ -37,8 +41,11 @@ def labelled(
         width = columns.shape[1]
         if width > MOST_COMPONENTS:
             continue
+        differs = columns != columns[:1]
         symbols = _symbols(quantity, width, values.ndim > 1, study)
         for symbol, own, column in zip(symbols, each_unit(unit, width), columns.T, strict=True):
+            if differs.any() and np.all(column == column[:1]):
+                continue
             yield symbol if own == "1" else f"{symbol} [{own}]", column
 
 
