@@ -35,6 +35,7 @@ from lierb.kernels.mechanics.tree import (
     Bodies,
     Connection,
     Ends,
+    Factored,
     Node,
     NodeConstants,
     Relative,
@@ -392,7 +393,8 @@ class TreeFormulation:
             x, ends = found.relatives[number].x, body.ends[number]
             if number < self.plan.links:
                 total = found.bodies.transmitted(joint.node, found.solved.response)
-            own = _held_multipliers(joint.rows, x.q, total)
+            kept = tuple(r for r in joint.rows if (number, r) not in solution)
+            own = _held_multipliers(kept, x, ends, total)
             for r in joint.rows:
                 if (number, r) in solution:
                     own[r] = solution[number, r]
@@ -903,18 +905,22 @@ def _largest(squares: Sequence[Any]) -> Any:
     return total
 
 
-def _held_multipliers(rows: Rows, q: Mat, wrench: Vec) -> dict[Row, Any]:
-    """λ of rows that a wrench, which does no work on the joint, is made of."""
+def _held_multipliers(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
+    """λ of rows whose wrenches, −Jᵀλ, make up this one."""
     torque, force = wrench[:3], wrench[3:]
     found: dict[Row, Any] = {}
     for r in rows:
         if r.held_axis is not None:
-            found[r] = -dot(row(q, r.held_axis), force)
+            found[r] = -dot(row(x.q, r.held_axis), force)
         elif r.fixed_axis is not None:
             found[r] = -torque[r.fixed_axis]
         elif r.slot == (5, PITCHED):
             found[r] = -force[2]
-    return found
+    if len(found) == len(rows):
+        return found
+    jacobians = [r.jacobian(x, ends) for r in rows]  # of a joint whose rows are not at right angles
+    gram = Factored([[dot(j, k) for k in jacobians[: i + 1]] for i, j in enumerate(jacobians)])
+    return dict(zip(rows, gram.solve([-dot(j, wrench) for j in jacobians]), strict=True))
 
 
 def _length(body: TreeConstants) -> Any:
