@@ -38,7 +38,7 @@ drift = result.summary["energy_drift_max"].to_numpy().max()
 
 print(f"{COUNT} double pendulums {APART:g} rad apart: after {t[parted]:.1f} s their tips are "
       f"{spread[parted]:.1f} m apart")  # fmt: skip
-print(f"distances grow by e every {1.0 / rate:.2f} s; energies are kept to {drift:.0e} J of 10 J")
+print(f"distances grow by e every {1.0 / rate:.2f} s; energies are kept to {drift:.0e} J")
 
 figure, (path, fan) = plt.subplots(1, 2, figsize=(10.4, 4.6), layout="constrained")
 colours = plt.get_cmap("viridis")(np.linspace(0.0, 1.0, COUNT))
