@@ -7,12 +7,16 @@ to hold the solutions at *all* of C₀K, therefore: of the constraint set, and o
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from lierb.arrays import Array, Pose
 from lierb.completion_space import Configurations, Place, Seen, Space
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
 from lierb.mechanism_closing import DAMPING, least
+
+Mask = Any  # an array of truth values
 
 # Singular values below this part of the largest count as none. Dependent directions leave 1e-13, by
 # the error of Newton's method; independent ones 1e-3 and more, unless they are to a user as well.
@@ -66,9 +70,9 @@ class Completion:
 
     # ---- configurations ------------------------------------------------------------------------
 
-    def _closed(self, at: Configurations) -> tuple[Configurations, Array]:
+    def _closed(self, at: Configurations) -> tuple[Configurations, Mask]:
         """Newton's method onto the joints, and where it gets there."""
-        lost = np.zeros(len(at), dtype=bool)
+        lost: Mask = np.zeros(len(at), dtype=bool)
         for _ in range(NEWTON_STEPS):
             seen = self.space.at(at)
             is_closed = self._vanish(seen, 2e-14)
@@ -77,9 +81,7 @@ class Completion:
                 return at, is_closed & ~lost
         return at, self._vanish(self.space.at(at), 1e-12) & ~lost
 
-    def _stepped(
-        self, at: Configurations, seen: Seen, lost: Array
-    ) -> tuple[Configurations, Array]:
+    def _stepped(self, at: Configurations, seen: Seen, lost: Mask) -> tuple[Configurations, Mask]:
         """A step of Newton's, and where there was none so far."""
         wanted, gradients = -seen.values / seen.lengths, seen.gradients
         lost = lost | ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))
@@ -89,7 +91,7 @@ class Completion:
         steps[lost] = 0.0
         return self.space.moved(at, self.space.lifted(steps)), lost
 
-    def _vanish(self, seen: Seen, most: float) -> Array:
+    def _vanish(self, seen: Seen, most: float) -> Mask:
         """Whether the values of all rows are that small, or rounding."""
         allowed = most + ROUNDING * seen.far + self.rounding + self.left
         return np.all(np.abs(seen.values) <= allowed, axis=1)
@@ -158,7 +160,7 @@ class Completion:
             basis = larger
         return basis
 
-    def _kept(self) -> Array:
+    def _kept(self) -> Mask:
         """Whether each row is constant on C₀K: looked at on products of random elements of K."""
         seen = self.space.at(self._anywhere(self.algebra, 3 * BATCH))
         allowed = CONSTANT * (1.0 + seen.far) + self.rounding + self.left
@@ -172,7 +174,7 @@ def _reliable(solutions: list[Array], margins: Array) -> list[Array]:
 
 
 def null_space(jac: Array) -> tuple[Array, float]:
-    """(k, columns); and the least singular value that is one, as rows are of length 1 or nothing."""
+    """(k, columns); and the least singular value that is one. Rows have length 1, or nothing."""
     _, sizes, vectors = np.linalg.svd(np.vstack([jac, np.zeros((1, jac.shape[1]))]))
     counted = sizes[sizes > RANK_TOLERANCE * max(1.0, *sizes)]
     return vectors[len(counted) :], float(counted.min(initial=1.0))

@@ -1,14 +1,15 @@
 """A c-space of a mechanism as `lierb.completion` explores it: configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the tree that is integrated, and the group is the direct
-product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from one
-frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
+product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from
+one frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
 configurations are looked at together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -64,7 +65,7 @@ class Seen(NamedTuple):
     gradients: Array
     lengths: Array
     far: Array
-    upright: Array
+    upright: Any
 
 
 class Space:
@@ -77,7 +78,13 @@ class Space:
         self.mechanism, self.cspace = mechanism, cspace
         cspaces = (cspace,) * len(mechanism.links)
         self.tree: tuple[Node, ...] = plan_of(
-            mechanism, cspaces, NONE, update="local", stages=((),), weights=(1.0,), multipliers=False
+            mechanism,
+            cspaces,
+            NONE,
+            update="local",
+            stages=((),),
+            weights=(1.0,),
+            multipliers=False,
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
         self.nodes[GROUND] = GROUND
@@ -89,7 +96,7 @@ class Space:
         self.hangs = [self._hang(i) for i in range(len(self.tree))]
         self.bases = [self._basis(node) for node in self.tree]
         ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
-        self.columns = [slice(*pair) for pair in zip(ends, ends[1:], strict=False)]
+        self.columns = [slice(*pair) for pair in pairwise(ends)]
         self.freedoms = int(ends[-1])
         acting = tuple(at for at in mechanism.places if at.rows)
         self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
@@ -117,7 +124,8 @@ class Space:
         found = np.eye(6)[[slot >= 0 for slot in node.slots]]
         if PITCHED in node.slots:
             found[:, 5] = found[:, 2] * self.mechanism.links[node.link].joint.pitch / self.length
-        return found / np.linalg.norm(found, axis=1, keepdims=True)
+        scaled: Array = found / np.linalg.norm(found, axis=1, keepdims=True)
+        return scaled
 
     def _place(self, at: Connection) -> Place:
         frames = (HERE, HERE)

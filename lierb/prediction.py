@@ -80,9 +80,7 @@ class JointPredictions(dict[str, Prediction]):
         return all(p.rotation_exact for p in self.values())
 
     def __str__(self) -> str:
-        return _table(
-            ("joint", *HEAD), [(name, *_table_row(p)) for name, p in self.items()]
-        )
+        return _table(("joint", *HEAD), [(name, *_table_row(p)) for name, p in self.items()])
 
     __repr__ = __str__
 
@@ -184,7 +182,7 @@ def _of_one_body(problem: Problem, pose0: Any) -> Predictions:
     for cspace in _cspaces(alone)[1:]:
         space = Space(alone, cspace)
         try:
-            completion = Completion(space, [pose_components(pose)])
+            completion = _completion(space, [pose_components(pose)])
         except OpenError:
             raise PoseError(
                 f"pose0 does not close the {problem.joint.name} joint; problem.close(pose0) does"
@@ -216,7 +214,7 @@ def _of_mechanism(mechanism: Mechanism, pose0: Any) -> MechanismPredictions:
 
 def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
     try:
-        completion = Completion(space, placed)
+        completion = _completion(space, placed)
     except OpenError as error:
         raise PoseError(
             f"pose0 does not close {name_of(space.mechanism, error.place.at)}; "
@@ -234,6 +232,11 @@ def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
             space.cspace, group, dimension, place.rows, exact, _why(space, place, group)
         )
     return JointPredictions(found, len(completion.algebra))
+
+
+def _completion(space: Space, placed: list[Pose]) -> Completion:
+    with np.errstate(all="ignore"):  # what overflows is no configuration
+        return Completion(space, placed)
 
 
 def _cspaces(mechanism: Mechanism) -> list[str]:
@@ -271,7 +274,9 @@ def _why(space: Space, place: Place, group: str) -> str:
         if isinstance(held.get(at.name), Link) and at.joint is not None:
             if not space.tree[place.body].rows:
                 return f"{at.name}'s joint has its own coordinates, in {group}"
-            return f"{at.name}'s joint is no subgroup, its coordinates are a free body's; K = {group}"
+            return (
+                f"{at.name}'s joint is no subgroup, its coordinates are a free body's; K = {group}"
+            )
         return f"closed by rows on the coordinates of the joints in between; there K = {group}"
     if not parent:
         return f"{body} hangs on the ground; its completion group K = {group}"
