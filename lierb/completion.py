@@ -29,7 +29,7 @@ MOST_BATCHES = 25
 # Rounding turns J's kernel by 1e-16 over the square of its least singular value, and a direction of
 # the algebra by that over how much of it was seen.
 MARGIN = 1e-2  # of J, for a configuration to count
-WEAK = 1e-3  # of the algebra, for it to be settled
+SETTLED = 1e-4  # of the algebra's strongest direction, for another one to count at once
 SEED = 2016
 
 
@@ -141,20 +141,20 @@ class Completion:
             vectors += _reliable(free, margins)
             if len(algebra):
                 vectors += _reliable(*self._solutions(self._anywhere(algebra, BATCH)))
-            spanned, weakest = row_space(np.vstack(vectors))
+            spanned = row_space(np.vstack(vectors), SETTLED)
             larger = self._closed_under_brackets(spanned)
-            is_new = len(larger) > len(algebra) or weakest < WEAK
-            stable = 0 if is_new else stable + 1
+            unsettled = len(row_space(np.vstack([larger, *vectors]))) - len(larger)
+            stable = 0 if unsettled or len(larger) > len(algebra) else stable + 1
             algebra = larger
             if stable == 2 or len(algebra) == self.space.freedoms:
-                break
+                return algebra
             here = self._walked(here, free)
-        return algebra
+        return self._closed_under_brackets(row_space(np.vstack(vectors)))
 
     def _closed_under_brackets(self, basis: Array) -> Array:
         while len(basis) > 1:
             i, j = np.tril_indices(len(basis), -1)
-            larger, _ = row_space(np.vstack([basis, self.space.bracket(basis[i], basis[j])]))
+            larger = row_space(np.vstack([basis, self.space.bracket(basis[i], basis[j])]), SETTLED)
             if len(larger) == len(basis):
                 break
             basis = larger
@@ -180,14 +180,13 @@ def null_space(jac: Array) -> tuple[Array, float]:
     return vectors[len(counted) :], float(counted.min(initial=1.0))
 
 
-def row_space(vectors: Array) -> tuple[Array, float]:
-    """Orthonormal basis of the rows' span; and its weakest direction's part of the strongest."""
+def row_space(vectors: Array, tolerance: float = RANK_TOLERANCE) -> Array:
+    """Orthonormal basis of the rows' span."""
     if not len(vectors):
-        return vectors, 1.0
+        return vectors
     _, sizes, basis = np.linalg.svd(vectors, full_matrices=False)
-    largest = max(float(sizes[0]), 1.0)
-    counted = sizes[sizes > RANK_TOLERANCE * largest]
-    return basis[: len(counted)], float(counted.min(initial=largest)) / largest
+    found: Array = basis[sizes > tolerance * max(float(sizes[0]), 1.0)]
+    return found
 
 
 # ---- names -------------------------------------------------------------------------------------
@@ -201,7 +200,7 @@ def group_name(cspace: str, algebra: Array) -> str:
 
     algebra : (k, 6), lengths in units of the problem's own.
     """
-    turning, _ = row_space(algebra[:, :3])
+    turning = row_space(algebra[:, :3])
     shifts = _pure_translations(algebra)
     if not len(turning):
         return POWERS[len(shifts)] or "{I}"
@@ -225,7 +224,7 @@ def _pure_translations(algebra: Array) -> Array:
     turning = algebra[:, :3]
     _, sizes, mixed = np.linalg.svd(turning.T, full_matrices=True)
     still = mixed[int((sizes > RANK_TOLERANCE).sum()) :]
-    return row_space(still @ algebra[:, 3:])[0]
+    return row_space(still @ algebra[:, 3:])
 
 
 def _drift(algebra: Array, shifts: Array) -> float:

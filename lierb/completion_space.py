@@ -20,14 +20,13 @@ from lierb.kernels.groups import se3, so3xr3
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
 from lierb.kernels.mechanics.rows import PITCHED, Rows
-from lierb.kernels.mechanics.scale import ROUNDING, bearings, rounding_of
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.stepping.mechanism import NONE
 from lierb.link_coordinates import motions_of
 from lierb.links import Connection
-from lierb.mechanism_rows import System
 from lierb.runs.mechanisms import plan_of
 
 if TYPE_CHECKING:
@@ -88,7 +87,7 @@ class Space:
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
         self.nodes[GROUND] = GROUND
-        self.length = float(np.max(System(mechanism, 1).length))
+        self.length = self._length()
         self.units = np.repeat((1.0, self.length), 3)
         self.frames = [pose_components(link.joint.body_frame) for link in mechanism.links]
         root = next(link for link in mechanism.links if link.parent == "ground")
@@ -97,7 +96,7 @@ class Space:
         self.bases = [self._basis(node) for node in self.tree]
         ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
         self.columns = [slice(*pair) for pair in pairwise(ends)]
-        self.freedoms = int(ends[-1])
+        self.freedoms = max(int(ends[-1]), 1)  # of links that are all fixed one that moves nothing
         acting = tuple(at for at in mechanism.places if at.rows)
         self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
         self.rows: Rows = tuple(r for place in self.places for r in place.rows)
@@ -105,6 +104,16 @@ class Space:
         self.row_units = np.where(np.array(translational, dtype=bool), self.length, 1.0)
 
     # ---- what does not move --------------------------------------------------------------------
+
+    def _length(self) -> float:
+        """The largest length of a link, m: with the arms from its centre of mass to all joints."""
+        mechanism = self.mechanism
+        found = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
+        for at in mechanism.joints:
+            if at.parent >= 0:
+                other = mechanism.parameters(mechanism.joints[at.parent])
+                found.append(length_of(other._replace(body=mechanism.parameters(at).ground)))
+        return float(max(found))
 
     def _outer(self, link: int, frame: Pose) -> Pose:
         """A frame on a link, or on the ground, seen from the node's own."""

@@ -258,8 +258,8 @@ def _key(place: Place, taken: Mapping[str, Any]) -> str:
 def _projection(space: Space, algebra: Array, path: Sequence[int]) -> tuple[str, int]:
     """Name and dimension of what K is on some nodes."""
     parts = [algebra[:, 6 * i : 6 * i + 6] for i in path]
-    of_nodes = [row_space(part)[0] for part in parts]
-    dimension = len(row_space(np.hstack(parts))[0]) if parts else 0
+    of_nodes = [row_space(part) for part in parts]
+    dimension = len(row_space(np.hstack(parts))) if parts else 0
     names = [group_name(space.cspace, basis) for basis in of_nodes if len(basis)]
     name = "×".join(f"({n})" if "×" in n and len(names) > 1 else n for n in names) or "{I}"
     is_whole = dimension == sum(map(len, of_nodes))
