@@ -28,7 +28,7 @@ METHOD, ORDER = "Heun", 2
 STEPS, T_END = (2e-3, 1e-3), 0.1  # s
 COUNT = 8  # random mechanisms of every shape
 SEED = 7
-# Between these no error is found: what is kept is off by rounding, what drifts by the method's error.
+# Between these no error is found: what is kept is off by rounding, what drifts by the method's.
 ROUNDING, DRIFT = 1e-13, 1e-12
 
 NAMES = list(lierb.joints.JOINTS)

@@ -18,7 +18,7 @@ from typing import Any, overload
 import numpy as np
 
 from lierb.arrays import Array, Pose, as_poses, pose_components
-from lierb.completion import Completion, OpenError, group_name, row_space
+from lierb.completion import Completion, OpenError, SingularError, group_name, row_space
 from lierb.completion_space import Place, Space
 from lierb.errors import ArgumentError, PoseError, told
 from lierb.kernels.mechanics.newton_euler import CSPACES
@@ -138,7 +138,7 @@ def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | Me
     is not at its frame's origin. Returns Predictions, by c-space; of a mechanism
     MechanismPredictions, by c-space and by the name of the link or loop whose joint it is.
 
-    Raises ArgumentError for a batch, PoseError for a pose off the joints.
+    Raises ArgumentError for a batch, PoseError for a pose off the joints or one that is singular.
 
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -235,8 +235,14 @@ def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
 
 
 def _completion(space: Space, placed: list[Pose]) -> Completion:
-    with np.errstate(all="ignore"):  # what overflows is no configuration
-        return Completion(space, placed)
+    try:
+        with np.errstate(all="ignore"):  # what overflows is no configuration
+            return Completion(space, placed)
+    except SingularError:
+        raise PoseError(
+            "pose0 is a singular configuration: its joints allow velocities there, but no motion "
+            "was found along them; give another pose0"
+        ) from None
 
 
 def _cspaces(mechanism: Mechanism) -> list[str]:
