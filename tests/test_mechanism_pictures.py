@@ -69,6 +69,20 @@ def test_gap_of_a_loop_is_how_far_its_ends_are_apart(turning):
         assert np.abs(decoded(joint["gap"], 6)).max() < 1e-14
 
 
+def test_gap_between_links_is_what_the_child_is_moved_by():
+    """Of poses that are off, as on SE(3)²: along the pin, and across it."""
+    from lierb.animation.gaps import gap_between
+
+    pendulum = double_pendulum()
+    poses = pendulum.pose({"upper": [0.3, 0.7], "lower": 0.4})
+    apart = np.array([[0.0, 3e-8, 0.0], [1e-7, 0.0, -2e-7]])
+    poses["lower"][:, :3, 3] += apart
+    upper, lower = (gap_between(pendulum, at, list(poses.values())) for at in pendulum.joints)
+    np.testing.assert_allclose(upper, 0.0, atol=1e-15)
+    np.testing.assert_allclose(lower[:, 3:], apart, rtol=1e-8, atol=1e-15)
+    np.testing.assert_allclose(lower[:, :3], 0.0, atol=1e-15)
+
+
 def test_bones_lead_from_joint_to_joint(turning):
     (view,) = turning.animate().scene["views"]
     bones = {body["name"]: body["bones"] for body in view["bodies"]}

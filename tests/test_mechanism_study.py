@@ -429,7 +429,20 @@ def test_wrong_mechanism_of_a_study_is_told(name, tmp_path):
     assert str(caught.value).startswith("bar.toml")
 
 
-def test_loops_alone_are_told(tmp_path):
+def test_trajectory_that_cannot_be_closed_is_named_by_its_number():
+    """The eleventh, in a part of its own: the first eight are looked at when it is made."""
+    levels = np.zeros((11, 3))
+    levels[:, 0] = np.linspace(-0.15, -0.1501, 11)
+    levels[10, 0] = -1.15
+    quantities = {"coupler.joint.body_point": lierb.sampling.Values(levels)}
+    design = lierb.sampling.Design(quantities, method="grid")
+    study = lierb.study_of(four_bar(), design, initial=INITIAL, dt=1e-3, t_end=0.1)
+    assert len(study.batch(0, 10).twist0["crank"]) == 10
+    with pytest.raises(StudyError, match="initial: trajectory 10 does not come to close"):
+        study.batch(8, 3)
+
+
+def test_loops_alone_are_told():
     with pytest.raises(StudyError, match="body: is missing"):
         Study.of({"integrate": {"dt": 1e-3, "t_end": 1.0}, "problem": {"loops": []}})
 
