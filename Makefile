@@ -2,6 +2,7 @@
 #
 #   make test ARGS="-k paper -x"    arguments for pytest (ARGS works for demo and bench too)
 #   make test ARGS="-n 0 --pdb"     in one process
+#   make bench-peers MECHANISMS="--mechanisms chain2"   arguments for its second part, mechanisms
 #   make install PYTHON=python3.13  the interpreter for the environment
 #   make test VENV=../lierb-venv    where the environment is; test-oldest's is VENV-oldest
 
@@ -13,6 +14,7 @@ VENV ?= .venv
 OLDEST := $(VENV)-oldest
 BIN := $(VENV)/bin
 ARGS ?=
+MECHANISMS ?=
 
 .PHONY: help install demo docs picture test test-oldest lint dist faults bench bench-peers clean
 .DEFAULT_GOAL := help
@@ -63,6 +65,7 @@ bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare
 
 bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the tables
 	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
+	cd bench && $(abspath $(BIN))/python -m mechanisms $(MECHANISMS)
 
 clean:  ## remove what make made: the environment, results, caches, builds
 	rm -rf $(VENV) $(OLDEST) results build dist docs/_build .benchmarks .coverage htmlcov

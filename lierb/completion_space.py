@@ -27,7 +27,7 @@ from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat
 from lierb.kernels.stepping.mechanism import NONE
 from lierb.link_coordinates import motions_of
 from lierb.links import Connection
-from lierb.runs.mechanisms import plan_of
+from lierb.mechanism_plan import plan_of
 
 if TYPE_CHECKING:
     from lierb.mechanism import Mechanism

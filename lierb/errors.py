@@ -69,6 +69,14 @@ class StudyWarning(UserWarning):
     """Results of a study that may not be what they would be elsewhere."""
 
 
+class LeftOutWarning(UserWarning):
+    """A mechanism read from a file lacks what the file has besides; `left_out` lists it."""
+
+    def __init__(self, path: object, left_out: Iterable[str]) -> None:
+        self.left_out = tuple(left_out)
+        super().__init__(f"{told(path)}: left out are {'; '.join(self.left_out)}")
+
+
 class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 

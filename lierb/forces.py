@@ -24,8 +24,8 @@ from lierb.errors import ArgumentError, ForceError, body_label, require_name, to
 from lierb.kernels.functions.function import Function, Shape
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Element, Wrench
-from lierb.kernels.mechanics.newton_euler import BodyConstants, Frames, Kinematics, Motion
-from lierb.kernels.mechanics.rows import AddedRow
+from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, Motion
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.numbers.arithmetic import (
     PI,
     absolute,
@@ -637,15 +637,15 @@ class SpeedRow(AddedRow):
     def __str__(self) -> str:
         return "motor"
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         return UNIT[2] + ZERO3
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         """ẇ, exactly."""
         rate = self.element.at(self.placed(body), UserNumber(plain(x.time), (1.0,)))
         return rate.parts[0] if isinstance(rate, UserNumber) else ZERO
 
-    def prescribed_rate(self, x: Kinematics, body: BodyConstants) -> Any:
+    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
         return self.element.at(self.placed(body), x.time)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,8 @@ from lierb.arrays import Array
 from lierb.errors import ArgumentError, items_of, unknown_name
 from lierb.extras import require
 from lierb.joint_motions import TURNS
+from lierb.link_coordinates import motions_of
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.columns import as_array
 
@@ -37,11 +39,13 @@ if TYPE_CHECKING:
 
 MOST_LINES = 6  # trajectories that are drawn one by one; of more, quantiles
 ACROSS = 3  # panels
+MOST_BESIDE = 24  # letters of a legend for which there is room beside a panel's title
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
 SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
 SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn when they are asked for
+COORDINATES = ("angles", "slides")  # panels of the joints of a mechanism
 MOTION = ("angles", "trace", "position", "omega")  # panels of the state
 QUANTILES = (0.05, 0.5, 0.95)
 LABELS = {"lambda": "λ", "omega": "ω", "position": "r", "v": "v"}
@@ -77,7 +81,7 @@ def history_figure(
     columns: str | Iterable[str] = (),
     *,
     trajectories: int | Iterable[int] | None,
-    problem: Problem | None,
+    problem: Problem | Mechanism | None,
 ) -> Figure:
     """Panels of a result's history; see `lierb.Result.plot`."""
     if result.history is None:
@@ -100,7 +104,10 @@ def _chosen(
     for name in names:
         if name not in made:
             raise unknown_name("columns", name, made)
-    return [make for name, make in made.items() if name in (names or set(made) - {*SELDOM})]
+    often = {name for name in made if name not in SELDOM and "." not in name}
+    if not often & {*MOTION, *COORDINATES}:  # of a mechanism whose joints are not known
+        often |= {name for name in made if name.rpartition(".")[2] in MOTION}
+    return [make for name, make in made.items() if name in (names or often)]
 
 
 def _numbers(given: Any, count: int) -> list[int]:
@@ -123,13 +130,22 @@ def _numbers(given: Any, count: int) -> list[int]:
 
 
 def _panels(
-    result: Result, problem: Problem | None
+    result: Result, problem: Problem | Mechanism | None
 ) -> dict[str, Callable[[], Panel | Trace | None]]:
     """How to make each panel that there are columns for, by name, in the order of the figure."""
     history = result.history
     assert history is not None
-    known = problem or (result._end.problem if result._end else None)
+    known: Any = problem or (result._end.problem if result._end else None)
     made: dict[str, Callable[[], Any]] = {}
+    if result.links:
+        if isinstance(known, Mechanism) and result.has_states:
+            coordinates = Coordinates(result, known)
+            made |= {name: getattr(coordinates, name) for name in COORDINATES}
+        for column in history.schema:
+            _, _, what = column.name.rpartition(".")
+            if what not in (*KEYS, "rotation") and _is_number(column.type):
+                made |= _of_column(history, column, result.summary.num_rows)
+        return made
     if set(STATE) <= {*history.column_names}:
         state = State(result, known)
         for name in MOTION:
@@ -173,11 +189,19 @@ def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Cal
         is_error = column.name.endswith(("_error", "_drift"))
         return Panel(title, unit, series, is_error)
 
-    plain = TITLES.get(column.name, column.name.replace("_", " "))
-    short = LABELS.get(column.name, plain)
+    owner, _, name = column.name.rpartition(".")
+    plain = TITLES.get(name, name.replace("_", " "))
+    short = LABELS.get(name, plain)
+    plain = f"{owner}: {plain}" if owner else plain
     distinct = list(dict.fromkeys(units))
-    if column.name == "reaction":
+    if name == "reaction":
         told = {"N m": ("torque of the joint", "T"), "N": ("force of the joint", "F")}
+        if owner:
+            return {
+                f"{owner}.{what.split()[0]}": partial(panel, u, f"{owner}: {what}", letter)
+                for u in distinct
+                for what, letter in [told[u]]
+            }
         return {told[u][0]: partial(panel, u, *told[u]) for u in distinct}
     if len(distinct) == 1:
         return {column.name: partial(panel, distinct[0], plain, short)}
@@ -193,6 +217,61 @@ class Trace:
 
     title: str
     points: Array
+
+
+class Coordinates:
+    """Panels of the coordinates of a mechanism's joints, as `Mechanism.coordinates` has them."""
+
+    def __init__(self, result: Result, mechanism: Mechanism) -> None:
+        self.result, self.mechanism = result, mechanism
+
+    def angles(self) -> Panel | None:
+        """Coordinates that are angles, or components of rotation vectors."""
+        return self._panel("joint angles", "rad")
+
+    def slides(self) -> Panel | None:
+        """Coordinates that are lengths."""
+        return self._panel("joint slides", "m")
+
+    def _panel(self, title: str, unit: str) -> Panel | None:
+        found = [Series(label, values) for label, own, values in self._series if own == unit]
+        return Panel(title, unit, tuple(found)) if found else None
+
+    @cached_property
+    def _series(self) -> list[tuple[str, str, Array]]:
+        """Label, unit and (times, trajectories) of each."""
+        made = []
+        for link in self.mechanism.links:
+            names = [] if motions_of(link.joint) is None else link.joint.coordinate_names
+            for i, name in enumerate(names):
+                values = self._coordinates[link.name][..., i]
+                is_length = name[0] in "ds"
+                if not is_length and name not in TURNS:
+                    values = np.unwrap(values, axis=0)
+                label = link.name if len(names) == 1 else f"{link.name} {name}"
+                made.append((label, "m" if is_length else "rad", values))
+        return made
+
+    @cached_property
+    def _coordinates(self) -> dict[str, Array]:
+        """(times, trajectories, k) of each link; NaN after a failure."""
+        poses: dict[str, Array] = {}
+        for name in self.mechanism.names:
+            link = self.result[name]
+            pose = np.zeros((*link.position.shape[:2], 4, 4))
+            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = link.rotation, link.position, 1.0
+            poses[name] = pose
+        lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
+        for pose in poses.values():
+            pose[lost] = np.eye(4)
+        each = [
+            self.mechanism.coordinates({name: pose[k] for name, pose in poses.items()})
+            for k in range(len(lost))
+        ]
+        found = {name: np.stack([at[name] for at in each]) for name in each[0]}
+        for values in found.values():
+            values[lost] = np.nan
+        return found
 
 
 class State:
@@ -360,10 +439,10 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
     if panel.is_error and drawn:
         axes.set_yscale("log")
     if len(panel.series) > 1 and drawn:
-        axes.legend(
-            loc="lower right", bbox_to_anchor=(1.02, 0.98), fontsize=8, ncols=6,
-            handlelength=1.3, columnspacing=0.8, handletextpad=0.4,
-        )  # fmt: skip
+        beside: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.02, 0.98), "ncols": 6}
+        if sum(len(series.label) for series in panel.series) > MOST_BESIDE:
+            beside = {"loc": "best"}
+        axes.legend(**beside, fontsize=8, handlelength=1.3, columnspacing=0.8, handletextpad=0.4)
     axes.set_title(panel.axis, loc="left", fontsize=10)
     axes.set_xlabel("time [s]")
     axes.set_xlim(t[0], t[-1] if t[-1] > t[0] else None)

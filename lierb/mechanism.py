@@ -6,6 +6,7 @@ link: D = G⁻¹ C_parent⁻¹ C B, and its rows act on D⁻¹Ḋ = Ad(B⁻¹) V
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb import mechanism_closing
+from lierb import mechanism_closing, model_files
 from lierb.arrays import (
     Array,
     Pose,
@@ -31,7 +32,7 @@ from lierb.arrays import (
     taken,
 )
 from lierb.column_names import require_free
-from lierb.errors import ArgumentError, items_of, told, unknown_name
+from lierb.errors import ArgumentError, LeftOutWarning, items_of, told, unknown_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
@@ -115,6 +116,65 @@ class Mechanism(Shown):
         require_free(self.observables)
         self.batch_size()
 
+    # ---- from files ----------------------------------------------------------------------------
+
+    @classmethod
+    def from_mjcf(
+        cls, path: Any, *, merge_fixed: bool = False, limit_stiffness: float | None = None
+    ) -> Mechanism:
+        """The mechanism of an MJCF file, MuJoCo's format.
+
+        path : of the file; what it includes and refers to is found from there.
+        merge_fixed : make bodies that are welded to each other one link, rather than a link each on
+            a fixed joint. A body without mass is merged with its parent anyhow, and one that is
+            welded to the world is the ground.
+        limit_stiffness : of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves
+            limits out. MuJoCo's own are softer or harder with the mass that they stop.
+
+        Bodies keep their names and frames, hinge, slide, ball and free joints become joints of the
+        catalogue (several on one body that joint which is all of them, such as universal),
+        `equality/connect` and `weld` become loops, springs and dampers of joints that keep their
+        axis become forces, and `pose()` is the pose at qpos0. What a simulation by MuJoCo would
+        have had besides (contacts, friction, actuators, tendons …) is left out, and listed in a
+        LeftOutWarning.
+
+        Needs mujoco (the extra `lierb[mjcf]`). Raises ArgumentError for a file that MuJoCo does not
+        take, or with joints that are together none of the catalogue.
+        """
+        return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: Any,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        merge_fixed: bool = False,
+        limit_stiffness: float | None = None,
+    ) -> Mechanism:
+        """The mechanism of a URDF file; its root link is the ground.
+
+        path : of the file. Meshes are not looked for: all mass is in <inertial>.
+        gravity : (3,) or (n, 3), m/s²: URDF has none of its own.
+        merge_fixed, limit_stiffness : as of `from_mjcf`.
+
+        Revolute and continuous, prismatic, fixed, planar and floating joints; else as `from_mjcf`,
+        whose reader it is.
+        """
+        return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
+
+    @classmethod
+    def _of_file(cls, path: Any, language: str, gravity: Any, *options: Any) -> Mechanism:
+        parts = model_files.read(path, language, *options)
+        if parts.left_out:
+            warnings.warn(LeftOutWarning(path, parts.left_out), stacklevel=3)
+        return cls(
+            [Link(*link) for link in parts.links],
+            [Loop(*loop) for loop in parts.loops],
+            parts.gravity if gravity is None else gravity,
+            parts.forces,
+        )
+
     # ---- what it is made of --------------------------------------------------------------------
 
     def _check_names(self) -> None:
@@ -123,15 +183,16 @@ class Mechanism(Shown):
         owners: dict[str, str] = {}
         for each in self.held:
             what = "link" if isinstance(each, Link) else "loop"
-            if each.name in owners:
+            name = each.name.lower()  # SQL, in which their columns are named, is blind to case
+            if name in owners:
                 hint = ""
-                if what == owners[each.name] == "link":
+                if what == owners[name] == "link":
                     hint = "; a body with two parents is one Link, and a Loop for its other joint"
                 raise ArgumentError(
-                    f"two are named {each.name}, a {owners[each.name]} and a {what}; give every "
+                    f"two are named {each.name}, a {owners[name]} and a {what}; give every "
                     f"link and every loop its own name{hint}"
                 )
-            owners[each.name] = what
+            owners[name] = what
         known = (*self.names, GROUND)
         for link in self.links:
             if link.parent not in known:

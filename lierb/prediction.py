@@ -11,7 +11,7 @@ see two links alone: what K is on that pair decides.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -94,6 +94,17 @@ class MechanismPredictions(dict[str, JointPredictions]):
         return _table(("joint", *HEAD), rows)
 
     __repr__ = __str__
+
+
+def joint_by_joint(
+    found: Predictions | MechanismPredictions,
+) -> Iterator[tuple[str, Prediction]]:
+    """Each prediction, with the name of the joint that it is about: of one body none."""
+    if isinstance(found, Predictions):
+        yield from (("", each) for each in found.values())
+    else:
+        names = dict.fromkeys(name for joints in found.values() for name in joints)
+        yield from ((name, joints[name]) for name in names for joints in found.values())
 
 
 HEAD = ("c-space", "completion group", "dim", "position", "rotation", "kept / drifting rows")

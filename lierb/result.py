@@ -13,10 +13,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.animation.page import Animation, animate
+from lierb.animation.page import Animation, animate, links_told
 from lierb.arrays import Array, assembled, components
 from lierb.column_names import COMPONENTS
-from lierb.errors import ArgumentError, require_name
+from lierb.errors import ArgumentError, require_name, told, unknown_name
 from lierb.extras import require
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
@@ -31,42 +31,27 @@ if TYPE_CHECKING:
     import polars
     from matplotlib.figure import Figure
 
+    from lierb.mechanism import Mechanism
     from lierb.model import Problem
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 TABLES = ("summary", "history")
+NAMED = 3  # links in a message
 OBSERVED = "observables"  # of a problem, in the tables' metadata
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
 @dataclass(frozen=True, repr=False)
-class Result(Shown):
-    """What `integrate` gives back: two pyarrow tables, and the state in them as NumPy arrays.
-
-    summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
-    None without `save_every`.
-
-    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
-    state (`save_every=…, record="state"`), an axis of times before that of trajectories; else they
-    are of the end. Nobody can write to them: they are the tables' memory. A batch of one keeps its
-    axis. After a failure all but `t` are NaN.
-
-    >>> import lierb
-    >>> body = lierb.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
-    >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
-    >>> flight = lierb.Problem(body, lierb.joints.free())
-    >>> lierb.integrate(flight, **start).position.shape
-    (1, 3)
-    >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
-    >>> result.t.shape, result.position.shape, result.quaternion.shape
-    ((6,), (6, 1, 3), (6, 1, 4))
-    """
+class States(Shown):
+    """Tables of a run, and the state in them as NumPy arrays: of one body, or of one link."""
 
     summary: pa.Table
     history: pa.Table | None
-    _end: End | None = field(default=None, repr=False, compare=False)
 
-    # ---- arrays ----
+    @property
+    def _prefix(self) -> str:
+        """What stands before the names of the state's columns."""
+        return ""
 
     @property
     def t(self) -> Array:
@@ -74,7 +59,9 @@ class Result(Shown):
 
         A trajectory that failed ends there; the history goes on.
         """
-        return self._state("t")[:, 0] if self._has_states else self._state("t")
+        if self.history is not None and self.has_states:
+            return np.asarray(self._array(self.history, "t")[:, 0])
+        return np.asarray(self._array(self.summary, "t")[0])
 
     @property
     def position(self) -> Array:
@@ -93,7 +80,7 @@ class Result(Shown):
         Of the two, p and −p, that with w ≥ 0, so that a row is the same whatever else is saved.
         Along a history it jumps where w would pass through 0. Made of `rotation` when asked for.
         """
-        p = so3.quaternion(components(self.rotation, 2))
+        p = so3.quaternion(components(self._state("rotation", 3, 3, asked="quaternion"), 2))
         unit = assembled(scale(1.0 / norm(p), p))
         unit.setflags(write=False)
         return unit
@@ -109,19 +96,120 @@ class Result(Shown):
         return self._state("v", 3)
 
     @property
+    def has_states(self) -> bool:
+        """Whether the history has the state, which its arrays are then of."""
+        return self.history is not None and f"{self._prefix}position" in self.history.column_names
+
+    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+        """asked : what it is for, for messages."""
+        if self.history is not None and self.has_states:
+            return self._array(self.history, f"{self._prefix}{name}", *item)
+        return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
+
+    def _array(self, table: pa.Table, column: str, *item: int) -> Array:
+        """(times, n, *item)"""
+        return as_array(table[column]).reshape(-1, self.summary.num_rows, *item)
+
+    def _told_arrays(self) -> str:
+        times = (len(self.t),) if self.has_states else ()
+        return f"({', '.join(map(str, (*times, self.summary.num_rows)))}, …)"
+
+
+@dataclass(frozen=True, repr=False)
+class LinkResult(States):
+    """What one link of a mechanism does: `result["rod"]`; see `Result` for its arrays.
+
+    name : of the link.   summary, history : the tables of the whole mechanism.
+    """
+
+    name: str
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self.name}."
+
+    def _shown(self) -> tuple[str, Lines]:
+        count = counted(self.summary.num_rows, "trajectory", "trajectories")
+        rows = [("arrays", f"{', '.join(STATE)}: {self._told_arrays()}")]
+        return f"lierb.result.LinkResult {self.name!r}: {count}", rows
+
+
+@dataclass(frozen=True, repr=False)
+class Result(States):
+    """What `integrate` gives back: two pyarrow tables, and the state in them as NumPy arrays.
+
+    summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
+    None without `save_every`.
+
+    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
+    state (`save_every=…, record="state"`), an axis of times before that of trajectories; else they
+    are of the end. Nobody can write to them: they are the tables' memory. A batch of one keeps its
+    axis. After a failure all but `t` are NaN. Of a mechanism each link has its own:
+    `result["rod"].position`.
+
+    >>> import lierb
+    >>> body = lierb.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+    >>> flight = lierb.Problem(body, lierb.joints.free())
+    >>> lierb.integrate(flight, **start).position.shape
+    (1, 3)
+    >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+    >>> result.t.shape, result.position.shape, result.quaternion.shape
+    ((6,), (6, 1, 3), (6, 1, 4))
+    """
+
+    _end: End | None = field(default=None, repr=False, compare=False)
+
+    @property
     def failed(self) -> NDArray[np.int64]:
         """Numbers of the trajectories whose status is not ok, in order."""
         return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
 
-    @property
-    def _has_states(self) -> bool:
-        return self.history is not None and "position" in self.history.column_names
+    # ---- links ----
 
-    def _state(self, name: str, *item: int) -> Array:
-        count = self.summary.num_rows
-        if self.history is not None and self._has_states:
-            return as_array(self.history[name]).reshape(-1, count, *item)
-        return as_array(self.summary[name]).reshape(count, *item)
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links, of a mechanism's result; of one body's none."""
+        ends = (n.rpartition(".") for n in self.summary.column_names)
+        return tuple(link for link, _, what in ends if link and what == "rotation")
+
+    def __getitem__(self, link: str) -> LinkResult:
+        """The state of one link of a mechanism, by its name.
+
+        Raises UnknownNameError for another name, ArgumentError for the result of one body.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), hinge)
+        >>> swing = lierb.Mechanism(wheel)
+        >>> result = lierb.integrate(swing, twist0=swing.twist({"wheel": 2.0}), dt=0.1, t_end=0.5)
+        >>> result["wheel"].omega.round(9).tolist()
+        [[0.0, 0.0, 2.0]]
+        """
+        if not self.links:
+            raise ArgumentError(
+                f"result[{told(link)}]: it is of one body, which has no links; take "
+                f"{', '.join(f'result.{name}' for name in STATE[1:])}"
+            )
+        if not (isinstance(link, str) and link in self.links):
+            raise unknown_name("result: link", link, self.links)
+        return LinkResult(self.summary, self.history, link)
+
+    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+        if self.links:
+            asked = asked or name
+            raise ArgumentError(
+                f"result.{asked}: every link has its own; take "
+                f"{', '.join(f'result[{link!r}].{asked}' for link in self.links[:NAMED])}"
+                f"{', …' if len(self.links) > NAMED else ''}"
+            )
+        return super()._state(name, *item)
+
+    @property
+    def has_states(self) -> bool:
+        """Whether the history has the states of all links."""
+        name = f"{self.links[0]}.position" if self.links else "position"
+        return self.history is not None and name in self.history.column_names
 
     # ---- the end ----
 
@@ -180,13 +268,16 @@ class Result(Shown):
         columns: str | Iterable[str] = (),
         *,
         trajectories: int | Iterable[int] | None = None,
-        problem: Problem | None = None,
+        problem: Problem | Mechanism | None = None,
     ) -> Figure:
         """What is in the history, over time, as a Matplotlib figure; needs `lierb[plot]`.
 
         columns : which panels: "angles", "trace" (where the body's axis points, on the sphere),
             "position" and "omega", of a recorded state; and any column of the history, such as
-            "energy", "position_error" or an observable. Default: all but rates of errors.
+            "energy", "position_error" or an observable. Default: all but rates of errors. Of a
+            mechanism "angles" and "slides", the coordinates of its joints, and what all joints have
+            together; "rod.omega", "pin.position_error", "pin.force" and the like are drawn when
+            they are asked for.
         trajectories : their numbers. Default: all; of more than six, median and 5 to 95 %.
         problem : of a result that was pickled, which has lost its own.
 
@@ -214,7 +305,8 @@ class Result(Shown):
 
         `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
         `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
-        `reaction_force_x` …; `lambda` becomes `lambda_1` …. `attrs["units"]` has their units.
+        `reaction_force_x` …; `lambda` becomes `lambda_1` …. Of a mechanism the link's or joint's
+        name stands before: `rod.position_x`. `attrs["units"]` has their units.
 
         Raises ArgumentError where there is no history, MissingExtraError without pandas.
         """
@@ -251,8 +343,12 @@ class Result(Shown):
     # ---- at a prompt ----
 
     def _shown(self) -> tuple[str, Lines]:
-        options = _told(self.summary).get("options")
+        options = _metadata(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
+        if self.links:
+            title += (
+                f" of {links_told(_metadata(self.summary)) or counted(len(self.links), 'link')}"
+            )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
             title += f" {times} ({{cspace}}, {{method}}, dt = {{dt:g}} s)".format(**options)
@@ -260,13 +356,15 @@ class Result(Shown):
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
         rows += self._largest()
         rows.append(("history", self._told_history()))
-        shape = ", ".join(map(str, self.position.shape[:-1]))
-        rows.append(("arrays", f"{', '.join(STATE)}: ({shape}, …)"))
+        shape = self._told_arrays()
+        if self.links:
+            rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
+        rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
         return title, rows
 
     def _largest(self) -> Lines:
         """The largest errors of the trajectories that are ok, of those that there are rows for."""
-        ok, kinds = ~has_failed(self.summary), _kinds_of(_told(self.summary))
+        ok, kinds = ~has_failed(self.summary), _kinds_of(_metadata(self.summary))
         if not ok.any():
             return []
         texts = []
@@ -275,22 +373,36 @@ class Result(Shown):
             unit = _unit(column)
             largest = as_array(self.summary[column.name])[ok].max()
             plain = name.replace("_", " ")
-            texts.append(f"{plain} {largest:.2g}{f' {unit}' if unit != '1' else ''}")
+            where = self._where(column.name, largest, ok)
+            texts.append(f"{plain} {largest:.2g}{f' {unit}' if unit != '1' else ''}{where}")
         return [("largest", ", ".join(texts))]
+
+    def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
+        """Of a mechanism, the joint that has the largest error, if it is one's and not zero."""
+        for name in self.summary.column_names:
+            joint, _, what = name.rpartition(".")
+            if (
+                joint
+                and what == column
+                and largest
+                and as_array(self.summary[name])[ok].max() == largest
+            ):
+                return f" ({joint})"
+        return ""
 
     def _told_history(self) -> str:
         if self.history is None:
             return "none; save_every= keeps one"
         times = self.history.num_rows // self.summary.num_rows
-        more = [
-            n for n in ("energy", "work", "lambda", "reaction") if n in self.history.column_names
-        ]
-        more += [each["name"] for each in _told(self.summary).get("problem", {}).get(OBSERVED, [])]
-        recorded = ", ".join(["errors", *["state"] * self._has_states, *more])
+        there = {name.rpartition(".")[2] for name in self.history.column_names}
+        more = [name for name in ("energy", "work", "lambda", "reaction") if name in there]
+        problem = _metadata(self.summary).get("problem", {})
+        more += [each["name"] for each in problem.get(OBSERVED, [])]
+        recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
 
 
-def _told(table: pa.Table) -> dict[str, Any]:
+def _metadata(table: pa.Table) -> dict[str, Any]:
     """What the metadata of a table of lierb's tell."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
     found: dict[str, Any] = json.loads(metadata) if metadata else {}
@@ -301,7 +413,7 @@ def _kinds_of(told: dict[str, Any]) -> list[str]:
     """Those of LARGEST that there are rows for; an added row may be of either kind."""
     kinds = {"energy_drift"}
     for name in told.get("problem", {}).get("rows", [""]):
-        row = JOINT_ROWS.get(name)
+        row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
         kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
     return [name for name in LARGEST if name in kinds]
 
@@ -317,7 +429,7 @@ def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
     if not pa.types.is_fixed_size_list(field.type):
         return {field: column}
     width = field.type.list_size
-    names = COMPONENTS.get(field.name, tuple(str(i + 1) for i in range(width)))
+    names = COMPONENTS.get(field.name.rpartition(".")[2], tuple(str(i + 1) for i in range(width)))
     units = _unit(field).split(", ")
     units = units * width if len(units) == 1 else units
     return {

@@ -22,7 +22,10 @@ TOGETHER = {
 }
 BY_JOINT = ("accuracy", "exactness", "multipliers", "prediction", "solvers")
 # What takes longest begins first, so that all processes end at the same time.
-LONGEST = ("studies", "cache", "forces", "top", "groups", "functions", "paper", "spherical")
+LONGEST = (
+    "studies", "top", "cache", "paper", "forces", "report", "functions", "groups", "results",
+    "spherical", "every_formula", "observables",
+)  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -35,8 +38,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = _file(nodeid)
-            if file == "cache":  # each of its tests has a cache of its own
-                return nodeid
             if file in BY_JOINT:
                 parts = re.split(r"[][-]", nodeid)
                 return next((part for part in parts if part in JOINTS), "spherical")

@@ -7,12 +7,11 @@ import pytest
 from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but
 
 import lierb
-from lierb import api
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
 from lierb.kernels.stepping.plan import Plan
-from lierb.runs import engine
+from lierb.runs import engine, starts
 
 # At dt = 1e-2 some of the fastest of TWISTS fail: in any batch at the same step, or bits differ.
 pytestmark = pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
@@ -80,7 +79,7 @@ def test_bits_do_not_depend_on_place_in_batch(expected):
 
 @pytest.mark.parametrize("lanes", slow_but([1, 2, 4, 8], 1))
 def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
-    monkeypatch.setattr(api, "DEFAULT_LANES", lanes)
+    monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(_bits(_run(TWISTS)), expected)
 
 
@@ -128,8 +127,8 @@ def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):
     """Re-charting too goes lane by lane."""
     form = {"cspace": cspace, "update": update, "save_every": STEPS, "record": RECORD}
     results = []
-    for lanes in (1, api.DEFAULT_LANES):
-        monkeypatch.setattr(api, "DEFAULT_LANES", lanes)
+    for lanes in (1, starts.DEFAULT_LANES):
+        monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
         results.append(_bits(_run(TWISTS[:64], **form)))
     np.testing.assert_array_equal(*results)
 
@@ -146,7 +145,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     twists[victim, 1] = fault
     inputs = engine.Inputs(_problem(), None, twists, 17)
     plan = Plan(
-        api.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
+        starts.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
         lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
     )  # fmt: skip
     output = engine.integrate(plan, inputs, Clock(1e-2, STEPS, 1, 0))

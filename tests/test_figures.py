@@ -30,7 +30,7 @@ SAVED = {"save_every": 10}
 
 @pytest.fixture(scope="module")
 def given():
-    return study(sample={"n": 20}, integrate=SAVED)
+    return study(sample={"n": 20}, integrate=SAVED, output={"part": 10})
 
 
 @pytest.fixture(scope="module")
@@ -190,9 +190,9 @@ def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch)
 
 
 def test_dataset_plot_names_its_figures(dataset):
-    assert isinstance(dataset.plot(), Figure)
-    title = dataset.plot().get_suptitle()
-    assert "errors over time" in title
+    figure = dataset.plot()
+    assert isinstance(figure, Figure)
+    assert "errors over time" in figure.get_suptitle()
     with pytest.raises(UnknownNameError, match="choose from distribution, time, order, parameters"):
         dataset.plot("recorded")
 

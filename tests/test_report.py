@@ -69,7 +69,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    given = study(integrate={"save_every": 10})
+    given = study(integrate={"save_every": 10}, output={"part": 32})  # two parts of each setting
     return lierb.run(given, tmp_path_factory.mktemp("report") / "out")
 
 
@@ -265,16 +265,18 @@ def test_a_study_without_samples_has_a_page(tmp_path):
 
 
 @pytest.mark.slow
-def test_commands(dataset, tmp_path):
-    result = CliRunner().invoke(cli, ["report", str(dataset.folder)])
-    assert result.exit_code == 0, result.output
-    assert str(dataset.folder / "report.html") in result.output
-    (tmp_path / "study.toml").write_text(TEXT)
+def test_commands(tmp_path):
+    one = TEXT.replace("n = 50", "n = 3").replace("[1e-3, 2e-3]", "2e-3")
+    (tmp_path / "study.toml").write_text(one.replace('["SE3", "SO3xR3"]', '"SO3xR3"'))
     out = tmp_path / "out"
     result = CliRunner().invoke(
         cli, ["run", str(tmp_path / "study.toml"), "--out", str(out), "--report"]
     )
     assert result.exit_code == 0, result.output
+    (out / "report.html").unlink()  # FileNotFoundError if there is none
+    result = CliRunner().invoke(cli, ["report", str(out)])
+    assert result.exit_code == 0, result.output
+    assert str(out / "report.html") in result.output
     assert (out / "report.html").exists()
     result = CliRunner().invoke(cli, ["report", str(tmp_path)])
     assert result.exit_code == 1
@@ -283,8 +285,9 @@ def test_commands(dataset, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("chromium"), reason="no Chromium here")
-def test_a_browser_without_a_network_draws_it(dataset, tmp_path):
-    page = write_report(dataset, tmp_path / "page.html")
+def test_a_browser_without_a_network_draws_it(text, tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text(text, encoding="utf-8")
     shown = subprocess.run(
         ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run",
          "--disable-background-networking", "--host-resolver-rules=MAP * ~NOTFOUND",

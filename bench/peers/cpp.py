@@ -48,7 +48,7 @@ SOURCES = Path(__file__).with_name("cpp_kernels")
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lierb-bench"
 GROUP = 4  # blocks of lanes that go through the stages together: the fastest of 1, 2, …, 16
 FLAGS = ["-std=c++17", "-O3", "-march=native", "-shared", "-fPIC", "-pthread", f"-DGROUP={GROUP}"]
-EXTRA = {"general": ["-fschedule-insns", "-fsched-pressure"]}  # worth 5 %; costs the others 3 %
+EXTRA = {"general": ("-fschedule-insns", "-fsched-pressure")}  # worth 5 %; costs the others 3 %
 _lanes: dict[str, int] = {}  # the faster of 4 and 8, of each form that ran
 
 
@@ -69,13 +69,13 @@ def available() -> str:
 
 
 def config() -> dict[str, object]:
-    return {"g++": _target()["__VERSION__"], "flags": [*FLAGS, EXTRA], "lanes": dict(_lanes)}
+    return {"g++": target()["__VERSION__"], "flags": [*FLAGS, EXTRA], "lanes": dict(_lanes)}
 
 
 def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callable[[], Final]:
     omega0 = omega0 * FEASIBLE.get(form.rpartition("-")[2], 1.0)
     steps = round(top.T_END / accuracy)
-    widths = (4, 8) if "__AVX512F__" in _target() else (4,)
+    widths = (4, 8) if "__AVX512F__" in target() else (4,)
     taken = {w: _duration(_integrator(form, omega0[:256], steps, 1, w)) for w in widths}
     _lanes[form] = min(taken, key=taken.get)
     return _integrator(form, omega0, steps, threads, _lanes[form])
@@ -86,7 +86,9 @@ def _integrator(
 ) -> Callable[[], Final]:
     count = len(omega0)
     columns = np.pad(omega0, ((0, -count % lanes), (0, 0)), mode="edge").T.copy()
-    kernel = getattr(_library(form.partition("-")[0], lanes), form.replace("-", "_"))
+    stem = form.partition("-")[0]
+    compiled = library(SOURCES / f"{stem}.cpp", lanes, EXTRA.get(stem, ()))
+    kernel = getattr(compiled, form.replace("-", "_"))
     kernel.restype = None
     parameters = (ctypes.c_double * 8)(top.MASS, *top.INERTIA, *top.CENTRE, top.GRAVITY[2])
 
@@ -112,7 +114,7 @@ def _duration(integrate: Callable[[], Final]) -> float:
 
 
 @cache
-def _target() -> dict[str, str]:
+def target() -> dict[str, str]:
     """The compiler's own macros: they tell its version and the CPU."""
     command = ["g++", "-march=native", "-dM", "-E", "-x", "c++", os.devnull]
     lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -120,14 +122,15 @@ def _target() -> dict[str, str]:
 
 
 @cache
-def _library(source: str, lanes: int) -> ctypes.CDLL:
-    flags = [*FLAGS, *EXTRA.get(source, ()), f"-DWIDTH={lanes}"]
-    made_of = [path.read_text() for path in sorted(SOURCES.iterdir())]
-    key = hashlib.sha256(repr((made_of, flags, _target())).encode()).hexdigest()[:16]
-    library = CACHE / f"{source}-{key}.so"
-    if not library.exists():
+def library(source: Path, lanes: int, extra: tuple[str, ...] = ()) -> ctypes.CDLL:
+    """A kernel, compiled for so many lanes and kept; all of them may include those of this file."""
+    flags = [*FLAGS, *extra, f"-DWIDTH={lanes}"]
+    made_of = [path.read_text() for path in (*sorted(SOURCES.iterdir()), source)]
+    key = hashlib.sha256(repr((made_of, flags, target())).encode()).hexdigest()[:16]
+    made = CACHE / f"{source.stem}-{key}.so"
+    if not made.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
-        fresh = library.with_suffix(f".{os.getpid()}")
-        subprocess.run(["g++", *flags, SOURCES / f"{source}.cpp", "-o", fresh], check=True)
-        fresh.replace(library)  # another process may be doing the same
-    return ctypes.CDLL(str(library))
+        fresh = made.with_suffix(f".{os.getpid()}")
+        subprocess.run(["g++", *flags, source, "-o", fresh], check=True)
+        fresh.replace(made)  # another process may be doing the same
+    return ctypes.CDLL(str(made))

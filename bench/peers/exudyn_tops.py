@@ -33,7 +33,7 @@ def available() -> str:
 
 def config() -> dict[str, object]:
     return {
-        "exudyn": _exudyn().config.Version(), "exudynFast": True, "bodies in a system": BODIES,
+        "exudyn": exudyn().config.Version(), "exudynFast": True, "bodies in a system": BODIES,
         "linear solver": {"rk44": "EigenSparse", "generalised-alpha": "EXUdense"},
         "spectral radius": RADIUS, "Newton": "modified, a Jacobian per step",
         "precision": "float64",
@@ -41,7 +41,7 @@ def config() -> dict[str, object]:
 
 
 def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callable[[], Final]:
-    exu = _exudyn()
+    exu = exudyn()
     build = {"rk44": _free, "generalised-alpha": _jointed}[form]
     systems = []
     for block in np.array_split(omega0, -(-len(omega0) // BODIES[form])):
@@ -64,7 +64,7 @@ def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callabl
     return integrate
 
 
-def _exudyn():
+def exudyn():
     sys.exudynFast = True
     with redirect_stdout(StringIO()):  # it says which build it is
         import exudyn
@@ -73,7 +73,7 @@ def _exudyn():
 
 
 def _settings(form: str, steps: int, threads: int):
-    exu = _exudyn()
+    exu = exudyn()
     settings = exu.SimulationSettings()
     settings.solution.file.write = False
     settings.solution.sensors.active = False

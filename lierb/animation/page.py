@@ -15,11 +15,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.animation.scene import MOST_MAGNIFIED, RECORD, cspace_of, scene_of, settings_of
+from lierb.animation.scene import (
+    MOST_MAGNIFIED,
+    RECORD,
+    Shapes,
+    Trails,
+    cspace_of,
+    scene_of,
+    settings_of,
+)
 from lierb.animation.shapes import Shape
 from lierb.arrays import Array, as_numbers, is_whole
 from lierb.colours import CSPACE_NAMES
-from lierb.errors import ArgumentError, items_of, told
+from lierb.errors import ArgumentError, items_of, told, unknown_name
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.shown import counted
 
@@ -77,9 +86,9 @@ def animate(
     path: str | os.PathLike[str] | None = None,
     *,
     trajectories: int | Iterable[int] | None = None,
-    problem: Problem | None = None,
-    shape: Shape | None = None,
-    trail: bool | ArrayLike = True,
+    problem: Problem | Mechanism | None = None,
+    shape: Shape | Mapping[str, Shape] | None = None,
+    trail: bool | ArrayLike | Mapping[str, ArrayLike] = True,
     frames: int = FRAMES,
     magnify: float = 1.0,
     title: str | None = None,
@@ -92,9 +101,10 @@ def animate(
     trajectories : their numbers. Default: the first, as many as make 8 views.
     problem : of the results; for such as were pickled, which have lost theirs.
     shape : of the body, see `lierb.animation.box`, `cylinder` and `mesh`. Default: the box or
-        cylinder of the body's mass and inertia.
+        cylinder of the body's mass and inertia. Of a mechanism a dictionary by link.
     trail : whether the centre of mass leaves one (of a body that turns about it, a corner), or the
-        point of the body that does, (3,), m.
+        point of the body that does, (3,), m. Of a mechanism those of links on which no other one
+        hangs, or a dictionary link → point.
     frames : of a trajectory, at most; of longer histories some are left out, evenly.
     magnify : by how much the gap is magnified at first.   title : default: joint and method.
 
@@ -119,11 +129,12 @@ def animate(
     named = _named(results)
     problems = {name: _problem_of(name, result, problem) for name, result in named.items()}
     chosen = _chosen(named, trajectories)
-    point = trail if isinstance(trail, bool) else _point(trail)
+    first = next(iter(problems.values()))
     scene = scene_of(
         list(_views(named, problems, chosen)),
         title=_title(next(iter(named.values()))) if title is None else str(title),
-        shape=shape, trail=point, frames=int(frames), magnified=_factor(magnify),
+        shape=_shapes(shape, first), trail=_trails(trail, first),
+        frames=int(frames), magnified=_factor(magnify),
     )  # fmt: skip
     count = min(result.summary.num_rows for result in named.values())
     if trajectories is None and len(chosen) < count:
@@ -155,7 +166,7 @@ def _named(results: Any) -> dict[str, Result]:
         if name is None:
             space = cspace_of(result) or ""
             name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
-        if result.history is None or "position" not in result.history.column_names:
+        if result.history is None or not result.has_states:
             raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
         found[name if name not in found else f"{name} ({number + 1})"] = result
     if not found:
@@ -166,9 +177,9 @@ def _named(results: Any) -> dict[str, Result]:
 RESULTS = "what lierb.integrate returned, one or several"
 
 
-def _problem_of(name: str, result: Any, given: Problem | None) -> Problem:
+def _problem_of(name: str, result: Any, given: Problem | Mechanism | None) -> Problem | Mechanism:
     known = given if given is not None or result._end is None else result._end.problem
-    if not isinstance(known, Problem):
+    if not isinstance(known, (Problem, Mechanism)):
         label = f"{name}: " if name else ""
         raise ArgumentError(
             f"{label}the result has lost its problem, as one that was pickled has; give problem="
@@ -194,8 +205,8 @@ def _chosen(named: dict[str, Result], given: Any) -> list[int]:
 
 
 def _views(
-    named: dict[str, Result], problems: dict[str, Problem], chosen: list[int]
-) -> Iterator[tuple[str, Result, Problem, int]]:
+    named: dict[str, Result], problems: dict[str, Problem | Mechanism], chosen: list[int]
+) -> Iterator[tuple[str, Result, Problem | Mechanism, int]]:
     """Trajectory by trajectory, so that what is to be compared stands side by side."""
     for number in chosen:
         for name, result in named.items():
@@ -213,10 +224,51 @@ def _views(
 def _title(result: Result) -> str:
     known = settings_of(result)
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
-    parts = [f"{joint} joint"] if joint else ["lierb"]
+    parts = [f"{joint} joint"] if joint else [links_told(known) or "lierb"]
     if options:
         parts += [options["method"], f"dt = {options['dt']:g} s"]
     return ", ".join(parts)
+
+
+def links_told(known: dict[str, Any]) -> str:
+    """`2 links and 1 loop`, of a mechanism."""
+    kinds = [each["kind"] for each in known.get("problem", {}).get("mechanism", {}).values()]
+    parts = [counted(kinds.count(kind), kind) for kind in ("link", "loop") if kind in kinds]
+    return " and ".join(parts)
+
+
+def _shapes(given: Any, problem: Problem | Mechanism) -> Shapes:
+    if given is None or (isinstance(given, Shape) and isinstance(problem, Problem)):
+        return given
+    if isinstance(given, Mapping) and isinstance(problem, Mechanism):
+        for name, each in given.items():
+            if name not in problem.names:
+                raise unknown_name("shape", name, problem.names)
+            if not isinstance(each, Shape):
+                raise ArgumentError(
+                    f"shape[{name!r}]={told(each)}; expected a lierb.animation.Shape"
+                )
+        return given
+    expected = "a lierb.animation.Shape"
+    if isinstance(problem, Mechanism):
+        expected = f"a dictionary of shapes by link, as {{{problem.names[0]!r}: …}}"
+    raise ArgumentError(f"shape={told(given)}; expected {expected}")
+
+
+def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
+    if isinstance(given, bool):
+        return given
+    if isinstance(problem, Problem):
+        return _point("trail", given)
+    if not isinstance(given, Mapping):
+        raise ArgumentError(
+            f"trail={told(given)}; expected a flag, or a dictionary of points by link, as "
+            f"{{{problem.names[0]!r}: (0.0, 0.0, 0.1)}}"
+        )
+    for name in given:
+        if name not in problem.names:
+            raise unknown_name("trail", name, problem.names)
+    return {name: _point(f"trail[{name!r}]", point) for name, point in given.items()}
 
 
 def _factor(given: Any) -> float:
@@ -226,8 +278,8 @@ def _factor(given: Any) -> float:
     return float(given)
 
 
-def _point(given: ArrayLike) -> Array:
-    point = as_numbers("trail", given, (3,))
+def _point(argument: str, given: ArrayLike) -> Array:
+    point = as_numbers(argument, given, (3,))
     if point.shape != (3,):
-        raise ArgumentError(f"trail has shape {point.shape}; expected (3,) or a flag")
+        raise ArgumentError(f"{argument} has shape {point.shape}; expected (3,) or a flag")
     return np.asarray(point)

@@ -87,6 +87,10 @@ function shown(view, k, s, factor) {
     const was = bodies[joint.child], arm = origin(joint.child_frame);
     if (!was) return null;
     const gap = between(joint.gap, 6, k, s), moved = gap.slice(3), point = place(was, arm);
+    if (joint.closes) { // its bodies are where the joints of the links have them
+      const end = place(drawn[joint.child], arm);
+      return { point: end, allowed: add(end, moved, -factor), gap: norm(moved), turned: norm(gap) };
+    }
     let shift = [0, 0, 0]; // by which what it hangs on is displaced
     if (joint.parent !== null && bodies[joint.parent]) {
       const on = origin(joint.parent_frame);
@@ -176,6 +180,7 @@ function start(scene) {
   const rgb = (colour) => [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
   const DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3]];
   const TRAIL = 400; // frames
+  const MOST_NAMED = 12; // links whose names are written in their colours
   const $ = (id) => document.getElementById(id);
   const stage = document.querySelector("#stage canvas"), strip = document.querySelector("#strip canvas");
   const framed = window.parent !== window;
@@ -344,7 +349,7 @@ function start(scene) {
     for (const i of joint.child_axes) across(joint.child_frame, child, i, 0.3 * size, dark, []);
     if (joint.is_rod) line(pen, [see(place(parent, origin(joint.parent_frame))), see(at.point)], dark, 2);
     const body = view.bodies[joint.child];
-    if (child) line(pen, [see(at.point), see(place(child, body.com))], "rgba(60,60,60,0.55)", 2); // massless
+    if (child && !body.bones) line(pen, [see(at.point), see(place(child, body.com))], "rgba(60,60,60,0.55)", 2); // massless
     disc(pen, see(at.allowed), 5.5, "#fff", dark);
     line(pen, [see(at.allowed), see(at.point)], "#c00", 2);
     disc(pen, see(at.point), 3, "#c00", null);
@@ -384,6 +389,10 @@ function start(scene) {
       fill(pen, points, `rgb(${colour})`);
       line(pen, [...points, points[0]], `rgba(${colour.map((c) => Math.round(0.75 * c))},0.55)`, 0.7);
     }
+    bodies.forEach((pose, i) => {
+      if (pose) for (const ends of view.bodies[i].bones || [])
+        line(pen, ends.map((point) => see(place(pose, point))), "rgba(60,60,60,0.55)", 2);
+    });
     view.joints.forEach((joint, i) =>
       joints[i] && drawJoint(pen, view, joint, joints[i], bodies[joint.child], joint.parent === null ? null : bodies[joint.parent], see));
     pen.fillStyle = view.colour;
@@ -397,7 +406,12 @@ function start(scene) {
     const told = alive.length < bodies.length ? "failed: there is no state any more"
       : joints.length ? `gap ${short(gap)} m` + (factor > 1 ? `, shown × ${short(factor)}` : "") : "";
     pen.fillStyle = alive.length < bodies.length ? "#b00020" : "#555";
-    label(pen, told, rect.x + 8, rect.y + (view.title ? 35 : 18), rect.w - 14);
+    const below = rect.y + (view.title ? 35 : 18);
+    label(pen, told, rect.x + 8, below, rect.w - 14);
+    if (view.bodies.length > 1) view.bodies.slice(0, MOST_NAMED).forEach((body, i) => {
+      pen.fillStyle = `rgb(${view.tints[i].map((c) => Math.round(0.8 * c))})`;
+      label(pen, body.name, rect.x + 8, below + (told ? 17 : 0) + 15 * i, rect.w - 14);
+    });
     pen.restore();
   }
 

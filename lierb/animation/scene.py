@@ -7,14 +7,15 @@
     view    title, colour, t, bodies, joints, errors: side by side with the others, on the same
             clock; dash: which of the view's colour it is, from 0, as lines tell apart
     body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), place; trail: a point
-            of the body or null
-    joint   name, parent and child: indices of bodies, null for the ground; parent_frame and
+            of the body or null; bones: pairs of points of a link between which a line is drawn
+    joint   name, parent and child: indices of bodies, null for the ground, parents first; closes:
+            whether it is a loop's, after those of the links; parent_frame and
             child_frame: 4×4, row by row; parent_axes, child_axes, slides, child_slides: which of
             their axes to draw; is_rod; gap (times, 6): see `lierb.animation.gaps`
     errors  of each of curves, how large over time
 
-A view has as many bodies and joints as there are. Arrays over time are float32, t is float64,
-little-endian, in base64; NaN after a failure.
+Bodies and joints are those of a mechanism; of one body there is one at the most. Arrays over time
+are float32, t is float64, little-endian, in base64; NaN after a failure.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.animation.gaps import gap_of
+from lierb.animation.gaps import gap_between, gap_of
 from lierb.animation.shapes import Shape, equivalent
 from lierb.arrays import Array, assembled, components, pose_matrix
 from lierb.colours import COLOURS, CSPACE_COLOURS, colours_of
@@ -38,12 +39,15 @@ from lierb.joints import Joint
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import keeps_axis
 from lierb.kernels.numbers.vec import norm, scale
-from lierb.model import Problem
+from lierb.mechanism import Mechanism
+from lierb.model import Body, Problem
 from lierb.runs.columns import as_array
 
 if TYPE_CHECKING:
     from lierb.result import Result
 
+Shapes = Shape | Mapping[str, Shape] | None
+Trails = Array | bool | Mapping[str, Array]
 GAP_SHOWN = 0.4  # of the bodies' size, and rad: how far the largest gap opens, fully magnified
 MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible: it is no gap
 WANDERS = 12.0  # times its size: a body that goes farther is followed by the camera
@@ -62,17 +66,18 @@ CURVES = {
 
 
 def scene_of(
-    named: Sequence[tuple[str, Result, Problem, int]],
+    named: Sequence[tuple[str, Result, Problem | Mechanism, int]],
     *,
     title: str,
-    shape: Shape | None,
-    trail: Array | bool,
+    shape: Shapes,
+    trail: Trails,
     frames: int,
     magnified: float = 1.0,
 ) -> dict[str, Any]:
     """The scene of these trajectories, a view for each.
 
-    named : titles, results with states, problems of one body, numbers of trajectories.
+    named : titles, results with states, problems of one body each, numbers of trajectories.
+    shape, trail : of the body; of a mechanism by link, of those for which one is given.
     """
     looks = [
         _view(name, result, problem, number, shape, trail, frames)
@@ -151,61 +156,136 @@ def _single(array: Array) -> NDArray[np.float32]:
         return np.ascontiguousarray(array, "<f4")
 
 
-def poses_of(history: pa.Table, count: int, number: int, rows: Array) -> Array:
+def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: str = "") -> Array:
     """Poses of a trajectory at some of the saved times, (rows, 4, 4).
 
-    count : of the trajectories in the history.
+    count : of the trajectories in the history.   prefix : of the columns' names.
     """
-    rotation = as_array(history["rotation"]).reshape(-1, count, 9)[rows, number]
-    position = as_array(history["position"]).reshape(-1, count, 3)[rows, number]
+    rotation = as_array(history[f"{prefix}rotation"]).reshape(-1, count, 9)[rows, number]
+    position = as_array(history[f"{prefix}position"]).reshape(-1, count, 3)[rows, number]
     return pose_matrix((components(rotation), components(position)))
 
 
 # ---- a view ------------------------------------------------------------------------------------
 
 
+class Linked(NamedTuple):
+    """A body that is drawn: its columns' prefix, and all joint points on it, its own the first."""
+
+    name: str
+    prefix: str
+    body: Body
+    points: list[Array]
+    has_children: bool
+    is_pinned: bool
+
+
+class Held(NamedTuple):
+    """A joint that is drawn: bodies by their numbers, None for the ground."""
+
+    name: str
+    joint: Joint
+    parent: int | None
+    child: int
+    closes: bool
+    gap: Array
+
+
+def _linked(problem: Problem | Mechanism) -> list[Linked]:
+    if isinstance(problem, Problem):
+        own = [problem.joint.body_frame[:3, 3]]
+        return [Linked("body", "", problem.body, own, False, bool(problem.joint.rows))]
+    found = []
+    for i, link in enumerate(problem.links):
+        points = [link.joint.body_frame[:3, 3]] if link.joint.rows else []
+        points += [
+            at.joint.ground_frame[:3, 3] if at.parent == i else at.joint.body_frame[:3, 3]
+            for n, at in enumerate(problem.joints)
+            if n != i and i in (at.parent, at.body) and at.joint is not None and at.rows
+        ]
+        is_parent = link.name in (other.parent for other in problem.links)
+        found.append(
+            Linked(link.name, f"{link.name}.", link.body, points, is_parent, bool(link.joint.rows))
+        )
+    return found
+
+
+def _held(problem: Problem | Mechanism, poses: list[Array]) -> list[Held]:
+    """Those that have rows, parents first, and loops after the links."""
+    if isinstance(problem, Problem):
+        joint = problem.joint
+        gap = gap_of(problem, poses[0])
+        return [Held(joint.name, joint, None, 0, False, gap)] if joint.rows else []
+    count = len(problem.links)
+    return [
+        Held(
+            at.name, at.joint, at.parent if at.parent >= 0 else None, at.body, n >= count,
+            gap_between(problem, at, poses),
+        )
+        for n in (*problem.order, *range(count, len(problem.joints)))
+        if (at := problem.joints[n]).joint is not None and at.rows
+    ]  # fmt: skip
+
+
 def _view(
     name: str,
     result: Result,
-    problem: Problem,
+    problem: Problem | Mechanism,
     number: int,
-    shape: Shape | None,
-    trail: Array | bool,
+    shape: Shapes,
+    trail: Trails,
     frames: int,
 ) -> tuple[dict[str, Any], Array, float, float, list[str], float]:
-    """A view; points it reaches, how large its body is, its largest gap, its curves, its turns."""
+    """A view; points it reaches, how large its bodies are, its largest gap, curves and turns."""
     history = result.history
-    if history is None or "position" not in history.column_names:
+    if history is None or not result.has_states:
         raise ArgumentError(f"{name or 'the result'}: {RECORD}")
     count = result.summary.num_rows
     t = as_array(history["t"]).reshape(-1, count)[:, number]
     rows = np.unique(np.rint(np.linspace(0, len(t) - 1, min(frames, len(t)))).astype(int))
-    poses = poses_of(history, count, number, rows)
-    seen = shape or equivalent(problem.body)
-    point = _trail(problem, seen, trail)
-    gap = gap_of(problem, poses)
-    errors = _errors(history, problem.joint, count, number, rows)
-    quaternions = _quaternions(poses)
+    links = _linked(problem)
+    poses = [poses_of(history, count, number, rows, each.prefix) for each in links]
+    shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
+    held = _held(problem, poses)
+    errors = _errors(history, [each.joint for each in held], count, number, rows)
     view = {
         "title": name,
         "t": _text(np.ascontiguousarray(t[rows], "<f8")),  # steps of 1e-3 s after days
         "bodies": [
-            {
-                "name": "body",
-                "shape": {
-                    "vertices": _rounded(seen.vertices, seen.size).tolist(),
-                    "faces": seen.faces, "marked": seen.marked,
-                },
-                "poses": encoded(np.hstack([quaternions, poses[:, :3, 3]])),
-                "com": problem.body.com.tolist(),
-                "trail": None if point is None else point.tolist(),
-            }
+            _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
-        "joints": [_joint(problem.joint, gap)] if problem.joint.rows else [],
+        "joints": [_joint(each) for each in held],
         "errors": {name: encoded(values) for name, values in errors.items()},
+    }
+    size = max(each.size for each in shapes)
+    turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
+    grounds = [each.joint.ground_frame[:3, 3] for each in held if each.parent is None]
+    swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
+    gap = max((_gap_size(each.gap, size) for each in held), default=0.0)
+    return view, swept, size, gap, [*errors], turn
+
+
+def _of_link(given: Shapes, name: str) -> Shape | None:
+    return given.get(name) if isinstance(given, Mapping) else given
+
+
+def _body(link: Linked, shape: Shape, poses: Array, trail: Trails) -> dict[str, Any]:
+    point = _trail(link, shape, trail)
+    made = {
+        "name": link.name,
+        "shape": {
+            "vertices": _rounded(shape.vertices, shape.size).tolist(),
+            "faces": shape.faces, "marked": shape.marked,
+        },
+        "poses": encoded(np.hstack([_quaternions(poses), poses[:, :3, 3]])),
+        "com": link.body.com.tolist(),
+        "trail": None if point is None else point.tolist(),
     }  # fmt: skip
-    size, turn = seen.size, _turn(history, count, number, rows, t[rows])
-    return view, _swept(poses, seen, problem), size, _gap_size(gap, size), [*errors], turn
+    if link.prefix:
+        first, *others = link.points or [link.body.com]
+        ends = others or [link.body.com]
+        made["bones"] = [[first.tolist(), end.tolist()] for end in ends]
+    return made
 
 
 def _quaternions(poses: Array) -> Array:
@@ -214,20 +294,25 @@ def _quaternions(poses: Array) -> Array:
         return assembled(scale(1.0 / norm(p), p))
 
 
-def _trail(problem: Problem, shape: Shape, trail: Array | bool) -> Array | None:
-    """The body's point that leaves a trail: the centre of mass, or if that rests a far corner."""
-    if isinstance(trail, bool):
-        if not trail:
-            return None
-        com, pin = np.asarray(problem.body.com), problem.joint.body_frame[:3, 3]
-        if not problem.joint.rows or np.linalg.norm(com - pin) > CENTRED * shape.size:
-            return com
-        away = np.linalg.norm(shape.vertices - pin, axis=1)
-        return np.asarray(shape.vertices[int(away.argmax())])
-    return trail
+def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
+    """The body's point that leaves a trail: the centre of mass, or if that rests a far corner.
+
+    Of a mechanism only links on which no other hangs leave one, or those for which one is given.
+    """
+    if isinstance(trail, Mapping):
+        return trail.get(link.name)
+    if not isinstance(trail, bool):
+        return trail
+    if not trail or link.has_children:
+        return None
+    com = np.asarray(link.body.com)
+    if not link.is_pinned or np.linalg.norm(com - link.points[0]) > CENTRED * shape.size:
+        return com
+    away = np.linalg.norm(shape.vertices - link.points[0], axis=1)
+    return np.asarray(shape.vertices[int(away.argmax())])
 
 
-def _up(problem: Problem) -> Array:
+def _up(problem: Problem | Mechanism) -> Array:
     """Against gravity; e₃ where there is none."""
     pull = np.linalg.norm(problem.gravity)
     up = -problem.gravity / pull if pull else np.array([0.0, 0.0, 1.0])
@@ -235,13 +320,14 @@ def _up(problem: Problem) -> Array:
 
 
 def _errors(
-    history: pa.Table, joint: Joint, count: int, number: int, rows: Array
+    history: pa.Table, joints: list[Joint], count: int, number: int, rows: Array
 ) -> dict[str, Array]:
-    """The errors that the joint has rows for; without any, the drift of energy.
+    """The errors that joints have rows for; without any, the drift of energy.
 
     Where frames are left out, the largest since the one before.
     """
-    kinds = [f"{kind}_error" for kind in joint.error_kinds] or ["energy_drift"]
+    found = {kind for joint in joints for kind in joint.error_kinds}
+    kinds = [f"{kind}_error" for kind in sorted(found)] or ["energy_drift"]
     starts = np.append(0, rows[:-1] + 1)
     return {
         name: np.maximum.reduceat(
@@ -251,17 +337,18 @@ def _errors(
     }
 
 
-def _joint(joint: Joint, gap: Array) -> dict[str, Any]:
+def _joint(held: Held) -> dict[str, Any]:
+    joint = held.joint
     ground, body = _axes(joint)
     slides, child_slides = _slides(joint)
     return {
-        "name": joint.name, "parent": None, "child": 0,
+        "name": held.name, "parent": held.parent, "child": held.child, "closes": held.closes,
         "parent_frame": joint.ground_frame.ravel().tolist(),
         "child_frame": joint.body_frame.ravel().tolist(),
         "parent_axes": ground, "child_axes": body,
         "slides": slides, "child_slides": child_slides,
         "is_rod": "rod" in map(str, joint.rows),
-        "gap": encoded(gap),
+        "gap": encoded(held.gap),
     }  # fmt: skip
 
 
@@ -295,19 +382,20 @@ def _slides(joint: Joint) -> tuple[list[int], list[int]]:
 # ---- sizes -------------------------------------------------------------------------------------
 
 
-def _swept(poses: Array, shape: Shape, problem: Problem) -> Array:
-    """Places of the body's outermost vertices, and the ground's joint point; (k, 3)."""
+def _swept(poses: Array, shape: Shape) -> Array:
+    """Places of a body's outermost vertices, (k, 3)."""
     with np.errstate(invalid="ignore"):
         alive = poses[(np.abs(poses) < RUNAWAY).all(axis=(1, 2))]
     corners = shape.vertices[np.unique(np.r_[shape.vertices.argmin(0), shape.vertices.argmax(0)])]
     swept = np.einsum("tij,kj->tki", alive[:, :3, :3], corners) + alive[:, None, :3, 3]
-    points = swept.reshape(-1, 3) if len(alive) else corners  # failed from the start: no place
-    return np.vstack([points, problem.joint.ground_frame[:3, 3]]) if problem.joint.rows else points
+    return np.asarray(
+        swept.reshape(-1, 3) if len(alive) else corners
+    )  # failed from the start: no place
 
 
-def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array) -> float:
+def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:
     """The largest turn from one frame to the next, rad, by its rates: poses do not count turns."""
-    omega = as_array(history["omega"]).reshape(-1, count, 3)[rows, number]
+    omega = as_array(history[f"{prefix}omega"]).reshape(-1, count, 3)[rows, number]
     with np.errstate(all="ignore"):
         turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))

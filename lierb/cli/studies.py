@@ -254,19 +254,20 @@ def report_page(folder: Path, out: Path | None) -> None:
 @STUDY
 @SET
 def predict(study: Path, changes: Changes) -> None:
-    """Which constraints of a STUDY's joint each configuration space keeps exactly, and why.
+    """Which constraints of a STUDY's joints each configuration space keeps exactly, and why.
 
     Of its first body: where the joint is on the body can make a difference.
     """
     require("study")
     import lierb
+    from lierb.prediction import joint_by_joint
     from lierb.studies.study import Study
 
     batch = Study.load(study, changes).batch(0, 1)
-    found = lierb.predict(batch.problem.of_body(0), None if batch.pose0 is None else batch.pose0[0])
+    found = lierb.predict(*batch.first)
     click.echo(str(found))
-    for prediction in found.values():
-        click.echo(wrapped(f"{prediction.cspace}: {prediction.reason}"))
+    for joint, each in joint_by_joint(found):
+        click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))
 
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:

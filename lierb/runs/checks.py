@@ -59,6 +59,7 @@ def violation(inputs: Inputs, starts: Array, first: int = 0) -> LierbError | Non
 def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     """What is wrong with one body, row by row."""
     problem = inputs.problem
+    assert isinstance(problem, Problem)  # mechanisms have `lierb.mechanism_checks`
     numbers = inputs.numbers(number)
     parameters, pose, twist = parameters_of(numbers)
     body = body_of(SE3, problem.kinds, numbers)

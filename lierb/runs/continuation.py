@@ -30,7 +30,8 @@ NAMED = 5  # failed trajectories in a message
 class Continuation:
     """The driver's state at the end of a run, and what it belongs to.
 
-    state : `end_columns` of the plan, [column][body].   twist0 : (n, 6), of a mechanism by link.   t0 : s.
+    state : `end_columns` of the plan, [column][body].
+    twist0 : (n, 6), of a mechanism by link.   t0 : s.
     """
 
     problem: Problem | Mechanism

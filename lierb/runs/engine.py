@@ -40,6 +40,7 @@ from lierb.kernels.stepping.driver import (
 from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.forks import check_threads
@@ -197,8 +198,8 @@ class Output:
     def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
         summary, history, *states, multipliers, reactions, ends = map(np.empty, shapes)
-        made = (summary, history, tuple(states), multipliers, reactions, ends, {})
-        return cls(clock, *made, links=plan.system.links)
+        links = system_of(plan).links
+        return cls(clock, summary, history, tuple(states), multipliers, reactions, ends, {}, links)
 
     @staticmethod
     def size(plan: AnyPlan, count: int, rows: int, with_state: bool) -> int:
@@ -274,7 +275,7 @@ class Output:
 
 def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
     """Of an Output's arrays."""
-    system = plan.system
+    system = system_of(plan)
     states = (rows if with_state else 1) * system.links
     return [
         (summary_columns(plan), count),

@@ -144,7 +144,7 @@ def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
         "observables": [
             _described_element(each) | {"unit": each.unit} for each in mechanism.observables
         ],
-        "rows": [f"{each.name}.{row}" for each in mechanism.held for row in each.joint.rows],
+        "rows": [f"{each.name}.{row}" for each in mechanism.connections for row in each.rows],
     }
 
 

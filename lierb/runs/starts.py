@@ -10,6 +10,7 @@ from lierb.arrays import Array, as_numbers, as_poses
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.plan import AnyPlan, plan_of
+from lierb.kernels.stepping.systems import system_of
 from lierb.model import Problem
 from lierb.runs.continuation import continuation_of
 from lierb.runs.engine import Inputs
@@ -62,5 +63,5 @@ def ready_body(
         clock = Clock(*clock[:4], *known.origin(clock.dt))
     state = None if known is None else known.state
     starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
-    inputs = Inputs(problem, plan.system.inputs, starts, count, t0, state)
+    inputs = Inputs(problem, system_of(plan).inputs, starts, count, t0, state)
     return Ready(plan, inputs, clock, poses, twists, known is not None)

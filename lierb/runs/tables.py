@@ -15,6 +15,7 @@ from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs import engine
@@ -99,7 +100,7 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by.
     """
     with_state = "state" in recorded
-    links = plan.system.links
+    links = system_of(plan).links
     copied = POSE_AND_TWIST.count * links if with_state and rows > 1 else 0  # of the end
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries

@@ -416,10 +416,10 @@ def _summary(dataset: Dataset) -> set[str]:
 
 
 def _others(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
-    """Columns of numbers that no other figure has."""
+    """Columns of numbers that no other figure has; of joints' errors that have the largest."""
     return [
         field for field in schema
-        if field.name not in known
+        if field.name.rpartition(".")[2] not in known
         and not field.name.startswith("sample.")
         and pa.types.is_floating(field.type)
     ]  # fmt: skip

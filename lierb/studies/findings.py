@@ -13,6 +13,8 @@ from pydantic import ValidationError
 
 from lierb.arrays import Array
 from lierb.errors import StudyError
+from lierb.mechanism import Mechanism
+from lierb.model import Problem
 from lierb.studies.convergence import Order, observed_order
 from lierb.studies.dataset import Dataset
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
@@ -71,8 +73,14 @@ def study_of(dataset: Dataset) -> Study:
 def findings(dataset: Dataset) -> list[Found]:
     """What the finished parts say, setting by setting."""
     study = study_of(dataset)
-    kinds = (*study.batch(0, 1).problem.joint.error_kinds, "energy")
+    kinds = (*kinds_of(study.batch(0, 1).problem), "energy")
     return [_found(dataset, study, setting, kinds) for setting in study.settings]
+
+
+def kinds_of(problem: Problem | Mechanism) -> set[str]:
+    """The kinds of errors that its joints have rows for."""
+    held = (problem,) if isinstance(problem, Problem) else problem.held
+    return {kind for each in held for kind in each.joint.error_kinds}
 
 
 def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
@@ -148,12 +156,12 @@ def some_rows(rows: int, most: int) -> Array:
 
 def errors_seen(dataset: Dataset, study: Study) -> dict[str, str]:
     """The errors of which there are any, and their columns."""
-    seen = {
-        kind
-        for s in study.settings
-        for kind, size in sizes_of(dataset, study, s).items()
-        if ok_columns(dataset, s, [ERRORS[kind]])[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size
-    }
+    seen = set()
+    for setting in study.settings:
+        columns = ok_columns(dataset, setting, list(ERRORS.values()))
+        for kind, size in sizes_of(dataset, study, setting).items():
+            if columns[ERRORS[kind]].max(initial=0.0) > NEGLIGIBLE * size:
+                seen.add(kind)
     return {kind: name for kind, name in ERRORS.items() if kind in (seen or {"energy"})}
 
 

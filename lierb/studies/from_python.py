@@ -11,16 +11,21 @@ from typing import Any
 from lierb import forces
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, StudyError, told, unknown_name
-from lierb.joints import JOINTS
+from lierb.joints import JOINTS, Joint
 from lierb.kernels.functions.function import Function
 from lierb.kernels.mechanics.rows import parameters_of
-from lierb.model import Problem
+from lierb.kernels.stepping.mechanism import Stabilisation
+from lierb.mechanism import Mechanism
+from lierb.model import Body, Problem
 from lierb.sampling import Design
 from lierb.studies.code import PREFIX, source_of
 from lierb.studies.study import (
     ELEMENTS,
+    KEYS,
+    KEYS_OF_LINK,
     NOTHING,
-    InitialSection,
+    OF_LINK,
+    POINTS,
     IntegrateSection,
     OutputSection,
     Study,
@@ -28,11 +33,11 @@ from lierb.studies.study import (
 from lierb.user_elements import Element
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)
-OF_JOINT = ("pitch", "length")  # what may be drawn of a joint that is made
+OF_JOINT = ("pitch", "length", *POINTS)  # what may be drawn of a joint that is made
 
 
 def study_of(
-    problem: Problem,
+    problem: Problem | Mechanism,
     design: Design,
     *,
     name: str = "study",
@@ -42,9 +47,12 @@ def study_of(
     """The study of a problem whose numbers a design draws.
 
     design : its quantities are named as in a study's file, without `sample.`: "initial.omega",
-        "body.mass", "forces.drag.linear", "observables.pointing_error.axis".
+        "body.mass", "forces.drag.linear", "observables.pointing_error.axis". Those of a mechanism's
+        links and loops have the names of one body's, and the link's before: "crank.body.mass",
+        "rod.joint.body_point", "crank.initial.velocities".
     initial : how all bodies start, but for what is drawn: omega, twist, coordinates, … as the table
-        [initial] has them.
+        [initial] has them. Of a mechanism by link: {"crank": {"coordinates": 0.3}}; what that
+        leaves open is closed, to the nearest poses and twists, unless it has close="never".
     settings : keys of [integrate], such as dt and t_end, and of [output]: part, compression.
 
     The functions with `@lierb.wrench` and the like must be at the top of a file, from which they
@@ -60,34 +68,93 @@ def study_of(
     lierb.Study 'study': 1000 bodies on a spherical joint
     ...
     """
-    if not isinstance(problem, Problem):
-        raise ArgumentError(f"problem={told(problem)}; expected a lierb.Problem")
+    if not isinstance(problem, (Problem, Mechanism)):
+        raise ArgumentError(
+            f"problem={told(problem)}; expected a lierb.Problem or a lierb.Mechanism"
+        )
     if not isinstance(design, Design):
         raise ArgumentError(f"design={told(design)}; expected a lierb.sampling.Design")
     problem.require_unchanged()
     for key in settings:
         if key not in (*INTEGRATE, *OUTPUT):
             raise unknown_name("setting", key, (*INTEGRATE, *OUTPUT, "name", "initial"))
-    for key in initial or {}:
-        if key not in InitialSection.model_fields:
-            raise unknown_name("initial", key, InitialSection.model_fields)
+    if isinstance(settings.get("stabilise"), Stabilisation):
+        settings["stabilise"] = _stabilise(settings["stabilise"])
     code: dict[str, str] = {}
     tables: dict[str, Any] = {
         "name": name,
-        "body": _body(problem, design),
-        "joint": _joint(problem),
         "problem": {"gravity": _one("gravity", problem.gravity, 1)},
-        "initial": dict(initial or {}),
-        "sample": _sample(design),
+        "sample": _sample(design, problem),
         "integrate": {key: value for key, value in settings.items() if key in INTEGRATE},
         "output": {key: value for key, value in settings.items() if key in OUTPUT},
     }
+    if isinstance(problem, Mechanism):
+        of_links, tables["initial"] = _starts(problem, initial or {})
+        tables["problem"] |= _held(problem, design, of_links)
+    else:
+        for key in initial or {}:
+            if key not in KEYS["initial"]:
+                raise unknown_name("initial", key, KEYS["initial"])
+        tables["initial"] = dict(initial or {})
+        tables["body"] = _body("", problem.body, design)
+        tables["joint"] = _joint("", problem.joint)
     for table in ELEMENTS:
         elements = [_element(each, code) for each in getattr(problem, table)]
         tables["problem"][table] = _labelled(elements)
     study = Study.of(tables, code=code)
     _require_same(problem, study)
     return study
+
+
+def _stabilise(kept: Stabilisation) -> Any:
+    rates = {"alpha": kept.alpha, "beta": kept.beta}
+    return {"none": None, "baumgarte": rates}.get(kept.kind, kept.kind)
+
+
+def _starts(
+    mechanism: Mechanism, initial: Mapping[str, Any]
+) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+    """What each link's table `initial` has, and the study's own."""
+    of_links, rest = {}, {}
+    for key, value in initial.items():
+        if key == "close" and not isinstance(value, Mapping):
+            rest[key] = value
+            continue
+        if key not in mechanism.names:
+            raise unknown_name("initial", key, (*mechanism.names, "close"))
+        if not isinstance(value, Mapping):
+            raise ArgumentError(
+                f"initial[{key!r}]={told(value)}; expected a dictionary, such as "
+                "{'coordinates': 0.3, 'velocities': 1.0}"
+            )
+        for inner in value:
+            if inner not in KEYS_OF_LINK["initial"]:
+                raise unknown_name(f"initial[{key!r}]", inner, KEYS_OF_LINK["initial"])
+        of_links[key] = dict(value)
+    return of_links, rest
+
+
+def _held(
+    mechanism: Mechanism, design: Design, initial: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """The links and the loops."""
+    links = [
+        {
+            "name": link.name, "parent": link.parent,
+            "body": _body(f"{link.name}.", link.body, design),
+            "joint": _joint(f"{link.name}.", link.joint),
+            "initial": initial.get(link.name, {}),
+        }
+        for link in mechanism.links
+    ]  # fmt: skip
+    loops = [
+        {
+            "name": loop.name, "body": loop.body, "parent": loop.parent,
+            "joint": _joint(f"{loop.name}.", loop.joint),
+        }
+        for loop in mechanism.loops
+    ]  # fmt: skip
+    return {"links": links, "loops": loops}
 
 
 def _one(label: str, array: Array, item_axes: int = 0) -> Any:
@@ -101,29 +168,30 @@ def _one(label: str, array: Array, item_axes: int = 0) -> Any:
     return array.reshape(array.shape[array.ndim - item_axes :]).tolist()
 
 
-def _body(problem: Problem, design: Design) -> dict[str, Any]:
-    body = problem.body
-    tables = {"mass": _one("mass", body.mass), "com": _one("com", body.com, 1)}
-    if "body.second_moments" not in design.quantities:
-        tables["inertia"] = _one("inertia", body.inertia, 2)
+def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
+    """prefix : of its quantities' names."""
+    tables = {
+        "mass": _one(f"{prefix}mass", body.mass), "com": _one(f"{prefix}com", body.com, 1),
+    }  # fmt: skip
+    if f"{prefix}body.second_moments" not in design.quantities:
+        tables["inertia"] = _one(f"{prefix}inertia", body.inertia, 2)
     return tables
 
 
-def _joint(problem: Problem) -> dict[str, Any]:
-    joint = problem.joint
+def _joint(prefix: str, joint: Joint) -> dict[str, Any]:
     tables: dict[str, Any] = {
         "type": joint.name if joint.name in JOINTS else "from_rows",
-        "ground_frame": _one("ground_frame", joint.ground_frame, 2),
-        "body_frame": _one("body_frame", joint.body_frame, 2),
+        "ground_frame": _one(f"{prefix}ground_frame", joint.ground_frame, 2),
+        "body_frame": _one(f"{prefix}body_frame", joint.body_frame, 2),
     }
     if tables["type"] == "from_rows":
         tables["rows"] = [str(row) for row in joint.rows]
     for name in parameters_of(joint.rows):
-        tables[name] = _one(name, getattr(joint, name))
+        tables[name] = _one(f"{prefix}{name}", getattr(joint, name))
     return tables
 
 
-def _sample(design: Design) -> dict[str, Any]:
+def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
     """The design, under the names that its quantities have in a file."""
     names = [name for name in design.quantities if name != NOTHING]
     if design.method != "random" and names != sorted(names):
@@ -133,23 +201,42 @@ def _sample(design: Design) -> dict[str, Any]:
         )
     tables: dict[str, Any] = {"n": design.n, "seed": design.seed, "method": design.method}
     for name in names:
-        section, _, key = name.rpartition(".")
-        kind, _, label = section.partition(".")
-        if kind == "joint" and key not in OF_JOINT:
+        *section, key = name.split(".")
+        if not _is_section(section, problem):
+            raise StudyError(_no_quantity(name, problem))
+        if section[-1] == "joint" and section[0] not in ELEMENTS and key not in OF_JOINT:
             raise StudyError(
-                f"{name}: a joint that is made has its frames; of it {' and '.join(OF_JOINT)} can "
-                "be drawn. A study's file can draw points and axes: lierb.Study.of"
+                f"{name}: a joint that is made has its frames; of it {', '.join(OF_JOINT)} can be "
+                "drawn. A study's file can draw axes as well: lierb.Study.of"
             )
-        place = tables.setdefault(kind, {})
-        if kind in ELEMENTS and label:
-            place = place.setdefault(label, {})
-        elif kind not in ("body", "joint", "problem", "initial") or label or not key:
-            raise StudyError(
-                f"{told(name)} is no quantity of a problem; expected names such as body.mass, "
-                "initial.omega or forces.drag.linear"
-            )
+        place = tables
+        for part in section:
+            place = place.setdefault(part, {})
         place[key] = design.quantities[name]
     return tables
+
+
+def _is_section(section: list[str], problem: Problem | Mechanism) -> bool:
+    """Whether there is something to draw under these names."""
+    if len(section) == 2 and section[0] in ELEMENTS:
+        return True
+    if isinstance(problem, Problem):
+        return section in (["body"], ["joint"], ["problem"], ["initial"])
+    if len(section) != 2:
+        return section == ["problem"]
+    loops = [loop.name for loop in problem.loops]
+    first, last = section
+    return (first in problem.names and last in OF_LINK) or (first in loops and last == "joint")
+
+
+def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
+    if isinstance(problem, Problem):
+        expected = "body.mass, initial.omega or forces.drag.linear"
+    else:
+        first = problem.names[0]
+        expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
+    what = "problem" if isinstance(problem, Problem) else "mechanism"
+    return f"{told(name)} is no quantity of a {what}; expected names such as {expected}"
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
@@ -158,6 +245,7 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
         name: _one(f"{element.name}.{name}", array, len(shapes[name]))
         for name, array in element.parameters.items()
     }
+    placed = {"on": list(element.at)} if element.at else {}
     if element.made_by is None:
         if any(isinstance(f, Function) for f in element.kind.functions):
             raise StudyError(
@@ -166,14 +254,14 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
             )
         if isinstance(element.kind, forces.BodyWrench):
             parameters["frame"] = "body"
-        return {"type": element.name, **parameters}
+        return {"type": element.name, **parameters, **placed}
     file, text, name = source_of(element.made_by)
     if code.setdefault(file, text) != text:
         raise StudyError(f"two different files are called {file}; rename one of them")
-    for taken in ("type", "name"):
+    for taken in ("type", "name", "on"):
         if taken in parameters:
             raise StudyError(f"{name}: its parameter {taken} needs another name in a study")
-    table = {"type": f"{PREFIX}{file}:{name}", **parameters}
+    table = {"type": f"{PREFIX}{file}:{name}", **parameters, **placed}
     return table if element.name == name else table | {"name": element.name}
 
 
@@ -188,7 +276,7 @@ def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return elements
 
 
-def _require_same(problem: Problem, study: Study) -> None:
+def _require_same(problem: Problem | Mechanism, study: Study) -> None:
     """Raise StudyError where the files make other functions than those that the problem has."""
     made = study.batch(0, 1).problem
     for given, found in zip(problem.elements, made.elements, strict=True):

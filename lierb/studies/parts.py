@@ -20,7 +20,8 @@ from lierb.studies.units import unit_of
 Progress = Callable[[int, int], None]
 HISTORY_BYTES = 64e6  # of a part's history, at most
 HISTORY_ROW_BYTES = 100  # about, without what `record` adds
-STATE_BYTES = 144
+STATE_BYTES = 144  # of a body
+JOINT_BYTES = 32  # of the errors of each joint of a mechanism
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,8 @@ def part_size(study: Study) -> int:
     run = study.integrate
     if run.save_every is None:
         return study.output.part
-    row = HISTORY_ROW_BYTES + STATE_BYTES * ("state" in run.record)
+    links, joints = max(1, len(study.problem.links)), len([*study.problem.held()])
+    row = HISTORY_ROW_BYTES + JOINT_BYTES * joints + STATE_BYTES * links * ("state" in run.record)
     rows = (run.t_end - run.t0) / min(run.dt) / run.save_every + 2
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
 
@@ -147,7 +149,7 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
     """With what its bodies drew behind, in its units."""
     for name, values in batch.draws.items():
         column = _column(np.ascontiguousarray(values))
-        unit = unit_of(name, study, batch.problem.joint)
+        unit = unit_of(name, study, batch.problem)
         told = {"unit": unit} if unit else None
         table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=told), column)
     return table

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from lierb.arrays import Array
 from lierb.errors import LierbError
 from lierb.extras import require
-from lierb.prediction import Prediction, predict
+from lierb.prediction import Prediction, joint_by_joint, predict
 from lierb.studies.dataset import Dataset
 from lierb.studies.files import write_whole
 from lierb.studies.findings import (
@@ -129,12 +129,10 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
     return path
 
 
-def _predictions(study: Study) -> list[Prediction]:
-    """What the first body's joint keeps; nothing where no theorem says it."""
-    batch = study.batch(0, 1)
-    pose = None if batch.pose0 is None else batch.pose0[0]
+def _predictions(study: Study) -> list[tuple[str, Prediction]]:
+    """What each of the first body's joints keeps; nothing where no theorem says it."""
     try:
-        return list(predict(batch.problem.of_body(0), pose).values())
+        return list(joint_by_joint(predict(*study.batch(0, 1).first)))
     except LierbError:
         return []
 

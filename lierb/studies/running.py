@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.failures import Failures, told_elsewhere, warn_of
 from lierb.runs.progress import Progress, check_progress, reporter
@@ -68,7 +69,7 @@ def run(
 ) -> Dataset: ...
 @overload
 def run(
-    study: Problem,
+    study: Problem | Mechanism,
     design: Design,
     out: str | Path,
     *,
@@ -81,7 +82,7 @@ def run(
     **settings: Any,
 ) -> Dataset: ...
 def run(
-    study: Study | Problem | str | Path,
+    study: Study | Problem | Mechanism | str | Path,
     design: Any = None,
     out: Any = None,
     *,
@@ -98,9 +99,9 @@ def run(
     `run(study, out, …)` or `run(problem, design, out, …)`.
 
     study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
-    problem, design : a lierb.Problem and the lierb.sampling.Design that draws its numbers; with
-        dt, t_end and other settings of `lierb.study_of`, which says more. The files with the
-        problem's own functions are copied into the folder.
+    problem, design : a lierb.Problem or lierb.Mechanism and the lierb.sampling.Design that draws
+        its numbers; with dt, t_end and other settings of `lierb.study_of`, which says more. The
+        files with the problem's own functions are copied into the folder.
     changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
         folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
@@ -175,7 +176,7 @@ def _given(
             f"{file} runs a study when it is loaded for its functions; put that under "
             'if __name__ == "__main__":'
         )
-    if isinstance(study, Problem):
+    if isinstance(study, (Problem, Mechanism)):
         if design is None or out is None:
             raise ArgumentError(
                 "a problem is run as lierb.run(problem, design, out, dt=…, t_end=…)"

@@ -19,8 +19,9 @@ import pyarrow as pa
 
 from lierb.arrays import Array
 from lierb.errors import StudyError, told, unknown_name
-from lierb.kernels.stepping.measures import KEPT
+from lierb.kernels.stepping.measures import JOINT_KEPT, KEPT
 from lierb.kernels.stepping.observables import KEEPS
+from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.columns import as_array
 from lierb.runs.failures import has_failed
@@ -29,7 +30,8 @@ from lierb.studies.quantiles import quantile_of, share_width
 FAILED = "failed"
 NUMBER = r"[0-9]+(?:\.[0-9]*)?(?:e[-+]?[0-9]+)?"
 FORM = re.compile(
-    rf"\s*width\s+of\s+(?:({NUMBER})\s*%\s+of\s+)?(\w+)\s*<\s*({NUMBER})\s*(%?)\s*", re.IGNORECASE
+    rf"\s*width\s+of\s+(?:({NUMBER})\s*%\s+of\s+)?([\w.]+)\s*<\s*({NUMBER})\s*(%?)\s*",
+    re.IGNORECASE,
 )
 EXPECTED = '"width of 95% of COLUMN < 0.01", "… < 2%", or "width of failed < 0.001"'
 
@@ -54,7 +56,7 @@ class Rule(NamedTuple):
         return found.width < self.bound * (abs(found.value) if self.is_relative else 1.0)
 
 
-def rule_of(text: str, problem: Problem) -> Rule:
+def rule_of(text: str, problem: Problem | Mechanism) -> Rule:
     """The rule that a text says, of a column of the problem's summaries. Raises StudyError."""
     found = FORM.fullmatch(text)
     share, column, bound, percent = found.groups("") if found else ("",) * 4
@@ -65,6 +67,9 @@ def rule_of(text: str, problem: Problem) -> Rule:
         raise StudyError(f"sample.stop_when: {share}%; expected more than 0 and less than 100")
     names = [f"{measure.name}_{how}" for measure, how in KEPT]
     names += [f"{each.name}_{how}" for each in problem.observables for how in KEEPS]
+    if isinstance(problem, Mechanism):
+        kept = [f"{measure.name}_{how}" for measure, how in JOINT_KEPT]
+        names += [f"{each.name}.{name}" for each in problem.held for name in kept]
     if column != FAILED and column not in names:
         raise StudyError(f"sample.stop_when: {unknown_name('column', column, names)}")
     limit = float(bound) / (100.0 if percent else 1.0)

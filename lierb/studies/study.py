@@ -2,7 +2,7 @@
 
     [body]         mass, inertia, com; or solid = "box" … with its size and density
     [joint]        type and frames, as `lierb.joints` takes them
-    [problem]      gravity, forces, constraints, observables
+    [problem]      gravity, forces, constraints, observables; for a mechanism also links and loops
     [initial]      omega, point_velocity, twist, velocities; coordinates, rotation, place
     [sample]       n, seed, method; and for each sampled quantity a table [sample.SECTION.KEY]
     [integrate]    cspace, method, dt: one value or several, run as a product; t_end, record, …
@@ -16,13 +16,13 @@ from __future__ import annotations
 import inspect
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice, product
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import tomli_w
@@ -42,22 +42,15 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from lierb import api, bodies, forces, joints
-from lierb.arrays import (
-    Array,
-    Pose,
-    as_floats,
-    as_numbers,
-    as_rotations,
-    components,
-    pose_components,
-    pose_matrix,
-)
-from lierb.errors import ArgumentError, LierbError, StudyError, unknown_name
+from lierb.arrays import Array, as_floats
+from lierb.errors import ArgumentError, LierbError, PoseError, StudyError, unknown_name
 from lierb.joints import Joint
-from lierb.kernels.groups import se3
-from lierb.kernels.mechanics.constraints import holds_a_point
+from lierb.links import GROUND, Link, Loop
+from lierb.mechanism import Mechanism
+from lierb.mechanism_checks import violation
 from lierb.model import Body, Problem
 from lierb.runs import checks
+from lierb.runs.mechanisms import baumgarte
 from lierb.sampling import Design, inertia_of
 from lierb.sampling.distributions import DISTRIBUTIONS, as_distribution
 from lierb.shown import FAILED, Lines, Shown, counted
@@ -72,6 +65,7 @@ from lierb.studies.code import (
     sha256_of_text,
 )
 from lierb.studies.sources import LONGEST_STUDY, path_given
+from lierb.studies.starting import AUTO, started, started_mechanism
 from lierb.studies.stopping import Rule, rule_of
 from lierb.studies.study_file import (
     LARGEST,
@@ -86,10 +80,19 @@ from lierb.studies.study_file import (
 
 NOTHING = "nothing"  # a design draws something
 ELEMENTS = ("forces", "constraints", "observables")
+HELD = ("links", "loops")  # what has a joint
+OF_LINK = ("body", "joint", "initial")  # what can be drawn of a link; of a loop its joint
+MOST_LINKS = 1000
 PREVIEW = 8  # bodies that are made when a study is checked
 MOST_SETTINGS = 1000  # each is looked at when a study is checked
 MOST_FORCES = 100  # all are in one kernel
 MOST_TOLD = 10  # of the things that are wrong
+POINTS = {  # of a joint, and the frames whose origins they are
+    "body_point": "body_frame",
+    "ground_point": "ground_frame",
+    "parent_point": "ground_frame",
+}
+Draws = dict[str, dict[str, Array]]  # by section and key
 Numbers = float | list[float] | list[list[float]]
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -166,15 +169,26 @@ class JointSection(Section):
     length: float | None = None
     body_frame: Frame | None = None
     ground_frame: Frame | None = None
+    parent_point: Vector | None = None
+    parent_frame: Frame | None = None
 
     def make(self, sampled: dict[str, Array]) -> Joint:
         values = self.given() | sampled
+        for point, frame in POINTS.items():
+            if point in sampled and frame in values:  # the frame, moved to where the point is
+                values[frame] = _moved(values[frame], values.pop(point))
         name = values.pop("type")
         if name not in joints.JOINTS and name != "from_rows":
             raise unknown_name("type", name, (*joints.JOINTS, "from_rows"))
         make = joints.from_rows if name == "from_rows" else joints.JOINTS[name]
         made: Joint = _called("joint", make, values)
         return made
+
+
+def _moved(frame: Any, places: Array) -> Array:
+    frames = np.tile(np.asarray(frame, dtype=float), (len(places), 1, 1))
+    frames[:, :3, 3] = places
+    return frames
 
 
 def _type_of_force(given: str) -> str:
@@ -194,14 +208,30 @@ OF_FUNCTION = {"type": "string", "pattern": PATTERN}
 OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
 
 
+def _one_or_several(kind: str) -> tuple[Any, Any]:
+    """Validator and schema of a list for which one value will do."""
+    one = {"type": kind}
+    return BeforeValidator(_as_list), WithJsonSchema(
+        {"anyOf": [one, {"type": "array", "items": one}]}
+    )
+
+
+Names = Annotated[list[str], *_one_or_several("string")]
+Seconds = Annotated[list[float], *_one_or_several("number")]
+
+
 class ElementSection(BaseModel):
-    """What a problem has in a list; with its parameters, and a `name` if there are several."""
+    """What a problem has in a list; with its parameters, and a `name` if there are several.
+
+    on : of a mechanism, the link where it acts, or the two, or whose joint it acts about.
+    """
 
     model_config = SECTION | ConfigDict(extra="allow")
 
     table: ClassVar[str]
     type: Annotated[str, AfterValidator(_type_of_function), WithJsonSchema(OF_FUNCTION)]
     name: str | None = None
+    on: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
 
     @property
     def label(self) -> str:
@@ -211,8 +241,10 @@ class ElementSection(BaseModel):
         """What it describes, by a function of lierb's or of the study's files."""
         values = dict(self.model_extra or {}) | sampled
         if named(self.type):
-            return function_of(self.table, self.type, code)(**values)
-        return _called(f"{self.table}.{self.label}", getattr(forces, self.type), values)
+            made = function_of(self.table, self.type, code)(**values)
+        else:
+            made = _called(f"{self.table}.{self.label}", getattr(forces, self.type), values)
+        return made.on(*self.on) if self.on else made
 
 
 class ForceSection(ElementSection):
@@ -238,8 +270,46 @@ class ObservableSection(ElementSection):
         return made.named(self.name) if self.name else made
 
 
+class LinkStart(Section):
+    """How a link starts. Its pose: coordinates, or rotation and place, or pose; its velocities.
+
+    coordinates : of its joint; velocities : their rates. A number where there is one.
+    rotation, place : its joint frame seen from that of its parent, 3×3, and m.
+    pose : in the ground frame, 4×4.   omega, twist : in its own axes.
+    """
+
+    coordinates: float | list[float] | None = None
+    rotation: list[Vector] | None = None
+    place: Vector | None = None
+    pose: Frame | None = None
+    velocities: float | list[float] | None = None
+    omega: Vector | None = None
+    twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
+
+
+class LinkSection(Section):
+    """A link of a mechanism: its body, its joint on what it hangs on, and its start."""
+
+    name: str
+    parent: str = GROUND
+    body: BodySection
+    joint: JointSection
+    initial: LinkStart = LinkStart()
+
+
+class LoopSection(Section):
+    """A joint beside those of the links, between two of them or one and the ground."""
+
+    name: str
+    body: str
+    parent: str = GROUND
+    joint: JointSection
+
+
 class ProblemSection(Section):
     gravity: Vector = [0.0, 0.0, 0.0]
+    links: Annotated[list[LinkSection], Field(max_length=MOST_LINKS)] = []
+    loops: Annotated[list[LoopSection], Field(max_length=MOST_LINKS)] = []
     forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
     constraints: Annotated[list[ConstraintSection], Field(max_length=MOST_FORCES)] = []
     observables: Annotated[list[ObservableSection], Field(max_length=MOST_FORCES)] = []
@@ -250,14 +320,23 @@ class ProblemSection(Section):
             for element in getattr(self, table):
                 yield table, element
 
+    def held(self) -> Iterator[LinkSection | LoopSection]:
+        """The links, and after them the loops."""
+        yield from self.links
+        yield from self.loops
+
 
 class InitialSection(Section):
     """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
 
     coordinates : of the joint, in the order of `Joint.coordinate_names`; velocities : their rates.
     rotation, place : the body's joint frame seen from the ground's, 3×3, and m.
+
+    Of a mechanism only `close`: "auto" closes what is open, to the nearest pose and twist by the
+    masses; "never" leaves it. How each link starts its own table says, [problem.links.initial].
     """
 
+    close: Literal["auto", "never"] | None = None
     omega: Vector | None = None
     point_velocity: Vector | None = None
     twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
@@ -270,10 +349,21 @@ class InitialSection(Section):
 class SampleSection(BaseModel):
     """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables.
 
+    Of a mechanism's links and loops they are [sample.NAME.SECTION.KEY], as sample.rod.body.mass.
+
     stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
     """
 
-    model_config = SECTION
+    model_config = SECTION | ConfigDict(
+        extra="allow",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "properties": {name: {"type": "object"} for name in OF_LINK},
+                "additionalProperties": False,
+            }
+        },
+    )
 
     n: Count | None = None
     seed: Annotated[NonNegativeInt, Whole] = 0
@@ -290,11 +380,12 @@ class SampleSection(BaseModel):
     def quantities(self) -> dict[str, Any]:
         """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
         tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
+        tables |= dict(self._of_held())
         for kind in ELEMENTS:
             tables |= {f"{kind}.{name}": table for name, table in getattr(self, kind).items()}
         found = {}
         for section, table in tables.items():
-            known = KEYS.get(section)
+            known = _known_keys(section)
             for key, value in table.items():
                 path = f"sample.{section}.{key}"
                 if path in found or (known is not None and key not in known):
@@ -302,17 +393,44 @@ class SampleSection(BaseModel):
                 found[f"{section}.{key}"] = _distribution(path, value)
         return dict(sorted(found.items()))  # tables have no order, points of a sequence do
 
+    def _of_held(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Tables of links and loops by their path, such as `rod.body`."""
+        for name, tables in (self.model_extra or {}).items():
+            if not isinstance(tables, dict):
+                raise StudyError(f"sample.{name}: unknown key{_suggestion(name, _sampled())}")
+            for section, table in tables.items():
+                if section not in OF_LINK or not isinstance(table, dict):
+                    raise StudyError(
+                        f"sample.{name}.{section}: unknown key{_suggestion(section, [*OF_LINK])}"
+                    )
+                yield f"{name}.{section}", table
 
-def _one_or_several(kind: str) -> tuple[Any, Any]:
-    """Validator and schema of a list for which one value will do."""
-    one = {"type": kind}
-    return BeforeValidator(_as_list), WithJsonSchema(
-        {"anyOf": [one, {"type": "array", "items": one}]}
-    )
+    def require_names(self, names: Collection[str]) -> None:
+        """Raise StudyError for tables of what is no link and no loop of the study's."""
+        for name in self.model_extra or {}:
+            if name not in names:
+                raise StudyError(
+                    f"sample.{name}: unknown key{_suggestion(name, [*names, *_sampled()])}"
+                )
 
 
-Names = Annotated[list[str], *_one_or_several("string")]
-Seconds = Annotated[list[float], *_one_or_several("number")]
+def _sampled() -> list[str]:
+    return [*SampleSection.model_fields]
+
+
+def _known_keys(section: str) -> Collection[str] | None:
+    """What can be sampled there; None of what an element has, which it knows itself."""
+    first, _, last = section.partition(".")
+    if first in ELEMENTS:
+        return None
+    return KEYS_OF_LINK[last] if last else KEYS[first]
+
+
+class Baumgarte(Section):
+    """Rates of Baumgarte's stabilisation, 1/s."""
+
+    alpha: float
+    beta: float
 
 
 class IntegrateSection(Section):
@@ -325,6 +443,7 @@ class IntegrateSection(Section):
     method: Names = Field(default=["RK4"], min_length=1)
     update: str = "local"
     solver: str = "auto"
+    stabilise: Literal["project"] | Baumgarte | None = None
     save_every: Count | None = None
     measure_every: Count = 1
     record: list[str] = []
@@ -352,10 +471,18 @@ class Setting:
 class Batch:
     """Some bodies of a study, ready for `lierb.integrate`."""
 
-    problem: Problem
-    twist0: Array
-    pose0: Array | None
+    problem: Problem | Mechanism
+    twist0: Any  # (n, 6), of a mechanism by link
+    pose0: Any  # (n, 4, 4), of a mechanism by link; None for the closed joint
     draws: dict[str, Array]
+
+    @property
+    def first(self) -> tuple[Any, Any]:
+        """The first body alone, and its pose."""
+        poses = self.pose0
+        if isinstance(poses, dict):
+            return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
+        return self.problem.of_body(0), None if poses is None else poses[0]
 
 
 class Study(Shown, Section):
@@ -376,11 +503,19 @@ class Study(Shown, Section):
     (100, 6)
     """
 
-    model_config = SECTION | ConfigDict(json_schema_extra={"description": "A study of lierb."})
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={
+            "description": "A study of lierb.",
+            "anyOf": [
+                {"required": ["body", "joint"]},
+                {"required": ["problem"], "properties": {"problem": {"required": ["links"]}}},
+            ],
+        }
+    )
 
     name: str = "study"
-    body: BodySection
-    joint: JointSection
+    body: BodySection | None = None
+    joint: JointSection | None = None
     problem: ProblemSection = ProblemSection()
     initial: InitialSection = InitialSection()
     sample: SampleSection = SampleSection(n=1)
@@ -425,7 +560,7 @@ class Study(Shown, Section):
     @classmethod
     def _as_in_a_file(cls, given: Any) -> Any:
         """What a study is made of can be written, however it was made."""
-        return given if isinstance(given, Study) else plain(given)
+        return given if isinstance(given, Study) else _on_subgroups(plain(given))
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
@@ -442,6 +577,7 @@ class Study(Shown, Section):
         """Make the first bodies, and look at every setting, as a run will."""
         if len(self.to_toml().encode()) > LONGEST_STUDY:
             raise StudyError(f"study: is {TOO_LARGE}")
+        self._check_kind()
         self._check_settings()
         with _at("sample"):
             design = self.design
@@ -455,10 +591,55 @@ class Study(Shown, Section):
                     f"problem.{table}: two have the same name; give each a name of its own"
                 )
         with _at("initial"), np.errstate(all="ignore"):
-            checks.require_consistent(batch.problem, batch.twist0, batch.pose0, self.integrate.t0)
+            self._check_start(batch)
         for setting in self.settings:
             with _at("integrate"):
                 api.check_options(batch.problem, **self.options(setting))
+
+    def _check_kind(self) -> None:
+        """Whether it is of one body, or of a mechanism."""
+        links = [each.name for each in self.problem.held()]
+        self.sample.require_names(links)
+        for loop in self.problem.loops:
+            for section in {*(self.sample.model_extra or {}).get(loop.name, {})} - {"joint"}:
+                raise StudyError(f"sample.{loop.name}.{section}: a loop has a joint, and no more")
+        if self.problem.links:
+            for name in links:
+                if name.lower() in RESERVED:
+                    raise StudyError(
+                        f"problem: a link or loop is named {name}, as a table of [sample] is; "
+                        "rename it"
+                    )
+            for key in ("body", "joint"):
+                if getattr(self, key) is not None or getattr(self.sample, key):
+                    raise StudyError(f"{key}: is of one body; of a mechanism each link has its own")
+            for key in self.initial.given().keys() - {"close"}:
+                raise StudyError(
+                    f"initial.{key}: is of one body; of a mechanism each link has its own start, "
+                    "[problem.links.initial]"
+                )
+            for key in self.sample.initial:
+                raise StudyError(
+                    f"sample.initial.{key}: is of one body; draw that of a link, "
+                    f"sample.{links[0]}.initial.{key}"
+                )
+            return
+        for key in ("body", "joint"):
+            if getattr(self, key) is None:
+                raise StudyError(f"{key}: is missing")
+        if self.problem.loops:
+            raise StudyError(
+                "problem.loops: are of a mechanism, which has links: [[problem.links]]"
+            )
+        if self.initial.close is not None:
+            raise StudyError("initial.close: is of a mechanism, whose loops are closed")
+
+    def _check_start(self, batch: Batch) -> None:
+        problem, t0 = batch.problem, self.integrate.t0
+        if isinstance(problem, Problem):
+            checks.require_consistent(problem, batch.twist0, batch.pose0, t0)
+        elif error := violation(problem, batch.pose0, batch.twist0, t0):
+            raise error
 
     def _check_settings(self) -> None:
         run = self.integrate
@@ -484,6 +665,11 @@ class Study(Shown, Section):
                 tables = [each.model_dump() for each in elements]
                 each = elements[index_of(tables, path[2], f"problem.{path[1]}")]
                 path = path[1], each.label, path[3]
+            if len(path) == 5 and path[0] == "problem" and path[1] in HELD:
+                held = getattr(self.problem, path[1])
+                tables = [each.model_dump() for each in held]
+                each = held[index_of(tables, path[2], f"problem.{path[1]}")]
+                path = each.name, *path[3:]
             if ".".join(path) in drawn:
                 raise StudyError(
                     f"{key}: has no effect, since each body draws its own; change "
@@ -504,7 +690,21 @@ class Study(Shown, Section):
             return f"lierb.Study {self.name!r}", [*rows, (FAILED, str(error))]
         drawn = "\n".join(f"{path}: {value!r}" for path, value in quantities.items())
         rows.insert(0, ("sampled", drawn or "nothing"))
-        return f"lierb.Study {self.name!r}: {count} on a {self.joint.type} joint", rows
+        if self.problem.links:
+            several = self.kind.replace("mechanism", "mechanisms", 1)
+            of_all = self.kind if len(self.design) == 1 else several
+            return f"lierb.Study {self.name!r}: {len(self.design)} {of_all}", rows
+        return f"lierb.Study {self.name!r}: {count} on a {self.kind}", rows
+
+    @property
+    def kind(self) -> str:
+        """What each of its bodies is on: `spherical joint`, `mechanism of 3 links and 1 loop`."""
+        if self.joint is not None:
+            return f"{self.joint.type} joint"
+        parts = [counted(len(self.problem.links), "link")]
+        if self.problem.loops:
+            parts.append(counted(len(self.problem.loops), "loop"))
+        return f"mechanism of {' and '.join(parts)}"
 
     __str__ = Shown.__repr__
 
@@ -521,7 +721,9 @@ class Study(Shown, Section):
     def options(self, setting: Setting) -> dict[str, Any]:
         """What `lierb.integrate` is called with, beside the batch."""
         run = self.integrate
+        kept = run.stabilise
         return {
+            "stabilise": baumgarte(**kept.model_dump()) if isinstance(kept, Baumgarte) else kept,
             "cspace": setting.cspace, "method": setting.method, "dt": setting.dt,
             "t_end": run.t_end, "t0": run.t0, "update": run.update, "solver": run.solver,
             "save_every": run.save_every, "measure_every": run.measure_every,
@@ -566,15 +768,29 @@ class Study(Shown, Section):
         """Bodies first … first + count, made and started."""
         draws = (design or self.design).draw(first, count)
         draws.pop(NOTHING, None)
-        own: dict[str, dict[str, Array]] = {}
+        own: Draws = {}
         for path, values in draws.items():
             section, _, key = path.rpartition(".")
             self._check_shape(path, section, key, values.shape[1:])
             own.setdefault(section, {})[key] = values
-        with _at("body"):
-            body = self.body.make(own.pop("body", {}))
-        with _at("joint"):
-            joint = self.joint.make(own.pop("joint", {}))
+        made = self._elements(own)
+        ready: tuple[Problem | Mechanism, Any, Any]
+        if self.problem.links:
+            ready = self._mechanism(own, made, first, count)
+        else:
+            ready = self._one_body(own, made, count)
+        if own:
+            table, _, _ = next(iter(own)).partition(".")
+            names = [each.label for each in getattr(self.problem, table)]
+            raise StudyError(
+                f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: "
+                f"{names}"
+            )
+        problem, twist0, pose0 = ready
+        return Batch(problem, twist0, pose0, draws)
+
+    def _elements(self, own: Draws) -> dict[str, list[Any]]:
+        """Forces, constraints and observables, with what their bodies draw of them."""
         made: dict[str, list[Any]] = {table: [] for table in ELEMENTS}
         for table, element in self.problem.elements():
             with _at(f"problem.{table}"):
@@ -583,22 +799,59 @@ class Study(Shown, Section):
             for key, values in drawn.items():
                 shape = made[table][-1].kind.shapes[key]
                 _require_shape(f"{table}.{element.label}.{key}", values.shape[1:], shape)
+        return made
+
+    def _one_body(
+        self, own: Draws, made: dict[str, list[Any]], count: int
+    ) -> tuple[Problem, Array, Array | None]:
+        assert self.body is not None
+        assert self.joint is not None
+        with _at("body"):
+            body = self.body.make(own.pop("body", {}))
+        with _at("joint"):
+            joint = self.joint.make(own.pop("joint", {}))
         with _at("problem"):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
             problem = Problem(body, joint, gravity, **made)
         with _at("initial"):
             initial = self.initial.given() | own.pop("initial", {})
-            twist0, pose0 = _started(problem, initial, self.integrate.t0)
-        if own:
-            table, _, _ = next(iter(own)).partition(".")
-            names = [each.label for each in getattr(self.problem, table)]
-            raise StudyError(
-                f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: "
-                f"{names}"
-            )
+            twist0, pose0 = started(problem, initial, self.integrate.t0)
         if twist0.ndim == 1:
             twist0 = np.broadcast_to(twist0, (count, 6))
-        return Batch(problem, twist0, pose0, draws)
+        return problem, twist0, pose0
+
+    def _mechanism(
+        self, own: Draws, made: dict[str, list[Any]], first: int, count: int
+    ) -> tuple[Mechanism, dict[str, Array], dict[str, Array]]:
+        links, loops, initial = [], [], {}
+        for each in self.problem.links:
+            with _at(f"problem.links.{each.name}.body"):
+                body = each.body.make(own.pop(f"{each.name}.body", {}))
+            with _at(f"problem.links.{each.name}.joint"):
+                joint = each.joint.make(own.pop(f"{each.name}.joint", {}))
+            with _at("problem"):
+                links.append(Link(each.name, body, joint, each.parent))
+            initial[each.name] = each.initial.given() | own.pop(f"{each.name}.initial", {})
+        for loop in self.problem.loops:
+            with _at(f"problem.loops.{loop.name}.joint"):
+                joint = loop.joint.make(own.pop(f"{loop.name}.joint", {}))
+            with _at("problem"):
+                loops.append(Loop(loop.name, joint, loop.body, loop.parent))
+        with _at("problem"):
+            gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
+            mechanism = Mechanism(links, loops, gravity, **made)
+        close, t0 = self.initial.close or AUTO, self.integrate.t0
+        with _at("initial"):
+            try:
+                twists, poses = started_mechanism(mechanism, initial, close, count, t0)
+            except PoseError as error:  # of a number in this part
+                numbered = re.sub(
+                    r"^pose\b(?:\[(\d+)\])?",
+                    lambda found: f"trajectory {first + int(found[1] or 0)}",
+                    str(error),
+                )
+                raise PoseError(numbered) from None
+        return mechanism, twists, poses
 
     def changed(self, changes: Mapping[str, Any]) -> Study:
         """The study with changes by dotted keys."""
@@ -613,21 +866,21 @@ class Study(Shown, Section):
 
     def _check_shape(self, path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
         """Whether a draw is what its key takes: else bodies might be taken for components."""
-        if section == "body" and key == "inertia" and shape == (3, 3):
+        first, _, of_link = section.partition(".")
+        if first in ELEMENTS or (key == "inertia" and shape == (3, 3)):
             return
-        if section.partition(".")[0] not in ELEMENTS:
-            _require_shape(
-                path, shape, SHAPES.get(key, (3,)), free=key in ("coordinates", "velocities")
-            )
+        is_free = key in ("coordinates", "velocities")
+        if of_link and is_free and shape == ():  # of a joint that has one
+            return
+        _require_shape(path, shape, SHAPES.get(key, (3,)), free=is_free)
 
     def digest(self) -> str:
         """Of everything that the results depend on."""
         tables = self.model_dump(exclude={"name"})
-        # Studies without have the digest that they had.
-        for section in ("problem", "sample"):
-            for table in ("constraints", "observables"):
-                if not tables[section][table]:
-                    del tables[section][table]
+        for table, keys in _news(tables):
+            for key in keys:
+                if not table[key]:  # studies without have the digest that they had
+                    del table[key]
         if self.sample.stop_when is None:
             del tables["sample"]["stop_when"]
         if self.code:
@@ -640,6 +893,31 @@ class Study(Shown, Section):
         return {file: sha256_of_text(text) for file, text in self.code.items()}
 
 
+def _news(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
+    """Keys that studies have not had at first, with the table that each is in."""
+    for section in ("problem", "sample"):
+        yield tables[section], ("constraints", "observables")
+    yield tables["problem"], HELD
+    yield tables["initial"], ("close",)
+    yield tables["integrate"], ("stabilise",)
+    for key in ("body", "joint"):
+        if tables[key] is None:
+            yield tables, (key,)
+    for table in ELEMENTS:
+        for element in tables["problem"].get(table, []):
+            yield element, ("on",)
+    if tables.get("joint"):
+        yield tables["joint"], ("parent_point", "parent_frame")
+
+
+def _on_subgroups(tables: Any) -> Any:
+    """A mechanism is integrated on its joints' subgroups where no c-space is given."""
+    match tables:
+        case {"problem": {"links": [*_]}, "integrate": {**run}} if "cspace" not in run:
+            return tables | {"integrate": run | {"cspace": ["reduced"]}}
+    return tables
+
+
 BODIES = ("body", "bodies")
 
 
@@ -649,17 +927,22 @@ def settings_told(cspaces: list[str], methods: list[str], dts: list[float]) -> s
     return f"{lists[0]} × {lists[1]} × dt = {lists[2]} s"
 
 
+NOT_DRAWN = ("type", "rows", "body_frame", "ground_frame", "parent_frame")
 NUMBERS = ("mass", "radius", "length", "density", "pitch")
 SHAPES: dict[str, tuple[int, ...]] = dict.fromkeys(NUMBERS, ()) | {
     "twist": (6,),
     "rotation": (3, 3),
+    "pose": (4, 4),
 }
-KEYS = {
+KEYS: dict[str, tuple[str, ...]] = {
     "problem": ("gravity",),
-    "initial": tuple(InitialSection.model_fields),
+    "initial": tuple(k for k in InitialSection.model_fields if k != "close"),
     "body": tuple(k for k in BodySection.model_fields if k != "solid"),
-    "joint": tuple(k for k in JointSection.model_fields if k not in ("type", "rows")),
+    "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
+KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}
+# A link's columns are named after it, and so are its tables in [sample].
+RESERVED = frozenset({"sample", *SampleSection.model_fields})
 
 
 def _require_shape(
@@ -670,43 +953,6 @@ def _require_shape(
         what = "a list of numbers" if free or expected == (3,) else f"shape {expected}"
         what = "one number" if expected == () else what
         raise StudyError(f"sample.{path}: a draw has shape {shape}; expected {what}")
-
-
-def _started(problem: Problem, initial: dict[str, Any], t0: float) -> tuple[Array, Array | None]:
-    """Twists and poses that satisfy the joint."""
-    joint = problem.joint
-    pose = _placed(joint, initial)
-    kinds = [k for k in ("omega", "twist", "velocities") if k in initial]
-    if len(kinds) > 1 or ("point_velocity" in initial and kinds not in ([], ["omega"])):
-        raise ArgumentError("give omega and point_velocity, or twist, or velocities")
-    if "velocities" in initial:
-        where = {"pose": pose}
-        if "coordinates" in initial:
-            where = {"coordinates": initial["coordinates"]}
-        return joint.twist(velocities=initial["velocities"], **where), pose
-    if "twist" in initial:
-        return problem.project(initial["twist"], pose, t0=t0), pose
-    turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
-    twist = joint.twist(pose=pose, **turning)
-    about_a_point = holds_a_point(problem.rows) and len(problem.rows) == 3
-    allowed = not problem.rows or (about_a_point and "point_velocity" not in turning)
-    return twist if allowed else problem.project(twist, pose, t0=t0), pose
-
-
-def _placed(joint: Joint, initial: dict[str, Any]) -> Array | None:
-    """The poses that coordinates, or rotation and place, give; None for the closed joint."""
-    placed = [k for k in ("rotation", "place") if k in initial]
-    if "coordinates" in initial:
-        if placed:
-            raise ArgumentError(f"give coordinates or {placed[0]}, not both")
-        return joint.pose(coordinates=initial["coordinates"])
-    if not placed:
-        return None
-    turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
-    place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
-    ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
-    relative: Pose = components(turn, 2), components(place)
-    return pose_matrix(se3.compose(se3.compose(ground, relative), se3.inverse(body)))
 
 
 # ---- distributions -----------------------------------------------------------------------------
@@ -832,11 +1078,20 @@ def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
 def _fields_at(path: tuple[Any, ...]) -> list[str]:
     model: Any = Study
     for part in path:
-        field = model.model_fields.get(part) if isinstance(part, str) else None
-        model = field.annotation if field else Section
-        if not (inspect.isclass(model) and issubclass(model, BaseModel)):
+        if isinstance(part, int):  # of a list
+            continue
+        field = model.model_fields.get(part)
+        model = _model_in(field.annotation) if field else Section
+        if model is None:
             return []
     return list(model.model_fields)
+
+
+def _model_in(annotation: Any) -> Any:
+    """The table that a field is, or that the items of its list are."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)
 
 
 def _located(message: str, given: Given) -> str:

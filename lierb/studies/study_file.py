@@ -108,20 +108,72 @@ def _deepest(text: str) -> int:
 
 
 def line_of(text: str, path: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text where a key, or the nearest table around it, is."""
-    names = [part for part in path if isinstance(part, str)]
+    """The line of a TOML text where a key, or the nearest table around it, is.
+
+    path : keys; of one of several tables, as of [[problem.links]], also its number or its name.
+    """
+    lines, names = _lines_in(text)
+    wanted = _numbered(path, names)
     best: tuple[int, int] | None = None  # parts that agree, line
+    for number, found in lines:
+        is_near = len(found) <= len(wanted) and all(w in (f, ANY) for f, w in zip(found, wanted))
+        if found and is_near and (best is None or len(found) > best[0]):
+            best = len(found), number
+    return best[1] if best else None
+
+
+ANY = None  # in a path, whichever of several tables
+Names = dict[tuple[Any, ...], list[str]]  # of the tables in each list of them
+
+
+def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
+    """Number and path of each line that sets something, with the numbers of tables in lists."""
+    lines: list[tuple[int, tuple[Any, ...]]] = []
+    names: Names = {}
     table: list[str] = []
     for number, line in enumerate(text.split("\n"), start=1):
         found = _parts_of(line, table)
         if found is None:
             continue
-        if line.lstrip().startswith("["):
+        stripped = line.strip()
+        if stripped.startswith("["):
             table = found
-        agree = len(found) if found == names[: len(found)] else 0
-        if agree and (best is None or agree > best[0]):
-            best = agree, number
-    return best[1] if best else None
+        if stripped.startswith("[["):
+            owner = (*_latest(tuple(found[:-1]), names), found[-1])
+            names.setdefault(owner, []).append("")
+            if len(names[owner]) == 1:
+                lines.append((number, owner))  # the list as a whole
+        path = _latest(tuple(found), names)
+        lines.append((number, path))
+        if path[-1] == "name" and path[:-2] in names:
+            names[path[:-2]][-1] = stripped.partition("=")[2].split("#")[0].strip(" \"'")
+    return lines, names
+
+
+def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
+    """With the number of the table that a list of them has had last, after each list."""
+    found: tuple[Any, ...] = ()
+    for part in path:
+        found += (part,)
+        if found in names:
+            found += (len(names[found]) - 1,)
+    return found
+
+
+def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
+    """A path with numbers for names; ANY where it does not say which."""
+    found: tuple[Any, ...] = ()
+    for part in path:
+        known = names.get(found)
+        if known is None:
+            found += (part,) if isinstance(part, str) else ()
+        elif isinstance(part, int):
+            found += (part,)
+        elif part in known:
+            found += (known.index(part),)
+        else:
+            found += (ANY, part)
+    return found
 
 
 def _parts_of(line: str, table: list[str]) -> list[str] | None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from unicodedata import normalize
 
+import numpy as np
+
 from lierb.arrays import Array
-from lierb.studies.study import Study
-from lierb.studies.units import each_unit
+from lierb.studies.study import ELEMENTS, Study
+from lierb.studies.units import each_unit, joint_of
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 SYMBOLS = {  # of the components of a vector, or one word for each of them
@@ -29,6 +31,8 @@ def labelled(
 ) -> Iterator[tuple[str, Array]]:
     """Sampled numbers one by one, but for matrices, by a label with their unit.
 
+    Of a vector in which bodies differ, components in which they do not are left out.
+
     drawn : columns and their units.   rows : their values, (n,) or (n, k).
     """
     for name, unit in drawn.items():
@@ -37,19 +41,30 @@ def labelled(
         width = columns.shape[1]
         if width > MOST_COMPONENTS:
             continue
+        differs = columns != columns[:1]
         symbols = _symbols(quantity, width, values.ndim > 1, study)
         for symbol, own, column in zip(symbols, each_unit(unit, width), columns.T, strict=True):
+            if differs.any() and np.all(column == column[:1]):
+                continue
             yield symbol if own == "1" else f"{symbol} [{own}]", column
 
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
     """A name for each component."""
-    if quantity in ("initial.coordinates", "initial.velocities"):
-        return _of_coordinates(quantity, width, study)
-    if is_vector and len(SYMBOLS.get(quantity, ())) == width:
-        return list(SYMBOLS[quantity])
     section, _, key = quantity.rpartition(".")
-    owner = f"{section.removeprefix('forces.')}: " if section.startswith("forces.") else ""
+    first, _, of_link = section.partition(".")
+    owner = ""
+    if of_link and first not in ELEMENTS:  # what one body has, with the link's name before
+        owner, quantity = f"{first}: ", f"{of_link}.{key}"
+    elif first == "forces":
+        owner = f"{of_link}: "
+    if quantity in ("initial.coordinates", "initial.velocities"):
+        names = _of_coordinates(
+            f"{owner.removesuffix(': ')}.{quantity}" if owner else quantity, width, study
+        )
+        return [owner + name for name in names]
+    if is_vector and len(SYMBOLS.get(quantity, ())) == width:
+        return [owner + symbol for symbol in SYMBOLS[quantity]]
     word = owner + key.replace("_", " ")
     if not is_vector:
         return [word]
@@ -57,7 +72,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
 
 
 def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
-    names = study.batch(0, 1).problem.joint.coordinate_names
+    names = joint_of(quantity, study.batch(0, 1).problem).coordinate_names
     if len(names) != width:
         return [f"{quantity} {i + 1}" for i in range(width)]
     rate = "\N{COMBINING DOT ABOVE}" if quantity.endswith("velocities") else ""

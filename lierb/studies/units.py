@@ -4,32 +4,43 @@ from __future__ import annotations
 
 from lierb import forces
 from lierb.joints import Joint
+from lierb.mechanism import Mechanism
+from lierb.model import Problem
 from lierb.studies.study import ELEMENTS, Study
 
 UNITS = {
     "mass": "kg", "inertia": "kg m²", "second_moments": "kg m²", "com": "m", "size": "m",
     "radius": "m", "length": "m", "density": "kg/m³",
-    "body_point": "m", "ground_point": "m", "axis": "1", "slot": "1", "second_axis": "1",
+    "body_point": "m", "ground_point": "m", "parent_point": "m",
+    "axis": "1", "slot": "1", "second_axis": "1",
     "pitch": "m/rad", "gravity": "m/s²",
     "omega": "rad/s", "point_velocity": "m/s", "twist": "rad/s, rad/s, rad/s, m/s, m/s, m/s",
-    "rotation": "1", "place": "m",
+    "rotation": "1", "place": "m", "pose": "",
 }  # fmt: skip
 
 
-def unit_of(quantity: str, study: Study, joint: Joint) -> str:
+def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas; ""
     of a parameter of a function of the user's, which has the unit that the user thinks of.
 
-    joint : the study's, whose coordinates are angles or lengths.
+    problem : the study's, the coordinates of whose joints are angles or lengths.
     """
     section, _, key = quantity.rpartition(".")
     if section.partition(".")[0] in ELEMENTS:
         types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
         return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
     if key in ("coordinates", "velocities"):
-        of_each = ["m" if name[0] in "ds" else "rad" for name in joint.coordinate_names]
+        names = joint_of(quantity, problem).coordinate_names
+        of_each = ["m" if name[0] in "ds" else "rad" for name in names]
         return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)
     return UNITS[key]
+
+
+def joint_of(quantity: str, problem: Problem | Mechanism) -> Joint:
+    """The joint that a quantity such as `initial.velocities` or `rod.initial.velocities` is of."""
+    if isinstance(problem, Problem):
+        return problem.joint
+    return problem.link(quantity.partition(".")[0]).joint
 
 
 def each_unit(unit: str, width: int) -> list[str]:

@@ -41,7 +41,7 @@ def solved(A: np.ndarray, b: np.ndarray) -> np.ndarray:
 # ---- the pendulum, in closed form --------------------------------------------------------------
 
 
-def pendulum_from_rest(times: Sequence[str], frequency: str, angle: str) -> list[tuple]:
+def pendulum_from_rest(times: Sequence[str], frequency, angle) -> list[tuple]:
     """(sin φ, cos φ) of φ̈ = −frequency² sin φ, from rest at `angle`, in 30 digits."""
     with mpmath.workdps(40):
         w0, k = mpmath.mpf(frequency), mpmath.sin(mpmath.mpf(angle) / 2)
@@ -70,6 +70,15 @@ def pendulum_over_the_top(times: Sequence, square, speed) -> list[tuple]:
             sine, cosine = c, -s  # of ψ = χ + π/2
             found.append((2 * sine * cosine, 1 - 2 * sine * sine))
         return found
+
+
+class LinkState(NamedTuple):
+    """Centre of mass x, rotation R, velocity v and angular velocity w, all in ground axes."""
+
+    x: np.ndarray
+    R: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
 
 
 # ---- planar mechanisms -------------------------------------------------------------------------
@@ -167,6 +176,18 @@ class Chain:
             q -= J.T @ solved(J @ J.T, h)
         w = w - J.T @ solved(J @ J.T, J @ w)
         return np.concatenate([q, w])
+
+    def links(self, y: np.ndarray) -> "list[LinkState]":
+        """Of every body, with its frame at the centre of mass, turned by `turns @ q`."""
+        q, w = y[: self.size], y[self.size :]
+        found, flat = [], lambda z: np.array([z.real, z.imag, 0], REAL)
+        for body in self.bodies:
+            z, J, _ = self.end(body.com, q, w)
+            turns = np.array(body.turns, REAL)
+            e, still = np.exp(1j * (turns @ q)), np.array([0, 0, 1], REAL)
+            R = np.stack([flat(e), flat(1j * e), still], 1)
+            found.append(LinkState(flat(z), R, flat(J @ w), (turns @ w) * still))
+        return found
 
     def motion(self, q, w, times, longest) -> tuple[np.ndarray, float]:
         """(q, q̇) at the times, (times, 2 angles)."""
@@ -316,6 +337,13 @@ class OneWay:
             REAL(b.mass) * (g @ b.x.x) for b in bodies
         )
 
+    def links(self, y: np.ndarray) -> list[LinkState]:
+        found, sigma = [], y[-1]
+        for body in self.bodies(self.flow(y[:-1])):
+            w = _vee(body.R.d @ body.R.x.T)
+            found.append(LinkState(body.x.x, body.R.x, sigma * body.x.d, sigma * w))
+        return found
+
     def motion(self, p, sigma, times, longest) -> tuple[np.ndarray, float]:
         """(coordinates, σ) at the times."""
         start = np.array([*p, sigma], REAL)
@@ -368,19 +396,24 @@ class DoubleTop:
             y[k : k + 9] = (R @ (3 * np.eye(3, dtype=REAL) - R.T @ R) / 2).ravel()
         return y
 
-    def energy(self, y: np.ndarray):
+    def links(self, y: np.ndarray) -> list[LinkState]:
         R = y[:9].reshape(3, 3), y[9:18].reshape(3, 3)
         w = y[18:21], y[21:24]
-        g = np.asarray(self.gravity, REAL)
         arm, rod = [np.asarray(a, REAL) for a in self.arm], np.asarray(self.rod, REAL)
         x = R[0] @ arm[0], R[0] @ rod + R[1] @ arm[1]
-        v = (R[0] @ np.cross(w[0], arm[0]),
-             R[0] @ np.cross(w[0], rod) + R[1] @ np.cross(w[1], arm[1]))  # fmt: skip
-        return sum(
-            REAL(self.mass[k]) * (v[k] @ v[k] / 2 - g @ x[k])
-            + w[k] @ np.asarray(self.inertia[k], REAL) @ w[k] / 2
-            for k in range(2)
+        v = (
+            R[0] @ np.cross(w[0], arm[0]),
+            R[0] @ np.cross(w[0], rod) + R[1] @ np.cross(w[1], arm[1]),
         )
+        return [LinkState(x[k], R[k], v[k], R[k] @ w[k]) for k in range(2)]
+
+    def energy(self, y: np.ndarray):
+        g, total = np.asarray(self.gravity, REAL), REAL(0)
+        for k, link in enumerate(self.links(y)):
+            w, m = link.R.T @ link.w, REAL(self.mass[k])
+            total += m * (link.v @ link.v / 2 - g @ link.x)
+            total += w @ np.asarray(self.inertia[k], REAL) @ w / 2
+        return total
 
     def motion(self, R, w, times, longest) -> tuple[np.ndarray, float]:
         start = np.concatenate([np.array(x, REAL).ravel() for x in (*R, *w)])

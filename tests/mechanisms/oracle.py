@@ -22,8 +22,9 @@ import numpy as np
 
 from mechanisms.extrapolation import integrated
 
-RANK_TOLERANCE = 1e-9  # of the largest singular value: what is smaller says the same twice
+RANK_TOLERANCE = 1e-7  # of the largest singular value: what is smaller says the same twice
 LONGEST_STEP = 0.1  # s; steps get shorter where their estimated error asks for it
+TOLERANCE = 1e-14  # of a step
 CLOSED = 1e-14  # rad and m
 NEWTON_STEPS = 8
 
@@ -324,6 +325,34 @@ class System:
         self.root = np.linalg.cholesky(self.inertia)
         self.gravity = np.broadcast_to(description.gravity, (n, 3))
         self.size, self.links = n, len(description.bodies)
+        self.rank: np.ndarray | None = None
+
+    def inverse(self, A: np.ndarray) -> np.ndarray:
+        """A⁺ (n, 6·links, rows), of `rank` where that is known.
+
+        Between the steps states are off the conditions by a little. Where rows say a thing twice,
+        as in A04, they contradict each other there, and count for more than what they say: the
+        mechanism would lock. Its rank is what it is on the conditions.
+        """
+        if A.shape[1] == 0:
+            return np.swapaxes(A, -1, -2)
+        U, s, V = np.linalg.svd(A, full_matrices=False)
+        known = self.rank if self.rank is not None else self.rank_of(s)
+        kept = np.arange(s.shape[-1]) < known[:, None]
+        over = np.where(kept, 1.0 / np.where(kept, s, 1.0), 0.0)
+        return np.einsum("nki,nk,nrk->nir", V, over, U)
+
+    @staticmethod
+    def rank_of(singular_values: np.ndarray) -> np.ndarray:
+        """(n,) from (n, k), in falling order."""
+        return np.sum(singular_values > RANK_TOLERANCE * singular_values[:, :1], -1)
+
+    def learn_rank(self, state: np.ndarray) -> None:
+        """From here on the rank of the rows is that of this state, which closes all joints."""
+        placed = self._placed(state)
+        A = self.conditions(placed)[0].jacobian @ self.whitened(placed)
+        if A.shape[1]:
+            self.rank = self.rank_of(np.linalg.svd(A, compute_uv=False))
 
     # -- states
 
@@ -466,7 +495,7 @@ class System:
         load = self.applied(placed).reshape(self.size, -1)
         wished = np.einsum("nij,ni->nj", W, load)  # Wᵀ F
         A = rows.jacobian @ W
-        inverse = np.linalg.pinv(A, rcond=RANK_TOLERANCE)
+        inverse = self.inverse(A)
         lacking = np.einsum("nri,ni->nr", A, wished) + rows.bias
         change = np.einsum("nir,nr->ni", inverse, lacking)
         multipliers = np.einsum("nir,ni->nr", inverse, change)  # Aᵀλ = change
@@ -491,7 +520,7 @@ class System:
             rows, _ = self.conditions(placed)
             W = self.whitened(placed)
             A = rows.jacobian @ W
-            inverse = np.linalg.pinv(A, rcond=RANK_TOLERANCE)
+            inverse = self.inverse(A)
             if np.max(np.abs(rows.value), initial=0.0) < CLOSED:
                 break
             move = -np.einsum("nij,njr,nr->ni", W, inverse, rows.value)
@@ -526,6 +555,30 @@ class System:
             axes = placed[i].R @ B[:, :3, :3]
             found[:, k, :3] = np.einsum("nij,ni->nj", axes, torque)
             found[:, k, 3:] = np.einsum("nij,ni->nj", axes, wrench[:, :3])
+        return found
+
+    def unique(self, state: np.ndarray) -> np.ndarray:
+        """(n, joints, 6): which entries of `reactions` follow from the motion.
+
+        They are those that no multipliers without an effect on any body, Jᵀλ = 0, change.
+        """
+        placed = self._placed(state)
+        rows, places = self.conditions(placed)
+        found = np.ones((self.size, len(self.given.joints), 6), bool)
+        for n in range(self.size):
+            U, s, _ = np.linalg.svd(rows.jacobian[n])
+            idle = U[:, int(np.sum(s > RANK_TOLERANCE * s[:1].max(initial=0.0))) :]
+            for k, (joint, own) in enumerate(zip(self.given.joints, places, strict=True)):
+                i = joint.body
+                wrenches = rows.jacobian[n, own, 6 * i : 6 * i + 6].T @ idle[own]
+                if not wrenches.size:
+                    continue
+                B = np.broadcast_to(joint.B, (self.size, 4, 4))[n]
+                arm = placed[i].R[n] @ (B[:3, 3] - self.com[n, i])
+                axes = placed[i].R[n] @ B[:3, :3]
+                torque = wrenches[3:] - np.cross(arm, wrenches[:3], axisb=0, axisc=0)
+                both = np.concatenate([axes.T @ torque, axes.T @ wrenches[:3]])
+                found[n, k] = np.max(np.abs(both), axis=1) < 1e-8
         return found
 
     # -- what is conserved
@@ -576,12 +629,24 @@ class Motion(NamedTuple):
     error: float
 
 
-def motion(description: Description, poses, twists, times, longest: float = LONGEST_STEP) -> Motion:
-    """The motion at the given times; poses (n, links, 4, 4) and twists are those of the first."""
+def motion(
+    description: Description,
+    poses,
+    twists,
+    times,
+    longest: float = LONGEST_STEP,
+    tolerance: float = TOLERANCE,
+) -> Motion:
+    """The motion at the given times; poses (n, links, 4, 4) and twists are those of the first.
+
+    tolerance : of the estimated error of a step, relative to 1 + |entry|. Accelerations of 1e6, as
+    in A03, are rounded by more than the default allows.
+    """
     system, times = System(description), np.asarray(times, float)
     start = system.state(np.asarray(poses, float), np.asarray(twists, float))
+    system.learn_rank(system.settled(start))
     with np.errstate(all="ignore"):
-        states, error = integrated(system.rate, start, times, longest, system.settled)
+        states, error = integrated(system.rate, start, times, longest, system.settled, tolerance)
         reactions = np.stack([system.reactions(s) for s in states])
     place = np.stack([system.poses(s) for s in states])
     speed = np.stack([system.twists(s) for s in states])

@@ -48,7 +48,7 @@ SHAPES = {
     "floating_loop": Shape((("free", None), ("revolute", 0), ("hook", 0), ("spherical", 1)),
                            (("pin_in_slot", 3, 2),)),
     "many_loops": Shape((("free", None), ("spherical", None), ("planar", None)),
-                        (("cylindrical", 0, 1), ("constant_velocity", 1, 2), ("screw", 2, 0))[:2]),
+                        (("cylindrical", 0, 1), ("constant_velocity", 1, 2))),
 }  # fmt: skip
 TREES = ("chain", "star", "branched", "sliding", "loosely")
 LOOPS = tuple(name for name in SHAPES if name not in TREES)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
-from lierb.kernels.mechanics.rows import Rows, fixed_axes
+from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.rows import HeldBody, Rows, fixed_axes
 from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import Vec, dot, norm, row
@@ -24,7 +24,7 @@ def held_axes(rows: Rows) -> list[int]:
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 
-def residuals(rows: Rows, x: Kinematics, body: BodyConstants) -> list[Any]:
+def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Any]:
     """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
     fixed = fixed_axes(rows)
     turns: dict[int | None, Any] = {}
@@ -51,11 +51,11 @@ def _squares(numbers: list[Any]) -> Any:
     return total
 
 
-def position_error_squared(rows: Rows, x: Kinematics, body: BodyConstants) -> Any:
+def position_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
     return _squares([r.value(x, body) for r in rows if r.is_translational])
 
 
-def rotation_error_squared(rows: Rows, x: Kinematics, body: BodyConstants) -> Any:
+def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
     """Of rows with values; and for `Omega` rows, how far Q is from a turn about the free axis."""
     entries = [r.value(x, body) for r in rows if r.has_value and not r.is_translational]
     fixed = fixed_axes(rows)
@@ -71,7 +71,7 @@ def rotation_error_squared(rows: Rows, x: Kinematics, body: BodyConstants) -> An
 
 
 def rate_errors_squared(
-    rows: Rows, x: Kinematics, body: BodyConstants, velocity: Vec
+    rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Any, Any]:
     """Squares of the translational and of the rotational rows of J V, less what is prescribed."""
     rates = [

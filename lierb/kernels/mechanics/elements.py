@@ -28,7 +28,7 @@ from lierb.kernels.mechanics.newton_euler import (
     frames_of,
     inertia_about_com,
 )
-from lierb.kernels.mechanics.rows import AddedRow
+from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -196,14 +196,14 @@ class UserRow(AddedRow):
     def __str__(self) -> str:
         return self.element.function.name + (str(self.i + 1) if self.element.rows > 1 else "")
 
-    def _of(self, body: BodyConstants, r: Any, place: Any) -> Any:
+    def _of(self, body: HeldBody, r: Any, place: Any) -> Any:
         return self.element.function(self.placed(body)[1], r, place)[self.i]
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         found = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
         return found.value if isinstance(found, UserNumber) else found
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         """Along the six unit twists: Ṙ = R ω̂ and ṙ = R v, in the user's body axes."""
         frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
@@ -218,7 +218,7 @@ class UserRow(AddedRow):
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         """−ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
         frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product, starmap
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from lierb.kernels.groups import quaternion
-from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics
+from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.numbers.arithmetic import PI, fma, rint, where
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
@@ -32,6 +32,17 @@ from lierb.kernels.numbers.zero import ZERO
 
 FIXED = -1  # slot of a component of V that is zero
 PITCHED = -2  # slot of v₃ = pitch·ω₃
+
+
+class HeldBody(Protocol):
+    """What rows take beside the motion: of a body, or of two frames in a mechanism."""
+
+    @property
+    def pitch(self) -> Any: ...
+    @property
+    def length(self) -> Any: ...
+    @property
+    def elements(self) -> tuple[Any, ...]: ...
 
 
 class Row:
@@ -75,19 +86,19 @@ class Row:
         axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
         return None if axis is None else (axis, FIXED)
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         """h."""
         return ZERO
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         """The row of J, 6 numbers: angular, translational."""
         raise NotImplementedError
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         """η."""
         return ZERO
 
-    def prescribed_rate(self, x: Kinematics, body: BodyConstants) -> Any:
+    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
         """What J V has to be."""
         return ZERO
 
@@ -148,14 +159,14 @@ class Point(JointRow):
     def held_axis(self) -> int:
         return self.i
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         return x.d[self.i]
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         direction = row(x.q, self.i)
         return cross(x.arm, direction) + x.translation(UNIT[self.i], direction)
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         return -dot(row(x.q, self.i), x.point_bias)
 
 
@@ -165,15 +176,15 @@ class GroundPoint(JointRow):
     symbol = "Qtd"
     is_translational = True
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         return mat_t_vec(x.q, x.d)[self.i]
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         direction = UNIT[self.i]
         arm = sub(x.arm, mat_t_vec(x.q, x.d))
         return cross(arm, direction) + x.translation(column(x.q, self.i), direction)
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         b = mat_t_vec(x.q, x.d)
         swing = cross(x.omega, b)
         rate = sub(x.point_rate, swing)
@@ -195,7 +206,7 @@ class Turning(JointRow):
         alone = len(fixed_axes(rows)) == 1
         return "has one Omega row alone; expected two, three or none" if alone else None
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         return UNIT[self.i] + ZERO3
 
 
@@ -205,13 +216,13 @@ class Cosine(JointRow):
     symbol = "Q"
     axis_count = 2
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         return x.q[3 * self.i + self.j]
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         return cross(UNIT[self.j], row(x.q, self.i)) + ZERO3
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         return -dot(row(x.q, self.i), cross(x.omega, cross(x.omega, UNIT[self.j])))
 
 
@@ -228,18 +239,18 @@ class Screw(JointRow):
         kept = keeps_axis(rows)
         return None if kept else "has a screw row whose axis may tilt; add Omega1 and Omega2"
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         turn = 2.0 * PI * body.pitch
         slip = fma(-body.pitch, atan2(x.q[3], x.q[0]), x.d[2])
         turns = rint(slip / where(turn == 0.0, 1.0, turn))
         return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         sliding = Point(2).jacobian(x, body)
         # φ̇ = Ω₃, because Ω₁ = Ω₂ = 0
         return (*sliding[:2], sliding[2] - body.pitch, *sliding[3:])
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         return Point(2).acceleration(x, body)
 
 
@@ -255,15 +266,15 @@ class Rod(JointRow):
         held = any(r.is_translational and r != self for r in rows)
         return "has a rod beside rows that hold its end in another way" if held else None
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         return 0.5 * (dot(x.d, x.d) / body.length - body.length)
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         direction = scale(1.0 / body.length, x.d)
         in_body = mat_t_vec(x.q, direction)
         return cross(x.arm, in_body) + x.translation(direction, in_body)
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         bend = dot(x.point_rate, x.point_rate) + dot(mat_t_vec(x.q, x.d), x.point_bias)
         return -bend / body.length
 
@@ -274,15 +285,15 @@ class ConstantVelocity(JointRow):
     symbol = "cv"
     axis_count = 0
 
-    def value(self, x: Kinematics, body: BodyConstants) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Any:
         # not (Q₂₁ − Q₁₂)/2 = 2wz, which has no gradient at a half turn; of this J is a unit vector
         return 2.0 * quaternion.of_matrix(x.q)[3]
 
-    def jacobian(self, x: Kinematics, body: BodyConstants) -> Vec:
+    def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         p = quaternion.of_matrix(x.q)
         return (-p[2], p[1], p[0]) + ZERO3
 
-    def acceleration(self, x: Kinematics, body: BodyConstants) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
         return 0.25 * dot(x.omega, x.omega) * self.value(x, body)
 
 
@@ -298,6 +309,6 @@ class AddedRow(Row):
     i: int
     is_of_joint = False
 
-    def placed(self, body: BodyConstants) -> Any:
+    def placed(self, body: HeldBody) -> Any:
         """What the element is made of."""
         return body.elements[self.place]

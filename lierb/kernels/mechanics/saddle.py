@@ -277,8 +277,8 @@ def solve(
             dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
         ]
         scales = _Scales(body, support, load, velocity)
-        moved = [turned + shifted for turned, shifted in responses]
-        schur = [[dot(arm, moved[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
+        answers = [turned + shifted for turned, shifted in responses]
+        schur = [[dot(arm, answers[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
         sizes = [scales.of(arm) for arm in arms]
         multipliers, singular, dropped = multipliers_of(
             schur, excess, sizes, lambda i: scales.acceleration(arms[i])
@@ -362,7 +362,8 @@ def multipliers_of(
     sizes: list[Any],
     brought: Callable[[int], Any],
 ) -> tuple[list[Any], Any, Any]:
-    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on others.
+    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on
+    others.
 
     schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
     alone.   brought : the acceleration of row i that load and motion could bring about.
@@ -377,10 +378,10 @@ def multipliers_of(
         li: list[Any] = []
         si: list[Any] = []
         for j in range(i):
-            si.append(_reduced(schur[i][j], li, scaled[j]))
+            si.append(less(schur[i][j], li, scaled[j]))
             li.append(si[j] * pivots_inverse[j])
-        pivot = _reduced(schur[i][i], li, si)
-        y.append(_reduced(excess[i], li, y))
+        pivot = less(schur[i][i], li, si)
+        y.append(less(excess[i], li, y))
         kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + sizes[i])
         pivots_inverse.append(where(kept, 1.0, 0.0) / where(kept, pivot, 1.0))
         dropped.append(where(kept, 0.0, 1.0))
@@ -407,7 +408,7 @@ def multipliers_of(
     return multipliers, branch(any_lanes(count > 0.5), look, lambda: 0.0, likely=False), count
 
 
-def _reduced(x: Any, left: list[Any], right: list[Any]) -> Any:
+def less(x: Any, left: list[Any], right: list[Any]) -> Any:
     """x − left·right."""
     for a, b in zip(left, right, strict=False):
         x = fma(-a, b, x)

@@ -62,6 +62,17 @@ class Rigid(NamedTuple):
         torque = cross_add(v, momentum[3:], cross(omega, momentum[:3]))
         return torque + cross(omega, momentum[3:])
 
+    def needed(self, rate: Vec, twist: Vec) -> Vec:
+        """M V̇ − ad_Vᵀ M V, the wrench under which V has this rate.
+
+        By the acceleration of the origin, v̇ + ω × v: fewer products than `momentum` and `bias`.
+        """
+        alpha, omega = rate[:3], twist[:3]
+        moving = cross_add(omega, twist[3:], rate[3:])
+        spin = cross_add(omega, mat_vec(self.inertia, omega), mat_vec(self.inertia, alpha))
+        swing = cross_add(alpha, self.moment, cross(omega, cross(omega, self.moment)))
+        return cross_add(self.moment, moving, spin) + axpy(self.mass, moving, swing)
+
     def from_frame(self, frame: Pose) -> Articulated:
         """Seen from outside the frame."""
         r, p = frame

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Rows
-from lierb.kernels.mechanics.saddle import kinds_of, multipliers_of
+from lierb.kernels.mechanics.saddle import kinds_of, less, multipliers_of
 from lierb.kernels.mechanics.spatial import (
     Articulated,
     Pose,
@@ -57,11 +58,12 @@ from lierb.kernels.numbers.vec import (
     scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 
 GROUND = -1  # in place of a node's number
 MASSLESS = -1  # in place of a link's number
 NONE = -1  # in place of a joint's number
+FEW = 3  # columns whose sum is less than a twist carried on
 FREE: Slots = (0, 1, 2, 3, 4, 5)
 HERE: Pose = (IDENTITY, ZERO3)
 
@@ -85,6 +87,15 @@ class Node:
     @property
     def is_reduced(self) -> bool:
         return self.cspace == "reduced"
+
+    @cached_property
+    def free(self) -> tuple[int, ...]:
+        """Of the six directions of its joint those in which it is free; see `TreeMotion.free`."""
+        if self.is_reduced:
+            return tuple(i for i, slot in enumerate(self.slots) if slot >= 0)
+        held, fixed, _ = kinds_of(self.rows)
+        turns = tuple(k for k in range(3) if k not in fixed)
+        return turns + tuple(3 + j for j in range(3) if j not in held)
 
     @cached_property
     def others(self) -> Rows:
@@ -184,24 +195,39 @@ class TreeMotion:
         velocities: Sequence[Vec],
         time: Any = ZERO,
     ) -> None:
-        self.nodes, self.body, self.time = nodes, body, time
+        self.nodes, self.body, self.time = tuple(nodes), body, time
         self.steps: list[Pose] = []  # T
         self.carried: list[Vec] = []  # Ad(T⁻¹) V′
         self.relative: list[Vec] = []  # V_rel
         self.twists: list[Vec] = []  # V, of a frame in joint axes
+        self.directions: list[list[Vec]] = []  # S
+        self.own: list[range] = []  # numbers of these among all
         self._poses = [*poses]
         self._places: dict[int, Pose] = {}
+        self._columns: dict[int, dict[int, Vec]] = {}
+        self._rates: dict[int, Any] = {}  # ν
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
+            first = self.own[-1].stop if self.own else 0
+            self.own.append(range(first, first + len(node.free)))
             if node.is_reduced:
-                self._hang_on(node, constants, poses[i], velocities[i])
+                self._hang_on(i, node, constants, poses[i], velocities[i])
             else:
                 self._place_apart(i, node, constants, poses[i], velocities[i])
+            self.directions.append(self.free(i))
 
-    def _hang_on(self, node: Node, constants: NodeConstants, d: Pose, velocity: Vec) -> None:
+    def _hang_on(
+        self, i: int, node: Node, constants: NodeConstants, d: Pose, velocity: Vec
+    ) -> None:
         is_root = node.parent == GROUND
-        step = d if is_root else se3.compose(constants.hang, d)
-        carried = ZERO6 if is_root else twist_at(step, self.twists[node.parent])
-        self.steps.append(step)
+        self.steps.append(d if is_root else se3.compose(constants.hang, d))
+        self._rates |= zip(self.own[i], (velocity[k] for k in node.free), strict=True)
+        carried = ZERO6
+        if not is_root:
+            columns = self._from_above(i) if joint_space_pays(self.nodes) else {}
+            if 0 < len(columns) <= FEW:
+                carried = _combined([self._rates[j] for j in columns], [*columns.values()])
+            else:
+                carried = self.carry(i, self.twists[node.parent])
         self.carried.append(carried)
         self.relative.append(velocity)
         self.twists.append(add(carried, velocity))
@@ -224,6 +250,43 @@ class TreeMotion:
         self.carried.append(carried)
         self.relative.append(sub(twist, carried))
         self.twists.append(twist)
+
+    def columns(self, i: int) -> dict[int, Vec]:
+        """Twists of a node, by the motion of one free direction each: of its own joint, and of all
+        before it.
+        """
+        if i not in self._columns:
+            own = dict(zip(self.own[i], self.directions[i], strict=True))
+            self._columns[i] = self._from_above(i) | own
+        return self._columns[i]
+
+    @cached_property
+    def _above(self) -> dict[int, dict[int, Vec]]:
+        return {}
+
+    def _from_above(self, i: int) -> dict[int, Vec]:
+        """Those of the joints before its own."""
+        parent = self.nodes[i].parent
+        if parent == GROUND:
+            return {}
+        if i not in self._above:
+            self._above[i] = {
+                j: self.carry(i, column, is_constant=j in self.own[parent])
+                for j, column in self.columns(parent).items()
+            }
+        return self._above[i]
+
+    def carry(self, i: int, twist: Vec, is_constant: bool = False) -> Vec:
+        """What a node would have of a twist of the node before it, did it rest there: Ad(T⁻¹) V.
+
+        is_constant : whether the twist is: then Ad(A⁻¹) V is, and found once.
+        """
+        node = self.nodes[i]
+        if node.is_reduced and node.parent != GROUND:
+            is_next = self.nodes[node.parent].parent == GROUND  # of whose twists most is zero
+            if is_constant or is_next:
+                return twist_at(self._poses[i], twist_at(self.body.nodes[i].hang, twist))
+        return twist_at(self.steps[i], twist)
 
     def place(self, i: int) -> Pose:
         """A node's frame, seen from the ground's frame at its tree's root."""
@@ -326,7 +389,7 @@ class ArticulatedBodies:
     def __init__(self, motion: TreeMotion) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
-        self.free = [motion.free(i) for i in range(len(nodes))]
+        self.free = motion.directions
         own: list[Any] = [
             None if n.link == MASSLESS else c.rigid for n, c in zip(nodes, constants, strict=True)
         ]
@@ -371,10 +434,16 @@ class ArticulatedBodies:
     ) -> Response:
         """What the nodes do under loads, wrenches about their frames' origins.
 
-        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there.
+        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there;
+        with it, the nodes have their velocities, else they are at rest.
         """
         nodes, steps = self.motion.nodes, self.motion.steps
         totals = [loads.get(i, ZERO6) for i in range(len(nodes))]
+        if fall is not None:
+            for i, node in enumerate(nodes):
+                if node.link != MASSLESS:
+                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i])
+                    totals[i] = sub(totals[i], bias)
         forced: list[Vec] = [()] * len(nodes)
         for i in reversed(range(len(nodes))):
             bias = biases[i] if biases else ZERO6
@@ -404,6 +473,136 @@ class ArticulatedBodies:
         return sub(self.momentum(i, response.moved[i]), response.totals[i])
 
 
+class JointSpace:
+    """The same by the mass matrix of all free directions: less work for a few of them.
+
+    Kane's method, on the motion's columns: twists of a node by one free direction each.
+    """
+
+    def __init__(self, motion: TreeMotion) -> None:
+        self.motion = motion
+        nodes, constants = motion.nodes, motion.body.nodes
+        entries: dict[tuple[int, int], Any] = {}
+        for i, node in enumerate(nodes):
+            if node.link == MASSLESS:
+                continue
+            columns = motion.columns(i)
+            momenta = {j: constants[i].rigid.momentum(c) for j, c in columns.items()}
+            for j, k in product(momenta, momenta):
+                if k <= j:
+                    found = dot(columns[k], momenta[j])
+                    entries[j, k] = found + entries[j, k] if (j, k) in entries else found
+        self.count = sum(len(motion.directions[i]) for i in range(len(nodes)))
+        rows = range(self.count)
+        self.mass = Factored([[entries.get((j, k), ZERO) for k in range(j + 1)] for j in rows])
+
+    def respond(
+        self,
+        loads: dict[int, Vec],
+        biases: Sequence[Vec] | None = None,
+        fall: dict[int, Vec] | None = None,
+    ) -> Response:
+        """As `ArticulatedBodies.respond`."""
+        motion = self.motion
+        start: list[Vec] = []  # what the nodes do without ν̇
+        forces: list[Any] = [ZERO] * self.count
+        for i, node in enumerate(motion.nodes):
+            before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else start[node.parent]
+            carried = motion.carry(i, before)
+            start.append(add(carried, biases[i]) if biases else carried)
+            lacking = loads.get(i, ZERO6)
+            rigid = motion.body.nodes[i].rigid
+            if node.link != MASSLESS and fall is not None:
+                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i]))
+            elif node.link != MASSLESS and biases:
+                lacking = sub(lacking, rigid.momentum(start[i]))
+            if not is_zero(*lacking):
+                for j, column in motion.columns(i).items():
+                    forces[j] = forces[j] + dot(column, lacking)
+        rates = self.mass.solve(forces)
+        moved, relative = [], []
+        for i, directions in enumerate(motion.directions):
+            columns = motion.columns(i)
+            moved.append(_combined([rates[j] for j in columns], [*columns.values()], start[i]))
+            relative.append(_combined([rates[j] for j in motion.own[i]], directions))
+        totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
+        if fall is not None:
+            for i, node in enumerate(motion.nodes):
+                if node.link != MASSLESS:
+                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i])
+                    totals[i] = sub(totals[i], bias)
+        return Response(tuple(moved), tuple(relative), tuple(totals))
+
+    def transmitted(self, i: int, response: Response) -> Vec:
+        """As `ArticulatedBodies.transmitted`."""
+        motion = self.motion
+        total = neg(response.totals[i])
+        if motion.nodes[i].link != MASSLESS:
+            total = add(motion.body.nodes[i].rigid.momentum(response.moved[i]), total)
+        for child, node in enumerate(motion.nodes):
+            if node.parent == i:
+                passed = self.transmitted(child, response)
+                total = add(total, wrench_from(motion.steps[child], passed))
+        return total
+
+
+class Factored:
+    """A symmetric positive definite matrix, given by its lower triangle, as Lᵀ D L.
+
+    From the last row on: the pivots of a chain's last links are constant, and so divided by once.
+    """
+
+    def __init__(self, lower: list[list[Any]]) -> None:
+        count = len(lower)
+        self.upper: list[list[Any]] = [[] for _ in range(count)]  # of row i, from the last on
+        self.inverses: list[Any] = [ZERO] * count
+        scaled: list[list[Any]] = [[] for _ in range(count)]
+        for i in reversed(range(count)):
+            for j in reversed(range(i + 1, count)):
+                rest = less(lower[j][i], self.upper[i], scaled[j])
+                scaled[i].append(rest)
+                self.upper[i].append(rest * self.inverses[j])
+            self.inverses[i] = 1.0 / less(lower[i][i], self.upper[i], scaled[i])
+
+    def solve(self, right: Sequence[Any]) -> list[Any]:
+        count = len(right)
+        y: list[Any] = []  # from the last row on
+        for i in reversed(range(count)):
+            y.append(less(right[i], self.upper[i], y))
+        found: list[Any] = []
+        for i in range(count):
+            x = y[count - 1 - i] * self.inverses[i]
+            for j in range(i):
+                x = fma(-self.upper[j][count - 1 - i], found[j], x)
+            found.append(x)
+        return found
+
+
+Bodies = ArticulatedBodies | JointSpace
+
+
+def bodies_of(motion: TreeMotion) -> Bodies:
+    """By whichever takes fewer operations."""
+    return JointSpace(motion) if joint_space_pays(motion.nodes) else ArticulatedBodies(motion)
+
+
+@lru_cache(64)
+def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
+    """Whether the mass matrix takes fewer operations than articulated bodies.
+
+    By numbers of multiplications: of a column carried to one more node, with its products, 60; of
+    an inertia, 170; of a factorisation, n³/6.
+    """
+    free = [len(node.free) for node in nodes]
+    above: list[int] = []
+    for node in nodes:
+        is_root = node.parent == GROUND
+        above.append(0 if is_root else above[node.parent] + free[node.parent])
+    hanging = sum(node.parent != GROUND for node in nodes)
+    blocks = sum(n**3 for n in free) / 2
+    return 60 * sum(above) + sum(free) ** 3 / 6 <= 170 * hanging + blocks
+
+
 class Response(NamedTuple):
     """moved : each node's V̇, or what stands for it.   rates : S ν̇.   totals : loads, passed on."""
 
@@ -419,8 +618,8 @@ def _sum(vectors: list[Vec]) -> Vec:
     return total
 
 
-def _combined(weights: Sequence[Any], vectors: Sequence[Vec]) -> Vec:
-    total = ZERO6
+def _combined(weights: Sequence[Any], vectors: Sequence[Vec], start: Vec = ZERO6) -> Vec:
+    total = start
     for weight, v in zip(weights, vectors, strict=True):
         total = axpy(weight, v, total)
     return total
@@ -484,7 +683,7 @@ class Solved(NamedTuple):
 
 
 def solved(
-    bodies: ArticulatedBodies,
+    bodies: Bodies,
     rows: Sequence[Asked],
     loads: dict[int, Vec],
     biases: Sequence[Vec] | None = None,

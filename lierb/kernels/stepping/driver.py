@@ -65,6 +65,7 @@ from lierb.kernels.stepping.observables import (
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.stepper import step
+from lierb.kernels.stepping.systems import system_of
 
 OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 # In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
@@ -144,7 +145,7 @@ class Record(NamedTuple):
 
 def marks_column(plan: AnyPlan) -> int:
     """Of what is carried: what functions have raised."""
-    return plan.system.state.count + len(KEPT) + len(Record._fields) - 3
+    return system_of(plan).state.count + len(KEPT) + len(Record._fields) - 3
 
 
 def carried_columns(plan: AnyPlan) -> int:
@@ -154,7 +155,7 @@ def carried_columns(plan: AnyPlan) -> int:
 
 def joint_columns(plan: AnyPlan) -> int:
     """Of a summary: JOINT_KEPT of every joint of a mechanism."""
-    return len(JOINT_KEPT) * len(plan.system.joints)
+    return len(JOINT_KEPT) * len(system_of(plan).joints)
 
 
 def summary_columns(plan: AnyPlan) -> int:
@@ -164,7 +165,7 @@ def summary_columns(plan: AnyPlan) -> int:
 def history_columns(plan: AnyPlan) -> int:
     """Measures, observables, and the errors of every joint of a mechanism."""
     own = len(history_measures(plan)) + len(observables_of(plan))
-    return own + len(JOINT_ERRORS) * len(plan.system.joints)
+    return own + len(JOINT_ERRORS) * len(system_of(plan).joints)
 
 
 # ---- formulas on one block ---------------------------------------------------------------------
@@ -176,22 +177,22 @@ def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]
 
 def _inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
     """All numbers but a state to go on from."""
-    return _columns(plan, inputs, range(plan.system.inputs["state"].start), 0)
+    return _columns(plan, inputs, range(system_of(plan).inputs["state"].start), 0)
 
 
 def load_body(plan: AnyPlan, inputs: Any) -> Any:
-    return plan.system.body(_inputs(plan, inputs))
+    return system_of(plan).body(_inputs(plan, inputs))
 
 
 def initial_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
-    state: State = plan.system.start(body, _inputs(plan, inputs))
+    state: State = system_of(plan).start(body, _inputs(plan, inputs))
     return state
 
 
 def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     """Nothing kept so far, as numbers of the state's own type."""
     nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
-    system = plan.system
+    system = system_of(plan)
     seen = system.measured(body, state, system.seen(body, state, nothing), nothing)
     energy = seen.values["energy"]
     dropped = system.dropped(body, state)
@@ -205,21 +206,21 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
 
 def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     """The one that a run goes on from."""
-    at = plan.system.inputs["state"]
+    at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
-    state: State = plan.system.state_of(numbers, body)
+    state: State = system_of(plan).state_of(numbers, body)
     return state
 
 
 def load_state(plan: AnyPlan, body: Any, carried: Any, first: Any) -> State:
-    numbers = _columns(plan, carried, range(plan.system.state.count), first)
-    state: State = plan.system.state_of(numbers, body)
+    numbers = _columns(plan, carried, range(system_of(plan).state.count), first)
+    state: State = system_of(plan).state_of(numbers, body)
     return state
 
 
 def load_record(plan: AnyPlan, carried: Any, first: Any) -> Record:
     marks, watched = marks_column(plan), len(Kept._fields) * len(observables_of(plan))
-    numbers = _columns(plan, carried, range(plan.system.state.count, marks), first)
+    numbers = _columns(plan, carried, range(system_of(plan).state.count, marks), first)
     more = tuple(_columns(plan, carried, range(marks + 1, carried_columns(plan)), first))
     kept, (energy, status, step, dropped) = tuple(numbers[: len(KEPT)]), numbers[len(KEPT) :]
     seen = kept_of(more[:watched]), more[watched:]
@@ -252,8 +253,8 @@ def end_columns(plan: AnyPlan) -> tuple[int, ...]:
     """Of the state's numbers those that are kept at the end: what the plan has, but W, which counts
     from the start of its own run.
     """
-    columns = plan.system.state
-    numbers = flatten(plan.system.state_of((1.0,) * columns.count))
+    columns = system_of(plan).state
+    numbers = flatten(system_of(plan).state_of((1.0,) * columns.count))
     work = columns.index("work")
     return tuple(c for c, number in enumerate(numbers) if c != work and not is_zero(number))
 
@@ -291,7 +292,7 @@ def _advanced(
     body = body._replace(dropped=record.dropped)
     moved, singular = _stepped(plan, body, state, time, h, still)
     # An angle that is not finite spoils all of Q.
-    turns, places = plan.system.told_by(moved.chart)
+    turns, places = system_of(plan).told_by(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = _are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
@@ -382,7 +383,7 @@ def is_gentle(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) ->
     if not plan.takes_gentle_steps:
         return all_lanes(h < h)  # never
     gentle = record.dropped == 0.0
-    for square in plan.system.turning(body, state):
+    for square in system_of(plan).turning(body, state):
         gentle = gentle & (h * h * plain(square) <= 0.8 * TINY)
     return all_lanes(gentle)
 
@@ -397,7 +398,7 @@ def advance_gently(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) ->
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.formulation.still)
-    _, places = plan.system.told_by(moved.chart)
+    _, places = system_of(plan).told_by(moved.chart)
     fine = _are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
@@ -423,7 +424,7 @@ def observe(
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
     """
-    system = plan.system
+    system = system_of(plan)
     seen = system.seen(body, state, time)
     values = system.observed(body, seen, time)
     if may_raise(plan):
@@ -505,7 +506,7 @@ def user_state(
     plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record
 ) -> list[tuple[Any, ...]]:
     """R (row by row), r, ω, v in the user's frames, of every link; NaN after a failure."""
-    links = plan.system.in_user_frames(body, _inputs(plan, inputs), state)
+    links = system_of(plan).in_user_frames(body, _inputs(plan, inputs), state)
     alive = record.status == OK
     return [where(alive, numbers, (NAN,) * len(numbers)) for numbers in links]
 
@@ -550,7 +551,7 @@ def store_forces(
     """
     if not (plan.multipliers or plan.reaction):
         return
-    found, wrenches = plan.system.forces(body, state, time)
+    found, wrenches = system_of(plan).forces(body, state, time)
     alive = record.status == OK
     if plan.multipliers and found:
         places = [(row, first, c) for c in range(len(found))]
@@ -581,7 +582,7 @@ def store_start(plan: AnyPlan, inputs: Any, summary: Any, column: Any, time: Any
 
     time : s, of the start.
     """
-    starts = plan.system.starts_well(_inputs(plan, inputs), time)
+    starts = system_of(plan).starts_well(_inputs(plan, inputs), time)
     scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 
 

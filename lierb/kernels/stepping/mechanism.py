@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.function import BODY
-from lierb.kernels.groups import quaternion, quaternionxr3, se3
+from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
 from lierb.kernels.mechanics.constraints import (
@@ -23,7 +23,7 @@ from lierb.kernels.mechanics.constraints import (
 )
 from lierb.kernels.mechanics.elements import Element, UserObservable
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, unit_inertia
-from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
+from lierb.kernels.mechanics.rows import FIXED, PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
@@ -31,10 +31,11 @@ from lierb.kernels.mechanics.tree import (
     GROUND,
     HERE,
     MASSLESS,
-    ArticulatedBodies,
     Asked,
+    Bodies,
     Connection,
     Ends,
+    Factored,
     Node,
     NodeConstants,
     Relative,
@@ -42,6 +43,7 @@ from lierb.kernels.mechanics.tree import (
     TreeConstants,
     TreeMotion,
     asked,
+    bodies_of,
     solved,
 )
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, sqrt, where
@@ -75,8 +77,8 @@ from lierb.kernels.stepping.measures import JOINT_ERRORS, Observed, orthogonalit
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 
+GENTLE = 8  # nodes times stages
 CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
-CHARTS = {"reduced": quaternion, "SE3": quaternion, "SO3xR3": quaternionxr3}
 LINK = (  # what is known of each
     Field("mass", (), "kg"),
     Field("inertia", (3, 3), "kg m²"),
@@ -90,6 +92,17 @@ JOINT = (  # of each link's, and of each loop's
 )
 START = (Field("pose", (4, 4), "1, m", POSE), Field("twist", (6,), "rad/s, m/s"))
 GRAVITY = Field("gravity", (3,), "m/s²")
+
+
+def charts_of(node: Node) -> Any:
+    """The group that a node's chart is of, as a step has it."""
+    if (
+        node.is_reduced
+        and sum(slot != FIXED for slot in node.slots) == 1
+        and max(node.slots[:3]) >= 0
+    ):
+        return turns
+    return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
 
 
 @dataclass(frozen=True)
@@ -138,19 +151,15 @@ class MechanismPlan(AnyPlan):
         return self.connections[: self.links + self.loops]
 
     @property
-    def rows(self) -> Rows:
+    def rows(self) -> Rows:  # type: ignore[override]
         """Of all joints."""
         return tuple(row for joint in self.joints for row in joint.rows)
 
     __hash__ = AnyPlan.__hash__
 
     @cached_property
-    def formulation(self) -> TreeFormulation:  # type: ignore[override]
+    def formulation(self) -> TreeFormulation:
         return TreeFormulation(self)
-
-    @property
-    def system(self) -> TreeFormulation:
-        return self.formulation
 
 
 @lru_cache(64)
@@ -227,18 +236,20 @@ class TreeFormulation:
             if not plan.tree[i].is_reduced:
                 root = body.nodes[_root(plan, i)].hang
                 chart, velocity = _apart(plan.tree[i], body.nodes[i], root, place, twist)
-                charts, velocities = [*charts, chart], [*velocities, velocity]
-            elif first == i:
-                charts, velocities = [*charts, quaternion.from_pose(d)], [*velocities, relative]
-            else:
-                pairs = _factored(plan.tree[first].slots, plan.tree[i].slots, d, relative)
-                for chart, velocity in pairs:
-                    charts, velocities = [*charts, chart], [*velocities, velocity]
+                charts.append(chart)
+                velocities.append(velocity)
+                continue
+            parts = [(d, relative)]
+            if first != i:
+                parts = _factored(plan.tree[first].slots, plan.tree[i].slots, d, relative)
+            for node, (part, velocity) in zip(plan.tree[first : i + 1], parts, strict=True):
+                charts.append(_chart(node, part))
+                velocities.append(velocity)
         velocity = tuple(x for v in velocities for x in v)
         still = tuple(0.0 * x for x in velocity)
         state = State(tuple(charts), still, velocity, 0.0 * body.mass)
-        charts = self.tidied(body, self.structured(state, body).chart)
-        return self.structured(state._replace(chart=charts), body)
+        tidied = self.tidied(body, self.structured(state, body).chart)
+        return self.structured(state._replace(chart=tidied), body)
 
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         """From its numbers side by side, as the driver carries them."""
@@ -249,7 +260,9 @@ class TreeFormulation:
     def structured(self, state: State, body: TreeConstants | None = None) -> State:
         """With the structural zeros of each node's subgroup."""
         plan = self.plan
-        charts, xs, velocities = [], [], []
+        charts: list[Chart] = []
+        xs: list[Any] = []
+        velocities: list[Any] = []
         for i, (node, chart, x, v) in enumerate(
             zip(plan.tree, state.chart, _sixes(state.x), _sixes(state.v_or_mu), strict=True)
         ):
@@ -297,7 +310,7 @@ class TreeFormulation:
         self,
         body: TreeConstants,
         state: State,
-        seen: TreeMotion,
+        seen: Any,
         time: Any,
         first_energy: Any = ZERO,
     ) -> Observed:
@@ -349,7 +362,7 @@ class TreeFormulation:
                 total = total + element.energy(placed, still.motion)
         return total
 
-    def observed(self, body: TreeConstants, seen: TreeMotion, time: Any) -> tuple[Any, ...]:
+    def observed(self, body: TreeConstants, seen: Any, time: Any) -> tuple[Any, ...]:
         """Each observable's value."""
         relatives = _Relatives(self.plan.connections, body.ends, seen)
         pairs = zip(self.plan.elements, body.elements, strict=True)
@@ -380,7 +393,8 @@ class TreeFormulation:
             x, ends = found.relatives[number].x, body.ends[number]
             if number < self.plan.links:
                 total = found.bodies.transmitted(joint.node, found.solved.response)
-            own = _held_multipliers(joint.rows, x.q, total)
+            kept = tuple(r for r in joint.rows if (number, r) not in solution)
+            own = _held_multipliers(kept, x, ends, total)
             for r in joint.rows:
                 if (number, r) in solution:
                     own[r] = solution[number, r]
@@ -402,7 +416,15 @@ class TreeFormulation:
 
     @property
     def takes_gentle_steps(self) -> bool:
-        return True
+        """Whether to try steps without branches.
+
+        With two links on SE(3) they save a sixth; on reduced coordinates nothing. What is compiled
+        twice takes half as long again.
+        """
+        plan = self.plan
+        is_small = len(plan.tree) * len(plan.stages) <= GENTLE
+        is_plain = not self.rows and plan.stabilisation.kind == "none"
+        return is_small and is_plain and not any(node.is_reduced for node in plan.tree)
 
     def before_step(self, body: TreeConstants, chart: tuple[Chart, ...]) -> None:
         return None
@@ -410,7 +432,7 @@ class TreeFormulation:
     def moved(self, chart: tuple[Chart, ...], x: Vec) -> tuple[Chart, ...]:
         """C₀ exp X, node by node."""
         return tuple(
-            CHARTS[node.cspace].compose_exp(each, part)
+            charts_of(node).compose_exp(each, part)
             for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
         )
 
@@ -435,7 +457,7 @@ class TreeFormulation:
         angles = [quaternion.angle_coefficients(part) for part in parts]
         tree = self.plan.tree
         moved = tuple(
-            CHARTS[node.cspace].compose_exp(each, part, k)
+            charts_of(node).compose_exp(each, part, k)
             for node, each, part, k in zip(tree, chart, parts, angles, strict=True)
         )
         motion = self.motion(body, moved, velocity, time)
@@ -445,18 +467,21 @@ class TreeFormulation:
             singular = where(found.dropped == body.dropped, singular, 1.0)
         x_rates: list[Any] = []
         for node, part, v, k in zip(tree, parts, _sixes(velocity), angles, strict=True):
-            x_rates += CHARTS[node.cspace].dexpinv(neg(part), v, k)
+            x_rates += charts_of(node).dexpinv(neg(part), v, k)
         return Rates(tuple(x_rates), found.rates, found.power, singular)
 
     def motion(
         self, body: TreeConstants, chart: tuple[Chart, ...], velocity: Vec, time: Any
     ) -> TreeMotion:
-        poses = [quaternion.pose(each) for each in chart]
+        poses = [
+            (turns if charts_of(node) is turns else quaternion).pose(each)
+            for node, each in zip(self.plan.tree, chart, strict=True)
+        ]
         return TreeMotion(self.plan.tree, body, poses, _sixes(velocity), time)
 
     def recharted(self, chart: tuple[Chart, ...], x: Vec) -> tuple[tuple[Chart, ...], Vec]:
         pairs = [
-            recharted(CHARTS[node.cspace], each, part)
+            recharted(charts_of(node), each, part)
             for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
         ]
         return tuple(pair[0] for pair in pairs), tuple(y for pair in pairs for y in pair[1])
@@ -492,16 +517,7 @@ class TreeFormulation:
         """forces : whether elements act."""
         plan = self.plan
         relatives = _Relatives(plan.connections, body.ends, motion)
-        loads = {
-            i: neg(constants.rigid.bias(twist))
-            for i, (node, constants, twist) in enumerate(
-                zip(plan.tree, body.nodes, motion.twists, strict=True)
-            )
-            if node.link != MASSLESS
-        }
-        applied, power = self._applied(body, relatives) if forces else ({}, ZERO)
-        for i, load in applied.items():
-            loads[i] = add(loads[i], load)
+        loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
         wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
         fall = {
             i: ZERO3 + neg(body.nodes[i].gravity)
@@ -509,7 +525,7 @@ class TreeFormulation:
             if node.parent == GROUND
         }
         biases = [add(b, self._damped(i, motion)) for i, b in enumerate(motion.biases())]
-        bodies = ArticulatedBodies(motion)
+        bodies = bodies_of(motion)
         rows = [
             relatives.asked(number, row, value)
             for (number, row), value in zip(self.rows, wanted, strict=True)
@@ -650,7 +666,7 @@ class TreeFormulation:
             relatives.asked(number, row, value)._replace(fall=None)
             for (number, row), value in zip(self.rows, wanted, strict=True)
         ]
-        found = solved(ArticulatedBodies(motion), rows, {}, biases)
+        found = solved(bodies_of(motion), rows, {}, biases)
         moved: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             twist = found.response.moved[i]
@@ -672,7 +688,7 @@ class TreeAcceleration(NamedTuple):
     power: Any
     singular: Any
     dropped: Any
-    bodies: ArticulatedBodies
+    bodies: Bodies
     solved: Solved
     relatives: _Relatives
 
@@ -824,45 +840,49 @@ def _apart(
     return quaternion.from_pose((q, mat_vec_add(q, com, d))), twist[:3] + rate
 
 
-def _factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Chart, Vec]]:
+def _chart(node: Node, d: Pose) -> Chart:
+    """Of a node on its joint."""
+    if charts_of(node) is turns:
+        return turns.from_pose(d, node.slots.index(0))
+    return quaternion.from_pose(d)
+
+
+def _factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Pose, Vec]]:
     """The two motions of one freedom whose product D is, and D⁻¹Ḋ of both.
 
     The first one is read off D in the ground's axes, the last one in the body's.
     """
-    (i,), (j,) = (tuple(k for k in range(6) if slots[k] >= 0) for slots in (first, last))
+    i, j = first.index(0), last.index(0)
     q, place = d
-    charts = [quaternion.from_pose(HERE)] * 2
     if i < 3:  # Q e = F₁ e, for the axis e of the last turn
         axis = j if j < 3 else (i + 1) % 3
-        charts[0] = _turn(i, axis, column(q, axis))
+        opening = _turn(i, axis, column(q, axis)), ZERO3
     else:
-        charts[0] = charts[0][0], tuple(place[k] if 3 + k == i else ZERO for k in range(3))
+        opening = IDENTITY, tuple(place[k] if 3 + k == i else ZERO for k in range(3))
     if j < 3:  # Qᵀe = F₂ᵀe, for the axis e of the first
         axis = i if i < 3 else (j + 1) % 3
-        p, none = _turn(j, axis, row(q, axis))
-        charts[1] = (p[0], *neg(p[1:])), none
+        closing = transpose(_turn(j, axis, row(q, axis))), ZERO3
     else:
         within = mat_t_vec(q, place)
-        charts[1] = charts[1][0], tuple(within[k] if 3 + k == j else ZERO for k in range(3))
+        closing = IDENTITY, tuple(within[k] if 3 + k == j else ZERO for k in range(3))
     along = row(q, i % 3)
     rates = dot(along, relative[:3] if i < 3 else relative[3:]), relative[j]
     return [
-        (chart, tuple(rate if k == slot else ZERO for k in range(6)))
-        for chart, rate, slot in zip(charts, rates, (i, j), strict=True)
+        (pose, tuple(rate if k == slot else ZERO for k in range(6)))
+        for pose, rate, slot in zip((opening, closing), rates, (i, j), strict=True)
     ]
 
 
-def _turn(about: int, axis: int, seen: Vec) -> Chart:
-    """The turn about one axis that takes another one to where it is `seen`."""
+def _turn(about: int, axis: int, seen: Vec) -> Mat:
+    """The turn about one axis that takes another one to where it is `seen`, to its length."""
     third = 3 - about - axis
     sign = 1.0 if axis == (about + 1) % 3 else -1.0
-    inverse = 1.0 / norm((seen[axis], seen[third]))
-    c, s = seen[axis] * inverse, sign * (seen[third] * inverse)
+    c, s = seen[axis], sign * seen[third]
     i, j = (about + 1) % 3, (about + 2) % 3
     matrix = list(IDENTITY)
     matrix[4 * i], matrix[4 * j] = c, c
     matrix[3 * j + i], matrix[3 * i + j] = s, -s
-    return quaternion.of_matrix(tuple(matrix)), ZERO3
+    return tuple(matrix)
 
 
 # ---- what is seen ------------------------------------------------------------------------------
@@ -885,18 +905,22 @@ def _largest(squares: Sequence[Any]) -> Any:
     return total
 
 
-def _held_multipliers(rows: Rows, q: Mat, wrench: Vec) -> dict[Row, Any]:
-    """λ of rows that a wrench, which does no work on the joint, is made of."""
+def _held_multipliers(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
+    """λ of rows whose wrenches, −Jᵀλ, make up this one."""
     torque, force = wrench[:3], wrench[3:]
     found: dict[Row, Any] = {}
     for r in rows:
         if r.held_axis is not None:
-            found[r] = -dot(row(q, r.held_axis), force)
+            found[r] = -dot(row(x.q, r.held_axis), force)
         elif r.fixed_axis is not None:
             found[r] = -torque[r.fixed_axis]
         elif r.slot == (5, PITCHED):
             found[r] = -force[2]
-    return found
+    if len(found) == len(rows):
+        return found
+    jacobians = [r.jacobian(x, ends) for r in rows]  # of a joint whose rows are not at right angles
+    gram = Factored([[dot(j, k) for k in jacobians[: i + 1]] for i, j in enumerate(jacobians)])
+    return dict(zip(rows, gram.solve([-dot(j, wrench) for j in jacobians]), strict=True))
 
 
 def _length(body: TreeConstants) -> Any:

@@ -178,7 +178,7 @@ class OneBody:
         return formulation.dropped(body, chart, state.v_or_mu)
 
     def measured(
-        self, body: BodyConstants, state: State, seen: Seen, time: Any, first_energy: Any = ZERO
+        self, body: BodyConstants, state: State, seen: Any, time: Any, first_energy: Any = ZERO
     ) -> Observed:
         kinetic_energy = self.plan.formulation.kinetic_energy(body, state.v_or_mu)
         found = measured(
@@ -187,17 +187,13 @@ class OneBody:
         )  # fmt: skip
         return Observed(found)
 
-    def observed(self, body: BodyConstants, seen: Seen, time: Any) -> tuple[Any, ...]:
+    def observed(self, body: BodyConstants, seen: Any, time: Any) -> tuple[Any, ...]:
         """Each observable's value."""
-        pairs = [
-            pair
-            for pair in zip(self.plan.elements, body.elements, strict=True)
-            if isinstance(pair[0], UserObservable)
-        ]
-        if not pairs:
+        if not any(isinstance(element, UserObservable) for element in self.plan.elements):
             return ()
         x = self.plan.space.kinematics(body, *seen)._replace(time=time)
-        return tuple(element.value(own, x.motion) for element, own in pairs)
+        pairs = zip(self.plan.elements, body.elements, strict=True)
+        return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
 
     def in_user_frames(
         self, body: BodyConstants, numbers: list[Any], state: State, seen: Any = None

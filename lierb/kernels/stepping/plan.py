@@ -12,7 +12,6 @@ from lierb.kernels.mechanics.elements import Element, UserObservable
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
-from lierb.kernels.stepping.one_body import OneBody
 
 
 class AnyPlan(Tag):
@@ -37,11 +36,6 @@ class AnyPlan(Tag):
     @property
     def formulation(self) -> Any:
         """Where accelerations come from."""
-        raise NotImplementedError
-
-    @property
-    def system(self) -> Any:
-        """What is read, carried and seen of it."""
         raise NotImplementedError
 
     @cached_property
@@ -104,10 +98,6 @@ class Plan(AnyPlan):
     @cached_property
     def formulation(self) -> Formulation:
         return FORMULATIONS[self.solver](self)
-
-    @cached_property
-    def system(self) -> OneBody:
-        return OneBody(self)
 
     @cached_property
     def turns_about_a_point(self) -> bool:

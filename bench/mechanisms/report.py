@@ -1,0 +1,90 @@
+"""The tables of a stored run, in Markdown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from peers.report import _three as three
+
+STEPS = 1000  # a simulated second counts as so many steps, whatever a method takes itself
+TITLES = {
+    "chain2": "2 revolute links",
+    "chain3": "3 revolute links",
+    "chain5": "5 revolute links",
+    "chain8": "8 revolute links",
+    "fourbar": "Four-bar with a loop",
+}
+BEGIN, END = "<!-- mechanisms -->\n", "<!-- /mechanisms -->"
+
+
+def rate(entry: dict[str, Any]) -> float:
+    """M mechanism-steps/s on one core."""
+    return entry["count"] * STEPS / entry["cpu_s"] / 1e6
+
+
+def is_right(entry: dict[str, Any]) -> bool:
+    """Whether it ran, to the motion that all have."""
+    return "failed" not in entry and entry["error_m"] <= entry["allowed_m"]
+
+
+def markdown(run: dict[str, Any]) -> str:
+    machine, before, after = run["machine"], run["before"], run["after"]
+    lines = [
+        f"{machine['cpu']}, {machine['lanes']} lanes, one core, {before['clock_ghz']:.2f} GHz; "
+        f"measured peak {before['peak_gflops']:.0f} GFLOP/s before the run, "
+        f"{after['peak_gflops']:.0f} after it; {run['time'][:10]}.",
+    ]
+    for mechanism, title in TITLES.items():
+        rows = _rows(run, mechanism)
+        if rows:
+            head = "| | M mechanism-steps/s | first result, s | error at 1 s, m | lierb is |"
+            lines += ["", f"**{title}**", "", head, "|---|---|---|---|---|", *rows]
+    wrong = [
+        f"{e['label']} ({TITLES[e['mechanism']]}): {e.get('failed') or _deviation(e)}"
+        for e in run["entries"].values()
+        if not is_right(e)
+    ]
+    lines += ["", "Without a time, for it failed or is another motion:", ""] if wrong else []
+    lines += [f"- {text}" for text in wrong]
+    if run["unavailable"]:
+        missing = "; ".join(f"{name} ({why})" for name, why in run["unavailable"].items())
+        lines += ["", f"Not available in this run: {missing}."]
+    return "\n".join([*lines, "", _versions(run)])
+
+
+def _deviation(entry: dict[str, Any]) -> str:
+    return f"off by {entry['error_m']:.0e} m, where {entry['allowed_m']:.0e} is allowed"
+
+
+def _rows(run: dict[str, Any], mechanism: str) -> list[str]:
+    entries = {
+        name: e for name, e in run["entries"].items() if e["mechanism"] == mechanism and is_right(e)
+    }
+    ours = [rate(e) for name, e in entries.items() if name.startswith("lierb/")]
+    rows = []
+    for name, e in sorted(entries.items(), key=lambda item: -rate(item[1])):
+        is_peer = ours and not name.startswith("lierb/")
+        ratio = f"{three(max(ours) / rate(e))} ×" if is_peer else ""
+        speed = three(rate(e)) if rate(e) >= 0.1 else f"{rate(e):.2g}"
+        rows.append(
+            f"| {e['label']} | {speed} | {e['cold_s']:.1f} | {e['error_m']:.0e} | {ratio} |"
+        )
+    return rows
+
+
+def _versions(run: dict[str, Any]) -> str:
+    known = ("mujoco", "pin", "drake", "exudyn", "heyoka", "g++", "numba")
+    found: dict[str, str] = {}
+    for e in run["entries"].values():
+        config = e.get("config", {})
+        found |= {name: str(config[name]).strip('"') for name in known if name in config}
+    return f"Versions: {', '.join(f'{name} {version}' for name, version in found.items())}."
+
+
+def embedded(text: str, run: dict[str, Any]) -> str:
+    """`text` with this run's tables between its two marks."""
+    before, mark, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (mark and end):
+        raise ValueError(f"no place for the tables: {BEGIN.strip()} and {END} are missing")
+    return f"{before}{mark}{markdown(run)}\n{end}{after}"

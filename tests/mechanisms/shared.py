@@ -1,0 +1,55 @@
+"""Mechanisms that several test files integrate: kernels are compiled once."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import lierb
+
+GRAVITY = (0.0, 0.0, -9.81)
+TURNING = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
+
+
+@cache
+def double_pendulum() -> lierb.Mechanism:
+    """Two equal rods on revolute joints."""
+    rod = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
+    lower = lierb.joints.revolute(**TURNING, parent_point=(0.0, 0.0, -0.25))
+    return lierb.Mechanism(
+        [
+            lierb.Link("upper", rod, lierb.joints.revolute(**TURNING)),
+            lierb.Link("lower", rod, lower, "upper"),
+        ],
+        gravity=GRAVITY,
+    )
+
+
+@cache
+def four_bar() -> lierb.Mechanism:
+    """Crank 0.1 m, coupler 0.3 m and rocker 0.25 m on a base of 0.3 m, in the plane e₁ e₃."""
+    y = {"axis": (0.0, 1.0, 0.0)}
+    lengths = {"crank": 0.1, "coupler": 0.3, "rocker": 0.25}
+    bars = {n: lierb.bodies.box((x, 0.02, 0.02), density=2700.0) for n, x in lengths.items()}
+    left = {n: (-0.5 * x, 0.0, 0.0) for n, x in lengths.items()}
+    right = {n: (0.5 * x, 0.0, 0.0) for n, x in lengths.items()}
+    return lierb.Mechanism(
+        [
+            lierb.Link("crank", bars["crank"], lierb.joints.revolute(left["crank"], **y)),
+            lierb.Link(
+                "coupler", bars["coupler"],
+                lierb.joints.revolute(left["coupler"], parent_point=right["crank"], **y), "crank",
+            ),
+            lierb.Link(
+                "rocker", bars["rocker"],
+                lierb.joints.revolute(left["rocker"], ground_point=(0.3, 0.0, 0.0), **y),
+            ),
+        ],
+        [
+            lierb.Loop(
+                "pin", lierb.joints.revolute(right["coupler"], parent_point=right["rocker"], **y),
+                "coupler", "rocker",
+            )
+        ],
+        gravity=GRAVITY,
+        forces=lierb.forces.drag(angular=0.002).on("rocker"),
+    )  # fmt: skip

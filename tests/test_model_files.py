@@ -1,0 +1,496 @@
+"""MJCF and URDF as mechanisms, against MuJoCo's own kinematics and energies, and by hand."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import lierb
+from lierb.composed_joints import SimpleJoint, composed
+from lierb.errors import ArgumentError, LeftOutWarning
+
+mujoco = pytest.importorskip("mujoco")
+
+DATA = Path(__file__).parent / "data"
+ROUNDING = 1e-12  # of some ten rotations one after another, and lengths of metres
+INERTIA = '<inertial pos="0.1 0.02 -0.3" mass="1.3" diaginertia="0.03 0.02 0.025"/>'
+
+
+def read(path, **options):
+    """The mechanism, and what it lacks."""
+    load = lierb.Mechanism.from_urdf if path.suffix == ".urdf" else lierb.Mechanism.from_mjcf
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mechanism = load(path, **options)
+    assert [w.category for w in caught] in ([], [LeftOutWarning])
+    return mechanism, caught[0].message.left_out if caught else ()
+
+
+def one_body(tmp_path, joints, **more):
+    """The path of a file with one body on these joints, after another one that is turned."""
+    path = tmp_path / "body.xml"
+    path.write_text(f"""<mujoco>
+      <compiler angle="radian"/>
+      <worldbody>{more.get("around", "")}
+        <body name="base" pos="0.1 0.2 0.3" euler="0.3 0.2 0.1">
+          <joint type="hinge" axis="1 2 3"/>{INERTIA}
+          <body name="body" pos="-0.3 0.1 0.5" euler="0.5 -0.4 0.2">
+            {joints}{more.get("inertial", INERTIA)}{more.get("inside", "")}
+          </body>
+        </body>
+      </worldbody>{more.get("outside", "")}
+    </mujoco>""")
+    return path
+
+
+def model_of(path):
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic = False
+    if path.suffix == ".urdf":
+        for geom in list(spec.geoms):
+            spec.delete(geom)
+    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    return spec.compile()
+
+
+def coordinates_of(model, data, mechanism):
+    """Of every link from qpos, in the order in which the file gives a body's joints."""
+    found = {}
+    for link in mechanism.links:
+        body = model.body(link.name)
+        numbers = []
+        for j in range(body.jntadr[0], body.jntadr[0] + body.jntnum[0]):
+            at = model.jnt_qposadr[j]
+            if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL:
+                w, x, y, z = data.qpos[at : at + 4]
+                numbers += list(Rotation.from_quat((x, y, z, w)).as_rotvec())
+            else:
+                numbers.append(data.qpos[at] - model.qpos0[at])
+        if numbers:
+            found[link.name] = numbers
+    return found
+
+
+def assert_same_places(model, data, mechanism, pose):
+    for link in mechanism.links:
+        i = model.body(link.name).id
+        np.testing.assert_allclose(pose[link.name][:3, 3], data.xpos[i], atol=ROUNDING)
+        np.testing.assert_allclose(
+            pose[link.name][:3, :3], data.xmat[i].reshape(3, 3), atol=ROUNDING
+        )
+
+
+def kinetic_energy(mechanism, twist):
+    total = 0.0
+    for link in mechanism.links:
+        w, v = np.split(twist[link.name], 2)
+        body = link.body
+        total += 0.5 * (w @ body.inertia @ w + body.mass * (v @ v))
+        total += body.mass * (body.com @ np.cross(v, w))
+    return total
+
+
+def potential_energy(mechanism, pose):
+    centres = ((x, pose[x.name] @ (*x.body.com, 1.0)) for x in mechanism.links)
+    return -sum(x.body.mass * (c[:3] @ mechanism.gravity) for x, c in centres)
+
+
+def scattered(model, rng):
+    data = mujoco.MjData(model)
+    mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 1.0)
+    data.qvel[:] = rng.normal(size=model.nv)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def assert_same_mechanics(path, coordinates=coordinates_of, rates=None, **options):
+    """Poses, and energies at random velocities, which is to say mass matrices and weights."""
+    mechanism, _ = read(path, **options)
+    model, rng = model_of(path), np.random.default_rng(7)
+    rest = mujoco.MjData(model)
+    mujoco.mj_forward(model, rest)
+    assert_same_places(model, rest, mechanism, mechanism.pose({}))
+    for _ in range(3):
+        data = scattered(model, rng)
+        pose = mechanism.pose(coordinates(model, data, mechanism))
+        assert_same_places(model, data, mechanism, pose)
+        springs = sum(  # those of hinges only
+            0.5 * model.jnt_stiffness[j] * (data.qpos[q] - model.qpos_spring[q]) ** 2
+            for j, q in enumerate(model.jnt_qposadr)
+        )
+        weight = potential_energy(mechanism, pose)
+        still = -model.opt.gravity @ sum(  # what is welded to the world counts there, and not here
+            (model.body_mass[i] * data.xipos[i] for i in range(1, model.nbody)
+             if model.body_weldid[i] == 0), start=np.zeros(3),
+        )  # fmt: skip
+        np.testing.assert_allclose(weight + springs + still, data.energy[0], rtol=ROUNDING)
+        if rates is not None:
+            twist = mechanism.twist(rates(model, data, mechanism), pose)
+            found = kinetic_energy(mechanism, twist)
+            np.testing.assert_allclose(found, data.energy[1], rtol=ROUNDING)
+    return mechanism
+
+
+def rates_of(model, data, mechanism):
+    """Of joints whose rates are qvel: all but balls."""
+    found = {}
+    for link in mechanism.links:
+        body = model.body(link.name)
+        numbers = data.qvel[body.dofadr[0] : body.dofadr[0] + body.dofnum[0]]
+        if len(numbers):
+            found[link.name] = numbers
+    return found
+
+
+def test_double_pendulum_moves_as_in_mujoco():
+    mechanism = assert_same_mechanics(DATA / "double_pendulum.xml", rates=rates_of)
+    assert mechanism.names == ("upper", "lower", "weight")
+    assert mechanism.link("upper").parent == "ground"
+    assert mechanism.link("weight").joint.name == "fixed"
+    np.testing.assert_array_equal(mechanism.gravity, (0.3, 0.0, -9.81))
+
+
+def test_springs_are_slack_where_those_of_the_file_are():
+    mechanism, left_out = read(DATA / "double_pendulum.xml")
+    first, second = (force.parameters for force in mechanism.forces)
+    assert [force.at for force in mechanism.forces] == [("upper",), ("lower",)]
+    assert (first["stiffness"], first["damping"]) == (1.5, 0.02)
+    np.testing.assert_allclose(first["angle"], 0.5 - 0.2, rtol=1e-15)
+    assert (second["stiffness"], second["damping"]) == (0.0, 0.02)
+    assert left_out == ()
+
+
+def test_a_link_weighs_what_is_welded_to_it(tmp_path):
+    """As where a file has an empty link for the joint, and the mass on a fixed one after it."""
+    inside = f'<body name="shell" pos="0 0.1 0" euler="0.3 0 0">{INERTIA}</body>'
+    path = one_body(tmp_path, '<joint axis="1 2 2"/>', inertial="", inside=inside)
+    mechanism = assert_same_mechanics(path, rates=rates_of)
+    assert mechanism.names == ("base", "body")
+
+
+def test_a_slide_has_its_spring_and_its_stops(tmp_path):
+    slide = (
+        '<joint name="rail" type="slide" axis="0 0 1" ref="0.1" springref="0.3" stiffness="20"'
+        ' damping="0.5" range="-0.2 0.4" limited="true"/>'
+    )
+    path = one_body(tmp_path, slide)
+    mechanism, left_out = read(path, limit_stiffness=1e4)
+    spring, stop = mechanism.forces
+    found = {n: float(x) for n, x in (spring.parameters | stop.parameters).items()}
+    expected = {"stiffness": 1e4, "damping": 0.0, "position": 0.2, "lower": -0.3, "upper": 0.3}
+    assert found == pytest.approx(expected, rel=1e-14)
+    assert (spring.parameters["stiffness"], spring.parameters["damping"]) == (20.0, 0.5)
+    assert (stop.at, left_out) == (("body",), ())
+
+
+def test_stops_of_more_than_a_turn_are_left_out(tmp_path):
+    joint = '<joint name="screw" range="-4 4" limited="true"/>'
+    mechanism, left_out = read(one_body(tmp_path, joint), limit_stiffness=10.0)
+    assert (mechanism.forces, left_out) == ((), ("joint screw: limits -4 … 4",))
+    with pytest.raises(ArgumentError, match="limit_stiffness"):
+        lierb.Mechanism.from_mjcf(tmp_path / "body.xml", limit_stiffness=-1.0)
+
+
+def test_merged_bodies_weigh_the_same():
+    mechanism = assert_same_mechanics(
+        DATA / "double_pendulum.xml", rates=rates_of, merge_fixed=True
+    )
+    assert mechanism.names == ("upper", "lower")
+    np.testing.assert_allclose(mechanism.link("lower").body.mass, 1.2 + 0.4, rtol=1e-15)
+
+
+def test_arm_moves_as_in_mujoco():
+    mechanism = assert_same_mechanics(DATA / "arm.urdf", rates=rates_of)
+    assert len(mechanism.links) == 7
+    assert mechanism.link("tool").parent == "flange"
+
+
+def test_arm_stands_where_its_origins_put_it():
+    """By hand, from xyz and rpy (about fixed axes) of the file: URDF's definition."""
+    mechanism, left_out = read(DATA / "arm.urdf", gravity=(0.0, 0.0, -1.62))
+    angles = np.random.default_rng(3).normal(size=6)
+    placed = np.eye(4)
+    for xyz, rpy, axis, angle in zip(
+        ((0, 0, 0.3), (0, 0.08, 0.12), (0.02, -0.05, 0.45), (0.1, 0, 0.05), (0.3, 0, 0),
+         (0.09, 0, 0)),
+        ((0, 0, 0), (0, 0, 0.1), (0, 0.2, 0), (0.1, 0, 0), (0, 0.4, 0), (0, 0, 0.3)),
+        ((0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (0.6, 0, 0.8)),
+        angles,
+    ):  # fmt: skip
+        step = np.eye(4)
+        turn = Rotation.from_rotvec(angle * np.array(axis, float))
+        step[:3, :3] = (Rotation.from_euler("xyz", rpy) * turn).as_matrix()
+        step[:3, 3] = xyz
+        placed = placed @ step
+    pose = mechanism.pose(dict(zip(mechanism.names, angles)))
+    np.testing.assert_allclose(pose["flange"], placed, atol=ROUNDING)
+    np.testing.assert_array_equal(mechanism.gravity, (0.0, 0.0, -1.62))
+    assert left_out == tuple(
+        f"joint {name}: limits -2.5 … 2.5"
+        for name in ("base_yaw", "shoulder_pitch", "elbow", "wrist_pitch")
+    )
+
+
+@pytest.mark.parametrize(("name", "allowed"), [("double_pendulum.xml", 1e-9), ("arm.urdf", 1e-9)])
+def test_trajectories_are_those_of_mujoco(name, allowed):
+    """Both by RK4 at 0.1 ms, whose own error is below 1e-12 here; joint springs and dampers act."""
+    mechanism, _ = read(DATA / name, merge_fixed=True)
+    spec = mujoco.MjSpec.from_file(str(DATA / name))
+    for geom in list(spec.geoms) if name.endswith("urdf") else ():
+        spec.delete(geom)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = 1e-4
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model = spec.compile()
+    data = scattered(model, np.random.default_rng(11))
+    pose0 = mechanism.pose(coordinates_of(model, data, mechanism))
+    twist0 = mechanism.twist(rates_of(model, data, mechanism), pose0)
+    try:
+        result = lierb.integrate(
+            mechanism, pose0=pose0, twist0=twist0, dt=1e-4, t_end=0.1, cspace="reduced"
+        )
+    except ArgumentError as error:
+        if "must be a lierb.Problem" in str(error):
+            pytest.skip("lierb.integrate takes no mechanism yet")
+        raise
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
+    for link in mechanism.names:
+        found = result.summary[f"{link}.position"].combine_chunks().flatten().to_numpy()
+        np.testing.assert_allclose(found, data.xpos[model.body(link).id], atol=allowed)
+
+
+def gap(mechanism, pose):
+    """(4, 4): the body's frame of the only loop, seen from its parent's."""
+    at = mechanism.joints[-1]
+    poses = mechanism.poses("pose", pose)
+    rotation, place = mechanism.relative(at, poses)
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = np.reshape(rotation, (3, 3)), place
+    return found
+
+
+def assert_same_gap(path):
+    """As far open as MuJoCo's constraint at a random pose; what it found, and MuJoCo's data."""
+    mechanism, left_out = read(path)
+    assert not any("equality" in what for what in left_out)
+    model = model_of(path)
+    data = scattered(model, np.random.default_rng(5))
+    found = gap(mechanism, mechanism.pose(coordinates_of(model, data, mechanism)))
+    np.testing.assert_allclose(
+        np.linalg.norm(found[:3, 3]), np.linalg.norm(data.efc_pos[:3]), rtol=1e-12
+    )
+    return mechanism, found, data
+
+
+def test_connect_is_a_spherical_loop():
+    mechanism, _, _ = assert_same_gap(DATA / "four_bar.xml")
+    np.testing.assert_allclose(gap(mechanism, mechanism.pose({})), np.eye(4), atol=ROUNDING)
+    (loop,) = mechanism.loops
+    assert (loop.name, loop.joint.name) == ("pin", "spherical")
+    assert (loop.body, loop.parent) == ("coupler", "rocker")
+
+
+WELDS = {
+    "bodies": '<weld body1="body" body2="base" anchor="0.1 0.2 0"'
+    ' relpose="0.3 -0.2 0.1 0.8 0.6 0 0"/>',
+    "ground": '<weld body1="body"/>',
+    "sites": '<weld site1="here" site2="there"/>',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ends", WELDS)
+def test_weld_is_a_fixed_loop(tmp_path, ends):
+    """MuJoCo's rows of a rotation are sin(angle/2) of the axis, times eq_data's last number."""
+    path = one_body(
+        tmp_path,
+        '<joint type="ball"/>',
+        inside='<body pos="0 0.1 0"><site name="here" pos="0.1 0 0" euler="0 1 0"/></body>',
+        outside=f"<equality>{WELDS[ends]}</equality>",
+        around='<site name="there" pos="0 0 1" euler="0.3 0 0"/>',
+    )
+    mechanism, found, data = assert_same_gap(path)
+    half = Rotation.from_matrix(found[:3, :3]).magnitude() / 2
+    scale = data.model.eq_data[0, 10]
+    np.testing.assert_allclose(np.linalg.norm(data.efc_pos[3:6]), scale * np.sin(half), rtol=1e-12)
+    assert mechanism.loops[0].joint.name == "fixed"
+
+
+SEQUENCES = {
+    "revolute": '<joint axis="1 2 0.5" pos="0.1 0 0.2"/>',
+    "prismatic": '<joint type="slide" axis="1 2 0.5"/>',
+    "universal": '<joint axis="1 0 0" pos="0.3 0.1 0"/><joint axis="0 0 1" pos="0 0.1 0.4"/>',
+    "pin_in_slot": '<joint type="slide" axis="0 1 0"/><joint axis="0 0 1" pos="0.1 0.2 0"/>',
+    "pin_in_slot_body": '<joint axis="0 0 1" pos="0.1 0.2 0"/><joint type="slide" axis="0 1 0"/>',
+    "planar_translation": '<joint type="slide" axis="0 1 0"/><joint type="slide" axis="0 0 1"/>',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_joints_of_one_body_are_the_one_of_the_catalogue(tmp_path, name):
+    mechanism = assert_same_mechanics(one_body(tmp_path, SEQUENCES[name]), rates=rates_of)
+    assert mechanism.link("body").joint.name == name
+
+
+# name: joints of the file, and the order in which lierb has their coordinates
+REORDERED = {
+    "cylindrical": (
+        '<joint type="slide" axis="1 2 2"/><joint axis="1 2 2" pos="0 0.1 0"/>', (1, 0),
+    ),
+    "planar": (
+        '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+        '<joint axis="0 0 1" pos="0.1 0.2 0"/>', (2, 0, 1),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REORDERED)
+def test_slides_with_a_hinge_keep_their_coordinates(tmp_path, name):
+    joints, order = REORDERED[name]
+    mine = lambda source: (
+        lambda *given: {
+            link: np.asarray(numbers)[list(order)] if link == "body" else numbers
+            for link, numbers in source(*given).items()
+        }
+    )
+    mechanism = assert_same_mechanics(
+        one_body(tmp_path, joints), coordinates=mine(coordinates_of), rates=mine(rates_of)
+    )
+    assert mechanism.link("body").joint.name == name
+
+
+def test_ball_turns_as_in_mujoco(tmp_path):
+    mechanism = assert_same_mechanics(one_body(tmp_path, '<joint type="ball" pos="0.1 0.2 0"/>'))
+    assert mechanism.link("body").joint.name == "spherical"
+
+
+EQUALLY_FREE = {
+    "spherical": '<joint axis="1 0 0"/><joint axis="0 1 0"/><joint axis="0 0 1"/>',
+    "translation": "".join(
+        f'<joint type="slide" axis="{a}"/>' for a in ("1 0 0", "1 1 0", "0 0 1")
+    ),
+    "schoenflies": "".join(
+        f'<joint type="slide" axis="{a}"/>' for a in ("1 0 0", "0 1 0", "0 0 1")
+    ) + '<joint axis="1 1 0" pos="0 0.1 0"/>',
+    "free": "".join(f'<joint type="slide" axis="{a}"/>' for a in ("1 0 0", "0 1 0", "0 0 1"))
+    + '<joint type="ball"/>',
+}  # fmt: skip
+
+
+def test_a_slide_against_its_hinge_counts_the_other_way(tmp_path):
+    """The springs hold as much energy as MuJoCo's at a random pose."""
+    joints = (
+        '<joint type="slide" axis="0 0 -1" springref="0.3" stiffness="20" range="-1 2"'
+        ' limited="true"/><joint axis="0 0 1" springref="-0.2" stiffness="3"/>'
+    )
+    flipped = lambda source: (
+        lambda *given: {
+            link: (numbers[1], -numbers[0]) if link == "body" else numbers
+            for link, numbers in source(*given).items()
+        }
+    )
+    path = one_body(tmp_path, joints)
+    mechanism = assert_same_mechanics(path, flipped(coordinates_of), flipped(rates_of))
+    slide, turn = (force.parameters for force in mechanism.forces)
+    np.testing.assert_allclose((slide["position"], turn["angle"]), (-0.3, -0.2), rtol=1e-14)
+    stop = read(path, limit_stiffness=1.0)[0].forces[1].parameters
+    assert (stop["lower"], stop["upper"]) == (-2.0, 1.0)
+
+
+@pytest.mark.parametrize("name", EQUALLY_FREE)
+def test_other_joints_allow_the_same_poses(tmp_path, name):
+    """MuJoCo's pose, taken for lierb's, leaves the joint closed: no row has a value there."""
+    path = one_body(tmp_path, EQUALLY_FREE[name])
+    mechanism, _ = read(path)
+    link = mechanism.link("body")
+    assert link.joint.name == name
+    model = model_of(path)
+    data = scattered(model, np.random.default_rng(1))
+    pose = {}
+    for x in mechanism.links:
+        i = model.body(x.name).id
+        pose[x.name] = np.eye(4)
+        pose[x.name][:3, :3], pose[x.name][:3, 3] = data.xmat[i].reshape(3, 3), data.xpos[i]
+    again = mechanism.pose(mechanism.coordinates(pose))
+    np.testing.assert_allclose(again["body"], pose["body"], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        '<joint axis="1 0 0"/><joint axis="1 0 0" pos="0 0.3 0"/>',  # parallel hinges
+        '<joint axis="1 0 0"/><joint axis="0 1 0" pos="0 0 0.3"/>',  # that do not meet
+        '<joint axis="1 0 0"/><joint axis="1 1 0"/>',  # not at right angles
+        '<joint type="slide" axis="1 0 0"/><joint axis="1 1 0"/>',  # askew
+        '<joint type="ball"/><joint type="slide" axis="1 0 0"/>',
+    ],
+)
+def test_joints_that_are_none_of_the_catalogue_are_refused(tmp_path, joints):
+    with pytest.raises(ArgumentError, match=r"body body: its joints .* none of the catalogue"):
+        lierb.Mechanism.from_mjcf(one_body(tmp_path, joints))
+
+
+def test_slides_along_one_line_are_refused():
+    """MuJoCo does not take them in a file: they make its mass matrix singular."""
+    twice = [SimpleJoint("slide", np.eye(3)[0], np.zeros(3))] * 2
+    with pytest.raises(ArgumentError, match="none of the catalogue"):
+        composed(twice, np.eye(4))
+
+
+def test_what_is_left_out_is_said_once(tmp_path):
+    path = one_body(
+        tmp_path,
+        '<joint name="knee" range="-1 1" limited="true" frictionloss="0.1" armature="0.01"/>',
+        inside='<geom size="0.1"/>',
+        outside='<actuator><motor joint="knee"/></actuator>'
+        '<equality><joint joint1="knee"/></equality>',
+    )
+    _, left_out = read(path)
+    assert left_out == (
+        "joint knee: limits -1 … 1", "joint knee: friction 0.1", "joint knee: armature 0.01",
+        "equality 0: equality/joint", "1 geoms that collide", "1 actuators",
+    )  # fmt: skip
+    with pytest.warns(LeftOutWarning, match="left out are joint knee: limits -1 … 1; joint knee"):
+        lierb.Mechanism.from_mjcf(path)
+
+
+def test_names_that_no_column_can_have_are_changed_and_said(tmp_path):
+    path = one_body(tmp_path, "<joint/>")
+    path.write_text(path.read_text().replace('name="body"', 'name="left/hip-1"'))
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("base", "left_hip_1")
+    assert left_out == ("the name 'left/hip-1': it is left_hip_1",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<mujoco><worldbody/></mujoco>", "no body that moves"),
+        ("<mujoco><nonsense/></mujoco>", "cannot be read as MJCF"),
+        ("", "cannot be read as MJCF"),
+    ],
+)
+def test_files_without_a_mechanism_are_refused(tmp_path, text, message):
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    with pytest.raises(ArgumentError, match=message):
+        lierb.Mechanism.from_mjcf(path)
+
+
+def test_what_to_install_is_said(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ArgumentError, match=r"reading URDF needs mujoco: .*pip install .*mjcf"):
+        lierb.Mechanism.from_urdf(DATA / "arm.urdf")
+
+
+def test_a_path_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ArgumentError, match="cannot be read as URDF"):
+        lierb.Mechanism.from_urdf(tmp_path / "missing.urdf")
+    with pytest.raises(ArgumentError, match="expected the path of a file"):
+        lierb.Mechanism.from_urdf(17)
