@@ -311,6 +311,7 @@ def test_a_structure_that_only_shakes_is_told():
 # ---- against the measured drift ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_worked_example_drifts_as_predicted():
     """docs/theory.md's numbers: RK4's fourth order, in what is said to drift, and nothing else."""
     made = pendulum()
@@ -341,6 +342,32 @@ def test_predictions_agree_with_the_stored_drift():
     verdicts = [k["exact"] for x in found.values() for c in x.values() for j in c.values()
                 for k in j.values()]  # fmt: skip
     assert 0.3 < np.mean(verdicts) < 0.8  # nobody says one thing alone
+
+
+def test_theory_shows_the_stored_drift_of_mechanisms():
+    page = (BENCH.parent / "docs" / "theory.md").read_text(encoding="utf-8")
+    page = " ".join(page[page.index("[bench/predictions.py]") :].split())
+    mechanisms = _stored()["mechanisms"]
+    told = [
+        kind
+        for found in mechanisms.values()
+        for joints in found.values()
+        for kinds in joints.values()
+        for kind in kinds.values()
+    ]
+    exact = [kind for kind in told if kind["exact"]]
+    drifting = [kind for kind in told if not kind["exact"]]
+    assert f"measured {len(mechanisms)} mechanisms" in page
+    assert f"Of {len(told)} errors" in page
+    assert f"{len(exact)} were said to be exact" in page
+    assert f"{len(drifting)} were said to drift" in page
+    assert "stayed below 3.9e-15" in page
+    assert max(kind["largest"] for kind in exact) < 3.9e-15
+    assert "were 5.6e-12 or more" in page
+    assert f"{min(kind['least'] for kind in drifting):.1e}" == "5.6e-12"
+    assert "2^1.99th to 2^2.03rd" in page
+    orders = [kind["order"] for kind in drifting]
+    assert 1.99 < min(orders) <= max(orders) < 2.03
 
 
 QUICK = ("revolute, revolute", "planar, prismatic", "cylindrical, hook; spherical", "four_bar")
