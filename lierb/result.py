@@ -205,9 +205,9 @@ class Result(States):
 
         >>> import lierb
         >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=2.0), lierb.joints.free())
-        >>> twist0 = (0.0, 0.0, 1.0, 3.0, 0.0, 0.0)
+        >>> twist0 = (0.0, 0.0, 0.0, 3.0, 0.0, 0.0)
         >>> lierb.integrate(flight, twist0=twist0, dt=0.1, t_end=0.5).momentum.round(9).tolist()
-        [[0.0, 0.0, 0.008, 6.0, 0.0, 0.0]]
+        [[0.0, 0.0, 0.0, 6.0, 0.0, 0.0]]
         """
         if self._end is None:
             raise ArgumentError("result.momentum: only a result that integrate returned has bodies")
