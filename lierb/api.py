@@ -29,6 +29,7 @@ from lierb.kernels.stepping.mechanism import Stabilisation
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.mechanism import Mechanism
 from lierb.mechanism_checks import violation
+from lierb.mechanism_plan import cspaces_of
 from lierb.model import Problem
 from lierb.result import Result
 from lierb.runs import checks, engine
@@ -36,7 +37,6 @@ from lierb.runs.continuation import End, counted
 from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
 from lierb.runs.mechanisms import (
     check_mechanism_options,
-    cspaces_of,
     ready_mechanism,
     told_cspace,
     told_stabilisation,

@@ -1,14 +1,15 @@
 """A c-space of a mechanism as `lierb.completion` explores it: configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the tree that is integrated, and the group is the direct
-product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from one
-frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
+product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from
+one frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
 configurations are looked at together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,15 +20,14 @@ from lierb.kernels.groups import se3, so3xr3
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
 from lierb.kernels.mechanics.rows import PITCHED, Rows
-from lierb.kernels.mechanics.scale import ROUNDING, bearings, rounding_of
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.stepping.mechanism import NONE
 from lierb.link_coordinates import motions_of
 from lierb.links import Connection
-from lierb.mechanism_rows import System
-from lierb.runs.mechanisms import plan_of
+from lierb.mechanism_plan import plan_of
 
 if TYPE_CHECKING:
     from lierb.mechanism import Mechanism
@@ -64,7 +64,7 @@ class Seen(NamedTuple):
     gradients: Array
     lengths: Array
     far: Array
-    upright: Array
+    upright: Any
 
 
 class Space:
@@ -87,7 +87,7 @@ class Space:
         ).tree
         self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
         self.nodes[GROUND] = GROUND
-        self.length = float(np.max(System(mechanism, 1).length))
+        self.length = self._length()
         self.units = np.repeat((1.0, self.length), 3)
         self.frames = [pose_components(link.joint.body_frame) for link in mechanism.links]
         root = next(link for link in mechanism.links if link.parent == "ground")
@@ -95,8 +95,8 @@ class Space:
         self.hangs = [self._hang(i) for i in range(len(self.tree))]
         self.bases = [self._basis(node) for node in self.tree]
         ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
-        self.columns = [slice(*pair) for pair in zip(ends, ends[1:], strict=False)]
-        self.freedoms = int(ends[-1])
+        self.columns = [slice(*pair) for pair in pairwise(ends)]
+        self.freedoms = max(int(ends[-1]), 1)  # of links that are all fixed one that moves nothing
         acting = tuple(at for at in mechanism.places if at.rows)
         self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
         self.rows: Rows = tuple(r for place in self.places for r in place.rows)
@@ -104,6 +104,16 @@ class Space:
         self.row_units = np.where(np.array(translational, dtype=bool), self.length, 1.0)
 
     # ---- what does not move --------------------------------------------------------------------
+
+    def _length(self) -> float:
+        """The largest length of a link, m: with the arms from its centre of mass to all joints."""
+        mechanism = self.mechanism
+        found = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
+        for at in mechanism.joints:
+            if at.parent >= 0:
+                other = mechanism.parameters(mechanism.joints[at.parent])
+                found.append(length_of(other._replace(body=mechanism.parameters(at).ground)))
+        return float(max(found))
 
     def _outer(self, link: int, frame: Pose) -> Pose:
         """A frame on a link, or on the ground, seen from the node's own."""
@@ -123,7 +133,8 @@ class Space:
         found = np.eye(6)[[slot >= 0 for slot in node.slots]]
         if PITCHED in node.slots:
             found[:, 5] = found[:, 2] * self.mechanism.links[node.link].joint.pitch / self.length
-        return found / np.linalg.norm(found, axis=1, keepdims=True)
+        scaled: Array = found / np.linalg.norm(found, axis=1, keepdims=True)
+        return scaled
 
     def _place(self, at: Connection) -> Place:
         frames = (HERE, HERE)

@@ -18,7 +18,7 @@ from typing import Any, overload
 import numpy as np
 
 from lierb.arrays import Array, Pose, as_poses, pose_components
-from lierb.completion import Completion, OpenError, group_name, row_space
+from lierb.completion import Completion, OpenError, SingularError, group_name, row_space
 from lierb.completion_space import Place, Space
 from lierb.errors import ArgumentError, PoseError, told
 from lierb.kernels.mechanics.newton_euler import CSPACES
@@ -149,7 +149,7 @@ def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | Me
     is not at its frame's origin. Returns Predictions, by c-space; of a mechanism
     MechanismPredictions, by c-space and by the name of the link or loop whose joint it is.
 
-    Raises ArgumentError for a batch, PoseError for a pose off the joints.
+    Raises ArgumentError for a batch, PoseError for a pose off the joints or one that is singular.
 
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -193,7 +193,7 @@ def _of_one_body(problem: Problem, pose0: Any) -> Predictions:
     for cspace in _cspaces(alone)[1:]:
         space = Space(alone, cspace)
         try:
-            completion = Completion(space, [pose_components(pose)])
+            completion = _completion(space, [pose_components(pose)])
         except OpenError:
             raise PoseError(
                 f"pose0 does not close the {problem.joint.name} joint; problem.close(pose0) does"
@@ -225,7 +225,7 @@ def _of_mechanism(mechanism: Mechanism, pose0: Any) -> MechanismPredictions:
 
 def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
     try:
-        completion = Completion(space, placed)
+        completion = _completion(space, placed)
     except OpenError as error:
         raise PoseError(
             f"pose0 does not close {name_of(space.mechanism, error.place.at)}; "
@@ -243,6 +243,17 @@ def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
             space.cspace, group, dimension, place.rows, exact, _why(space, place, group)
         )
     return JointPredictions(found, len(completion.algebra))
+
+
+def _completion(space: Space, placed: list[Pose]) -> Completion:
+    try:
+        with np.errstate(all="ignore"):  # what overflows is no configuration
+            return Completion(space, placed)
+    except SingularError:
+        raise PoseError(
+            "pose0 is a singular configuration: its joints allow velocities there, but no motion "
+            "was found along them; give another pose0"
+        ) from None
 
 
 def _cspaces(mechanism: Mechanism) -> list[str]:
@@ -264,8 +275,8 @@ def _key(place: Place, taken: Mapping[str, Any]) -> str:
 def _projection(space: Space, algebra: Array, path: Sequence[int]) -> tuple[str, int]:
     """Name and dimension of what K is on some nodes."""
     parts = [algebra[:, 6 * i : 6 * i + 6] for i in path]
-    of_nodes = [row_space(part)[0] for part in parts]
-    dimension = len(row_space(np.hstack(parts))[0]) if parts else 0
+    of_nodes = [row_space(part) for part in parts]
+    dimension = len(row_space(np.hstack(parts))) if parts else 0
     names = [group_name(space.cspace, basis) for basis in of_nodes if len(basis)]
     name = "×".join(f"({n})" if "×" in n and len(names) > 1 else n for n in names) or "{I}"
     is_whole = dimension == sum(map(len, of_nodes))

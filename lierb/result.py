@@ -20,7 +20,9 @@ from lierb.errors import ArgumentError, require_name, told, unknown_name
 from lierb.extras import require
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
-from lierb.kernels.numbers.vec import norm, scale
+from lierb.kernels.mechanics.spatial import Rigid, wrench_from
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
+from lierb.model import Body, Problem
 from lierb.runs.columns import as_array, numbers
 from lierb.runs.continuation import End
 from lierb.runs.failures import Failures, has_failed
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from lierb.mechanism import Mechanism
-    from lierb.model import Problem
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 TABLES = ("summary", "history")
@@ -194,6 +195,32 @@ class Result(States):
         if not (isinstance(link, str) and link in self.links):
             raise unknown_name("result: link", link, self.links)
         return LinkResult(self.summary, self.history, link)
+
+    @property
+    def momentum(self) -> Array:
+        """Angular momentum about the ground's origin, N m s, and linear momentum, N s, of all links
+        together and in the ground's axes: (times, n, 6), or (n, 6) at the end.
+
+        Raises ArgumentError for a result that was pickled, which has lost its bodies.
+
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=2.0), lierb.joints.free())
+        >>> twist0 = (0.0, 0.0, 0.0, 3.0, 0.0, 0.0)
+        >>> lierb.integrate(flight, twist0=twist0, dt=0.1, t_end=0.5).momentum.round(9).tolist()
+        [[0.0, 0.0, 0.0, 6.0, 0.0, 0.0]]
+        """
+        if self._end is None:
+            raise ArgumentError("result.momentum: only a result that integrate returned has bodies")
+        problem = self._end.problem
+        pairs: list[tuple[Body, States]] = []
+        if isinstance(problem, Problem):
+            pairs.append((problem.body, self))
+        else:
+            pairs += [(link.body, self[link.name]) for link in problem.links]
+        total = ZERO6
+        for body, link in pairs:
+            total = add(total, _momentum_of(body, link))
+        return assembled(total)
 
     def _state(self, name: str, *item: int, asked: str = "") -> Array:
         if self.links:
@@ -400,6 +427,15 @@ class Result(States):
         more += [each["name"] for each in problem.get(OBSERVED, [])]
         recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
+
+
+def _momentum_of(body: Body, link: States) -> Vec:
+    """Of one body, about the ground's origin and in its axes."""
+    com, inertia = components(body.com), components(body.inertia, 2)
+    rigid = Rigid(body.mass, scale(body.mass, com), inertia)
+    momentum = rigid.momentum(components(link.omega) + components(link.v))
+    place = components(link.rotation, 2), components(link.position)
+    return wrench_from(place, momentum)
 
 
 def _metadata(table: pa.Table) -> dict[str, Any]:

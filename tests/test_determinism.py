@@ -7,7 +7,6 @@ import pytest
 from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but
 
 import lierb
-
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR

@@ -10,8 +10,9 @@ import pytest
 from cases import RECORD, slow_but
 
 import lierb
-from lierb import api, joints
+from lierb import joints
 from lierb.errors import FailedTrajectoryWarning
+from lierb.runs import starts
 
 BOX = (0.0126563, 0.0468281, 0.0569531)
 POINT = (-0.15, 0.0375, 0.0)
@@ -515,7 +516,7 @@ def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
 @pytest.mark.parametrize("differs", ["mass", "gravity", "point"])
 def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, differs):
     """What all bodies share is found once a thread, and must not be where they do not."""
-    count = 3 * api.DEFAULT_LANES + 1
+    count = 3 * starts.DEFAULT_LANES + 1
     scale = 1.0 + 0.1 * np.arange(count)
     given = {"mass": 6.075, "gravity": np.array([0, 0, -9.81]), "point": np.array(POINT)}
 
@@ -528,7 +529,7 @@ def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, diff
     problem = problem_of(scale)
     together = run(problem, problem.joint.twist(omega=omega)).summary
     names = [name for name in together.column_names if name not in ("trajectory", "status")]
-    for i in (1, api.DEFAULT_LANES, count - 1):
+    for i in (1, starts.DEFAULT_LANES, count - 1):
         one = problem_of(scale[i])
         assert_same_bits(
             run(one, one.joint.twist(omega=omega)).summary, together.slice(i, 1), names

@@ -14,7 +14,7 @@ from lierb.compiler import sealed, stamp
 from lierb.compiler.stamp import described, parts, source_stamp
 from lierb.compiler.tags import Tag, TagType
 from lierb.kernels.functions.fingerprint import modules_named
-from lierb.kernels.stepping import driver
+from lierb.kernels.stepping import driver, plan
 
 DRIVER = driver.__name__
 
@@ -218,8 +218,8 @@ def stamp_of(tag):
 def test_stamp_of_a_tag_is_of_the_modules_of_all_its_classes():
     assert stamp_of(Outer()) == source_stamp(__name__)
     assert stamp_of(Outer((1.0, (Inner(),)))) == source_stamp(__name__)
-    within = Outer(((driver.Plan(1, (), "SE3", "local", (), (), False),),))
-    assert stamp_of(within) == source_stamp(*sorted((__name__, driver.Plan.__module__)))
+    within = Outer(((plan.Plan(1, (), "SE3", "local", (), (), False),),))
+    assert stamp_of(within) == source_stamp(*sorted((__name__, plan.Plan.__module__)))
 
 
 def limited(x):

@@ -50,7 +50,9 @@ def worst(found: np.ndarray, wanted: np.ndarray) -> float:
 QUICKLY = (("chain", "reduced"), ("four_bar", "SE3"))
 MANY = [
     pytest.param(
-        shape, cspace, "DOP853" if (shape, cspace) == QUICKLY[0] else "RK4",
+        shape,
+        cspace,
+        "DOP853" if (shape, cspace) == QUICKLY[0] else "RK4",
         marks=() if (shape, cspace) in QUICKLY else pytest.mark.slow,
     )
     for cspace, shapes in (

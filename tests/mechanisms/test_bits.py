@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.runs import engine, mechanisms
+from lierb import mechanism_plan
+from lierb.runs import engine
 
 DT, STEPS, COUNT = 5e-3, 20, 100
 
@@ -80,7 +81,7 @@ def test_bits_of_mechanisms_do_not_depend_on_place_in_batch(expected):
 @pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 2, 4])
 def test_bits_of_mechanisms_do_not_depend_on_lanes(lanes, expected, monkeypatch):
-    monkeypatch.setattr(mechanisms, "DEFAULT_LANES", lanes)
+    monkeypatch.setattr(mechanism_plan, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(bits(run()), expected)
 
 

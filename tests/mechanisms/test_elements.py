@@ -1,0 +1,182 @@
+"""What acts between links: functions of the user's against lierb's own forces and joints."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lierb
+from mechanisms.shared import double_pendulum
+
+STIFF, LENGTH, ANCHOR = 30.0, 0.2, (0.1, 0.05, 0.2)
+RUN = {"dt": 1e-3, "t_end": 0.1, "method": "Heun"}
+
+
+@lierb.wrench(stiffness=STIFF, length=LENGTH, anchor=ANCHOR)
+def tether(t, R, r, omega, v, params):
+    """A spring from the other link's point to this one's frame."""
+    line = r - params.anchor
+    size = np.sqrt(line @ line)
+    pull = -params.stiffness * (size - params.length) / size * (R.T @ line)
+    return np.zeros(3), pull
+
+
+@lierb.observable(unit="rad")
+def fold(R):
+    return np.arctan2(R[0, 2], R[2, 2])
+
+
+@lierb.observable(unit="m")
+def height(r):
+    return r[2]
+
+
+@lierb.constraint(length=0.6)
+def strut(R, r, params):
+    return (r @ r / params.length - params.length) / 2
+
+
+def start(made):
+    pose0 = made.pose({"upper": 0.4, "lower": -0.7})
+    return {"pose0": pose0, "twist0": made.twist({"upper": 1.0, "lower": 3.0}, pose0)}
+
+
+def test_users_wrench_between_links_does_what_a_spring_does():
+    plain = double_pendulum()
+    spring = lierb.forces.spring_damper(ground_point=ANCHOR, stiffness=STIFF, length=LENGTH)
+    found = []
+    for force in (tether(), spring):
+        made = lierb.Mechanism(
+            plain.links, gravity=plain.gravity, forces=force.on("lower", "upper"),
+            observables=[fold().on("lower", "upper"), height().on("lower")],
+        )  # fmt: skip
+        found.append(lierb.integrate(made, **start(made), **RUN))
+    ours, theirs = found
+    for name in ("upper", "lower"):  # the same force, rounded in another order
+        np.testing.assert_allclose(ours[name].omega, theirs[name].omega, atol=1e-12)
+        np.testing.assert_allclose(ours[name].position, theirs[name].position, atol=1e-13)
+    # The one's potential energy is the other one's work.
+    drifts = [abs(r.summary["energy_drift_max"][0].as_py()) for r in found]
+    assert max(drifts) < 1e-4  # Heun's, of 20 J
+    turned = theirs["upper"].rotation[0].T @ theirs["lower"].rotation[0]
+    angle = np.arctan2(turned[0, 2], turned[2, 2])
+    assert abs(theirs.summary["fold_final"][0].as_py() - angle) < 1e-14
+    assert theirs.summary["height_final"][0].as_py() == theirs["lower"].position[0, 2]
+
+
+def test_users_constraint_on_a_link_holds_as_a_loop_does():
+    # a rod from the ground's origin to the frame of a free link that hangs on a pendulum's arm
+    arm = double_pendulum().links[0]
+    ball = lierb.Link(
+        "ball", lierb.bodies.sphere(0.05, mass=0.5), lierb.joints.free(), parent="upper"
+    )
+    loop = lierb.Loop("rod", lierb.joints.point_on_sphere(length=0.6), "ball")
+    pose0 = {"upper": arm.joint.pose([0.3]), "ball": np.eye(4)}
+    pose0["ball"][:3, 3] = (0.6, 0.0, 0.0)
+    twist0 = {"upper": np.zeros(6), "ball": np.array([0.0, 1.0, 2.0, 0.0, 0.5, -0.3])}
+    results = [
+        lierb.integrate(made, pose0=pose0, twist0=twist0, **RUN)
+        for made in (
+            lierb.Mechanism([arm, ball], constraints=strut().on("ball")),
+            lierb.Mechanism([arm, ball], loop),
+        )
+    ]
+    ours, theirs = results
+    np.testing.assert_allclose(ours["ball"].position, theirs["ball"].position, atol=1e-13)
+    assert ours.summary["position_error_max"][0].as_py() < 1e-6  # it drifts as the loop does
+    np.testing.assert_allclose(
+        ours.summary["position_error_max"][0].as_py(),
+        theirs.summary["rod.position_error_max"][0].as_py(),
+        rtol=1e-6,
+    )
+
+
+def test_motor_of_given_speed_turns_its_joint_at_that_speed():
+    plain = double_pendulum()
+    made = lierb.Mechanism(
+        plain.links, gravity=plain.gravity, forces=lierb.forces.motor(speed=2.0).on("lower")
+    )
+    pose0 = made.pose({"upper": 0.4})
+    twist0 = made.twist({"upper": 1.0, "lower": 2.0}, pose0)
+    result = lierb.integrate(made, pose0=pose0, twist0=twist0, **RUN)
+    end = {name: np.eye(4) for name in made.names}
+    for name in made.names:
+        end[name][:3, :3], end[name][:3, 3] = result[name].rotation[0], result[name].position[0]
+    angle = made.coordinates(end)["lower"][0]
+    assert abs(angle - 2.0 * RUN["t_end"]) < 1e-13
+    assert result.summary["rotation_rate_error_max"][0].as_py() < 1e-13
+    # What the motor does is work: the energy is accounted for, to Heun's error.
+    assert abs(result.summary["energy_drift_max"][0].as_py()) < 1e-4
+
+
+def test_friction_on_an_inner_joint_takes_the_energy_that_it_should():
+    plain = double_pendulum()
+    friction = lierb.forces.joint_friction(viscous=0.2).on("lower")
+    made = lierb.Mechanism(plain.links, gravity=plain.gravity, forces=friction)
+    result = lierb.integrate(made, **start(made), **RUN, save_every=1, record=["state", "energy"])
+    twists = {n: np.hstack([result[n].omega[:, 0], result[n].v[:, 0]]) for n in made.names}
+    poses = {}
+    for name in made.names:
+        poses[name] = np.tile(np.eye(4), (len(result.t), 1, 1))
+        poses[name][:, :3, :3] = result[name].rotation[:, 0]
+        poses[name][:, :3, 3] = result[name].position[:, 0]
+    rate = made.velocities(twists, poses)["lower"][:, 0]
+    lost = np.trapezoid(-0.2 * rate**2, result.t)
+    energy = result.history["energy"].to_numpy()
+    assert abs(energy[-1] - energy[0] - lost) < 1e-4  # of 0.4 J; both are of second order
+
+
+def test_a_joint_may_be_given_in_other_frames_along_its_axis():
+    # the same pendulum, with joint frames that are turned about the axis: the same motion
+    plain = double_pendulum()
+    c, s = np.cos(0.7), np.sin(0.7)
+    turn = np.eye(4)
+    turn[:2, :2] = [[c, -s], [s, c]]
+    links = [
+        replace(x, joint=replace(x.joint, body_frame=x.joint.body_frame @ turn,
+                                 ground_frame=x.joint.ground_frame @ turn))
+        for x in plain.links
+    ]  # fmt: skip
+    other = lierb.Mechanism(links, gravity=plain.gravity)
+    ends = [lierb.integrate(made, **start(plain), **RUN) for made in (plain, other)]
+    for name in plain.names:
+        np.testing.assert_allclose(ends[0][name].omega, ends[1][name].omega, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["upper", "lower"])
+def test_a_spring_about_an_inner_joint_is_slack_at_its_angle(name):
+    made = lierb.Mechanism(
+        double_pendulum().links,
+        forces=lierb.forces.torsional_spring(stiffness=5.0, angle=0.3).on(name),
+    )
+    at_rest = made.pose({name: 0.3})
+    still = {n: np.zeros(6) for n in made.names}
+    result = lierb.integrate(made, pose0=at_rest, twist0=still, **RUN)
+    for each in made.names:
+        assert np.abs(result[each].omega).max() < 1e-15
+
+
+def test_momentum_is_that_of_the_bodies_and_stays_where_nothing_acts_from_outside():
+    rng = np.random.default_rng(1)
+    body = lierb.Body(1.5, np.diag([0.03, 0.04, 0.05]) + 1.5 * 0.01 * np.diag([0, 1, 1]),
+                      (0.1, 0.0, 0.0))  # fmt: skip
+    joint = lierb.joints.revolute(body_point=(0.0, 0.0, 0.2), parent_point=(0.0, 0.1, 0.0))
+    pair = lierb.Mechanism([
+        lierb.Link("a", body, lierb.joints.free()), lierb.Link("b", body, joint, "a"),
+    ])  # fmt: skip
+    pose0 = pair.pose({"b": 0.4})
+    twist0 = pair.twist({"a": rng.normal(size=6), "b": 2.0}, pose0)
+    result = lierb.integrate(
+        pair, pose0=pose0, twist0=twist0, dt=1e-3, t_end=0.1, save_every=50, record="state"
+    )
+    wanted = np.zeros(6)
+    for name in pair.names:  # particle by particle: m c and second moments of each body
+        R, r = pose0[name][:3, :3], pose0[name][:3, 3]
+        w, v = R @ twist0[name][:3], R @ twist0[name][3:]
+        c = R @ body.com
+        central = body.inertia - body.mass * (body.com @ body.com * np.eye(3)
+                                              - np.outer(body.com, body.com))  # fmt: skip
+        p = body.mass * (v + np.cross(w, c))
+        wanted += np.r_[np.cross(r + c, p) + R @ central @ R.T @ w, p]
+    np.testing.assert_allclose(result.momentum[0, 0], wanted, atol=1e-14)
+    np.testing.assert_allclose(result.momentum[-1, 0], wanted, atol=1e-11)  # RK4's error
