@@ -112,13 +112,18 @@ def test_examples_run(page):
     assert result.failed == 0
 
 
-def test_readme_example_prints_what_it_says(capsys):
+def test_readme_examples_print_what_they_say(capsys):
+    """One after the other, as in one file."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    code, shown = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL).groups()
-    exec(compile(code, "README.md", "exec"), {})
     number = re.compile(r"[0-9.]+e[+-][0-9]+")
-    for said, printed in zip(shown.splitlines(), capsys.readouterr().out.splitlines(), strict=True):
-        assert number.sub("", said) == number.sub("", printed)
-        expected, found = float(number.search(said)[0]), float(number.search(printed)[0])
-        # another CPU rounds otherwise; drift stays within a factor
-        assert found == pytest.approx(expected, rel=0.5, abs=1e-14)
+    names: dict = {}
+    examples = re.findall(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL)
+    assert len(examples) == 2
+    for code, shown in examples:
+        exec(compile(code, "README.md", "exec"), names)
+        lines = capsys.readouterr().out.splitlines()
+        for said, printed in zip(shown.splitlines(), lines, strict=True):
+            assert number.sub("", said) == number.sub("", printed)
+            expected, found = ([float(x) for x in number.findall(line)] for line in (said, printed))
+            # another CPU rounds otherwise; drift stays within a factor
+            assert found == pytest.approx(expected, rel=0.5, abs=1e-14)
