@@ -16,7 +16,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 MECHANISMS ?=
 
-.PHONY: help install demo docs picture test test-oldest lint dist faults bench bench-peers clean
+.PHONY: help install demo docs picture test test-mechanisms test-oldest lint dist faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -56,6 +56,9 @@ dist: $(VENV)/.publish  ## build sdist and wheel, check them, install the wheel 
 		"$$(echo dist/*.whl)[study]"
 	cd dist && NUMBA_CACHE_DIR=empty/cache empty/bin/python ../tests/installed.py *.whl
 	rm -rf dist/empty
+
+test-mechanisms: $(VENV)/.dev  ## all mechanisms against the oracle and published motion (10 minutes)
+	$(BIN)/python -m pytest -n auto -m "long or not long" tests/mechanisms
 
 faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; most of an hour)
 	cd tests && $(abspath $(BIN))/python -m faults --out ../results/faults $(ARGS)

@@ -58,11 +58,12 @@ def _file(nodeid: str) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """The whole fault campaign, most of an hour, runs where it is asked for by name: -m faults."""
-    if "faults" not in config.getoption("markexpr"):
-        whole = [item for item in items if item.get_closest_marker("faults")]
-        items[:] = [item for item in items if item not in whole]
-        config.hook.pytest_deselected(items=whole)
+    """What takes long runs where it is asked for by name: -m faults, -m long."""
+    for mark in ("faults", "long"):
+        if mark not in config.getoption("markexpr"):
+            whole = [item for item in items if item.get_closest_marker(mark)]
+            items[:] = [item for item in items if item not in whole]
+            config.hook.pytest_deselected(items=whole)
 
 
 def pytest_collection_finish() -> None:

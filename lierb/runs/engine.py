@@ -145,19 +145,17 @@ class Inputs:
 
     def places(self, plan: AnyPlan) -> Places:
         """Of every column: a run that does not go on asks for no state."""
-        columns = self.columns
-        places = _layout(self.problem, columns).places
-        fields = {field.name: field for field in columns.fields if field.name in self.starts}
-        at = columns["state"].start
-        places = np.concatenate([places, np.empty((columns.count - at, 2), np.int64)])
+        columns, places = self.columns, _layout(self.problem, self.columns).places.copy()
         for name, array in self.starts.items():
-            places[columns[name]] = _places_of(fields[name], array)
+            places[columns[name]] = _places_of(columns.field(name), array)
         if self.state is None:
-            return places[:at]
-        places[at:] = ZERO_STATE.ctypes.data, 0
+            return places
+        at = columns["state"].start
+        of_state = np.zeros((columns.count - at, 2), np.int64)
+        of_state[:, 0] = ZERO_STATE.ctypes.data
         for row, column in zip(self.state, end_columns(plan), strict=True):
-            places[at + column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
-        return places
+            of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
+        return np.concatenate([places, of_state])
 
     def numbers(self, body: int) -> list[np.float64]:
         """Of one body, in the order of the columns, as far as they are there without a run."""
@@ -273,18 +271,21 @@ class Output:
                 self.raised[chunk.start + body] = exception_told(plan, error)
 
 
-def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> list[tuple[int, ...]]:
+@lru_cache(64)
+def _shapes(
+    plan: AnyPlan, count: int, rows: int, with_state: bool
+) -> tuple[tuple[int, ...], ...]:
     """Of an Output's arrays."""
     system = system_of(plan)
     states = (rows if with_state else 1) * system.links
-    return [
+    return (
         (summary_columns(plan), count),
         (history_columns(plan), rows, count),
         *((states, count, field.width) for field in POSE_AND_TWIST.fields),
         (rows * plan.multipliers, count, len(plan.rows)),
         (rows * plan.reaction * max(len(system.joints), 1), count, 6),
         (len(end_columns(plan)), count),
-    ]
+    )
 
 
 class Chunk(NamedTuple):

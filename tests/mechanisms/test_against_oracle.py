@@ -47,13 +47,24 @@ def worst(found: np.ndarray, wanted: np.ndarray) -> float:
     return float(np.max(np.abs(found - wanted)) / (1.0 + np.max(np.abs(wanted))))
 
 
-QUICKLY = (("chain", "reduced"), ("four_bar", "SE3"))
+# Each is compiled, and those of many links for a minute: the others run with -m long.
+QUICKLY = (("chain", "reduced"),)
+IN_EVERY_RUN = (
+    *((shape, "reduced") for shape in ("star", "four_bar", "slider_crank", "rssr", "branched")),
+    ("four_bar", "SE3"), ("two_loops", "SE3"), ("chain", "SO3xR3"),
+)  # fmt: skip
+
+
+def _marks(shape: str, cspace: str) -> tuple:
+    if (shape, cspace) in QUICKLY:
+        return ()
+    return (pytest.mark.slow,) if (shape, cspace) in IN_EVERY_RUN else (pytest.mark.long,)
+
+
 MANY = [
     pytest.param(
-        shape,
-        cspace,
-        "DOP853" if (shape, cspace) == QUICKLY[0] else "RK4",
-        marks=() if (shape, cspace) in QUICKLY else pytest.mark.slow,
+        shape, cspace, "DOP853" if (shape, cspace) in QUICKLY else "RK4",
+        marks=_marks(shape, cspace),
     )
     for cspace, shapes in (
         ("reduced", (*TREES, *LOOPS)),
@@ -61,7 +72,7 @@ MANY = [
         ("SO3xR3", ("chain", "branched", "four_bar", "two_loops")),
     )
     for shape in shapes
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("shape", "cspace", "method"), MANY)
@@ -90,7 +101,7 @@ def test_motion_and_reactions_are_those_of_the_oracle(shape, cspace, method):
         assert np.max(np.abs(away)) < REACTION * largest, name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cspaces_of_links_may_differ():
     made, motion, _ = moved("chain", centred=True)
     spaces = {samples.link_name(i): "SE3" if i % 2 else "SO3xR3" for i in range(4)}
@@ -163,6 +174,7 @@ def expected(given: Benchmark, kept: dict, t: str) -> list[LinkState]:
 
 # at times at which reference.json has them; A02 before it lies down
 QUICK = ("A01", "A02_1")
+LONG = (*(f"A02_{N}" for N in range(3, 9)), "A03")
 AT = {"A01": "1", "A03": "0.03", **{f"A02_{N}": "0.5" for N in range(1, 9)}}
 # A03 is accelerated by 1e6 rad/s²: the oracle, of 53 bits, is off by 2e-10 itself, and what is
 # published by 1e-9 rad (`test_benchmarks`)
@@ -170,7 +182,13 @@ TOLERANCES = {"A03": 1e-9}
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in BENCHMARKS]
+    "name",
+    [
+        pytest.param(
+            n, marks=() if n in QUICK else pytest.mark.long if n in LONG else pytest.mark.slow
+        )
+        for n in BENCHMARKS
+    ],
 )
 def test_benchmark_ends_where_minimal_coordinates_say(name):
     given, kept = benchmark(name)
@@ -181,6 +199,7 @@ def test_benchmark_ends_where_minimal_coordinates_say(name):
     assert off(expected(given, kept, t), states, free) < TOLERANCES.get(name, STATE)
 
 
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 @pytest.mark.parametrize("windows", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a02_that_has_lain_down_is_closed_or_told(windows):
     # the rank falls when all rods lie in a line, and there the motion may branch: what comes after

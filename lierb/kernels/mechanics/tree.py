@@ -1,4 +1,4 @@
-"""Bodies that hang on each other: motion and accelerations of a tree of links, and further rows.
+"""Bodies that hang on each other: a tree of links, and how it moves.
 
 A *node* is a link, or a massless piece between two motions that make up one joint. It hangs on the
 node before it, or on the ground, by D = (Q, d): its frame, seen from the joint's frame there. In
@@ -10,11 +10,7 @@ with A constant, V′ of the node before it, S the joint's free directions, and 
 without ν̇. *Reduced*: D and V_rel = S ν are the state, S is constant, and b = [Ad(T⁻¹)V′, V_rel].
 *Absolute*: C and V of every node are the state; S spans what the joint's rows leave free where the
 node is, on its joint or off it, and b satisfies the rows: the saddle point of M and these rows,
-solved on their null space, in as many operations as there are nodes. Either way by articulated
-bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 7).
-
-All other rows, of loops, of joints whose motions are no group, of motors and of the user's, have a
-Schur complement on that. Gravity is an acceleration of the ground.
+solved on their null space. `lierb.kernels.mechanics.tree_dynamics` has ν̇.
 """
 
 from __future__ import annotations
@@ -22,22 +18,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import product
 from typing import Any, NamedTuple
 
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Rows
-from lierb.kernels.mechanics.saddle import kinds_of, less, multipliers_of
+from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.spatial import (
-    Articulated,
     Pose,
     Rigid,
     twist_at,
-    wrench_from,
 )
-from lierb.kernels.mechanics.subgroup import Slots, inverse
-from lierb.kernels.numbers.arithmetic import fma, sqrt
+from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     UNIT,
@@ -53,12 +45,10 @@ from lierb.kernels.numbers.vec import (
     mat_t_vec,
     mat_vec_add,
     neg,
-    norm,
     row,
-    scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.numbers.zero import ZERO
 
 GROUND = -1  # in place of a node's number
 MASSLESS = -1  # in place of a link's number
@@ -205,6 +195,7 @@ class TreeMotion:
         self._poses = [*poses]
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
+        self._above: dict[int, dict[int, Vec]] = {}
         self._rates: dict[int, Any] = {}  # ν
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
             first = self.own[-1].stop if self.own else 0
@@ -225,7 +216,7 @@ class TreeMotion:
         if not is_root:
             columns = self._from_above(i) if joint_space_pays(self.nodes) else {}
             if 0 < len(columns) <= FEW:
-                carried = _combined([self._rates[j] for j in columns], [*columns.values()])
+                carried = combined([self._rates[j] for j in columns], [*columns.values()])
             else:
                 carried = self.carry(i, self.twists[node.parent])
         self.carried.append(carried)
@@ -259,10 +250,6 @@ class TreeMotion:
             own = dict(zip(self.own[i], self.directions[i], strict=True))
             self._columns[i] = self._from_above(i) | own
         return self._columns[i]
-
-    @cached_property
-    def _above(self) -> dict[int, dict[int, Vec]]:
-        return {}
 
     def _from_above(self, i: int) -> dict[int, Vec]:
         """Those of the joints before its own."""
@@ -383,209 +370,6 @@ def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
     return directions
 
 
-class ArticulatedBodies:
-    """The inertias of a tree, and what any loads do to it."""
-
-    def __init__(self, motion: TreeMotion) -> None:
-        self.motion = motion
-        nodes, constants = motion.nodes, motion.body.nodes
-        self.free = motion.directions
-        own: list[Any] = [
-            None if n.link == MASSLESS else c.rigid for n, c in zip(nodes, constants, strict=True)
-        ]
-        carried: list[Articulated | None] = [None] * len(nodes)
-        self.inertias: list[list[Any]] = [[] for _ in nodes]
-        self.columns: list[list[Vec]] = [[] for _ in nodes]  # U = I S
-        self.gains: list[tuple[Any, ...]] = [() for _ in nodes]  # (Sᵀ I S)⁻¹
-        for i in reversed(range(len(nodes))):
-            self.inertias[i] = [part for part in (own[i], carried[i]) if part is not None]
-            self.columns[i] = [self.momentum(i, s) for s in self.free[i]]
-            if self.free[i]:
-                self.gains[i] = inverse(
-                    [[dot(s, u) for u in self.columns[i]] for s in self.free[i]]
-                )
-            parent = nodes[i].parent
-            if parent != GROUND:
-                moved = self._passed_on(i)
-                before = carried[parent]
-                carried[parent] = moved if before is None else before.and_also(moved)
-
-    def momentum(self, i: int, twist: Vec) -> Vec:
-        """Of all that hangs on a node and is free to move."""
-        return _sum([part.momentum(twist) for part in self.inertias[i]])
-
-    def _passed_on(self, i: int) -> Articulated:
-        """I − U (SᵀIS)⁻¹ Uᵀ, seen from the node before."""
-        step = self.motion.steps[i]
-        parts = [part.from_frame(step) for part in self.inertias[i]]
-        total = parts[0] if len(parts) == 1 else parts[0].and_also(parts[1])
-        columns = [wrench_from(step, u) for u in self.columns[i]]
-        count = len(columns)
-        for k in range(count):
-            gain = self.gains[i][count * k : count * k + count]
-            total = total.less(columns[k], _combined(gain, columns))
-        return total
-
-    def respond(
-        self,
-        loads: dict[int, Vec],
-        biases: Sequence[Vec] | None = None,
-        fall: dict[int, Vec] | None = None,
-    ) -> Response:
-        """What the nodes do under loads, wrenches about their frames' origins.
-
-        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there;
-        with it, the nodes have their velocities, else they are at rest.
-        """
-        nodes, steps = self.motion.nodes, self.motion.steps
-        totals = [loads.get(i, ZERO6) for i in range(len(nodes))]
-        if fall is not None:
-            for i, node in enumerate(nodes):
-                if node.link != MASSLESS:
-                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i])
-                    totals[i] = sub(totals[i], bias)
-        forced: list[Vec] = [()] * len(nodes)
-        for i in reversed(range(len(nodes))):
-            bias = biases[i] if biases else ZERO6
-            lacking = totals[i] if not biases else sub(totals[i], self.momentum(i, bias))
-            pushes = tuple(dot(s, lacking) for s in self.free[i])
-            forced[i] = _times(self.gains[i], pushes)
-            if nodes[i].parent != GROUND:
-                passed = sub(lacking, _combined(forced[i], self.columns[i]))
-                totals[nodes[i].parent] = add(
-                    totals[nodes[i].parent], wrench_from(steps[i], passed)
-                )
-        moved: list[Vec] = []
-        rates: list[Vec] = []
-        for i, node in enumerate(nodes):
-            before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else moved[node.parent]
-            carried = twist_at(steps[i], before)
-            held = tuple(dot(u, carried) for u in self.columns[i])
-            rate = sub(forced[i], _times(self.gains[i], held)) if held else ()
-            start = add(carried, biases[i]) if biases else carried
-            relative = _combined(rate, self.free[i])
-            rates.append(relative)
-            moved.append(add(start, relative))
-        return Response(tuple(moved), tuple(rates), tuple(totals))
-
-    def transmitted(self, i: int, response: Response) -> Vec:
-        """The wrench by which a joint moves its node, about the node's frame."""
-        return sub(self.momentum(i, response.moved[i]), response.totals[i])
-
-
-class JointSpace:
-    """The same by the mass matrix of all free directions: less work for a few of them.
-
-    Kane's method, on the motion's columns: twists of a node by one free direction each.
-    """
-
-    def __init__(self, motion: TreeMotion) -> None:
-        self.motion = motion
-        nodes, constants = motion.nodes, motion.body.nodes
-        entries: dict[tuple[int, int], Any] = {}
-        for i, node in enumerate(nodes):
-            if node.link == MASSLESS:
-                continue
-            columns = motion.columns(i)
-            momenta = {j: constants[i].rigid.momentum(c) for j, c in columns.items()}
-            for j, k in product(momenta, momenta):
-                if k <= j:
-                    found = dot(columns[k], momenta[j])
-                    entries[j, k] = found + entries[j, k] if (j, k) in entries else found
-        self.count = sum(len(motion.directions[i]) for i in range(len(nodes)))
-        rows = range(self.count)
-        self.mass = Factored([[entries.get((j, k), ZERO) for k in range(j + 1)] for j in rows])
-
-    def respond(
-        self,
-        loads: dict[int, Vec],
-        biases: Sequence[Vec] | None = None,
-        fall: dict[int, Vec] | None = None,
-    ) -> Response:
-        """As `ArticulatedBodies.respond`."""
-        motion = self.motion
-        start: list[Vec] = []  # what the nodes do without ν̇
-        forces: list[Any] = [ZERO] * self.count
-        for i, node in enumerate(motion.nodes):
-            before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else start[node.parent]
-            carried = motion.carry(i, before)
-            start.append(add(carried, biases[i]) if biases else carried)
-            lacking = loads.get(i, ZERO6)
-            rigid = motion.body.nodes[i].rigid
-            if node.link != MASSLESS and fall is not None:
-                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i]))
-            elif node.link != MASSLESS and biases:
-                lacking = sub(lacking, rigid.momentum(start[i]))
-            if not is_zero(*lacking):
-                for j, column in motion.columns(i).items():
-                    forces[j] = forces[j] + dot(column, lacking)
-        rates = self.mass.solve(forces)
-        moved, relative = [], []
-        for i, directions in enumerate(motion.directions):
-            columns = motion.columns(i)
-            moved.append(_combined([rates[j] for j in columns], [*columns.values()], start[i]))
-            relative.append(_combined([rates[j] for j in motion.own[i]], directions))
-        totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
-        if fall is not None:
-            for i, node in enumerate(motion.nodes):
-                if node.link != MASSLESS:
-                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i])
-                    totals[i] = sub(totals[i], bias)
-        return Response(tuple(moved), tuple(relative), tuple(totals))
-
-    def transmitted(self, i: int, response: Response) -> Vec:
-        """As `ArticulatedBodies.transmitted`."""
-        motion = self.motion
-        total = neg(response.totals[i])
-        if motion.nodes[i].link != MASSLESS:
-            total = add(motion.body.nodes[i].rigid.momentum(response.moved[i]), total)
-        for child, node in enumerate(motion.nodes):
-            if node.parent == i:
-                passed = self.transmitted(child, response)
-                total = add(total, wrench_from(motion.steps[child], passed))
-        return total
-
-
-class Factored:
-    """A symmetric positive definite matrix, given by its lower triangle, as Lᵀ D L.
-
-    From the last row on: the pivots of a chain's last links are constant, and so divided by once.
-    """
-
-    def __init__(self, lower: list[list[Any]]) -> None:
-        count = len(lower)
-        self.upper: list[list[Any]] = [[] for _ in range(count)]  # of row i, from the last on
-        self.inverses: list[Any] = [ZERO] * count
-        scaled: list[list[Any]] = [[] for _ in range(count)]
-        for i in reversed(range(count)):
-            for j in reversed(range(i + 1, count)):
-                rest = less(lower[j][i], self.upper[i], scaled[j])
-                scaled[i].append(rest)
-                self.upper[i].append(rest * self.inverses[j])
-            self.inverses[i] = 1.0 / less(lower[i][i], self.upper[i], scaled[i])
-
-    def solve(self, right: Sequence[Any]) -> list[Any]:
-        count = len(right)
-        y: list[Any] = []  # from the last row on
-        for i in reversed(range(count)):
-            y.append(less(right[i], self.upper[i], y))
-        found: list[Any] = []
-        for i in range(count):
-            x = y[count - 1 - i] * self.inverses[i]
-            for j in range(i):
-                x = fma(-self.upper[j][count - 1 - i], found[j], x)
-            found.append(x)
-        return found
-
-
-Bodies = ArticulatedBodies | JointSpace
-
-
-def bodies_of(motion: TreeMotion) -> Bodies:
-    """By whichever takes fewer operations."""
-    return JointSpace(motion) if joint_space_pays(motion.nodes) else ArticulatedBodies(motion)
-
-
 @lru_cache(64)
 def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
     """Whether the mass matrix takes fewer operations than articulated bodies.
@@ -603,150 +387,8 @@ def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
     return 60 * sum(above) + sum(free) ** 3 / 6 <= 170 * hanging + blocks
 
 
-class Response(NamedTuple):
-    """moved : each node's V̇, or what stands for it.   rates : S ν̇.   totals : loads, passed on."""
-
-    moved: tuple[Vec, ...]
-    rates: tuple[Vec, ...]
-    totals: tuple[Vec, ...]
-
-
-def _sum(vectors: list[Vec]) -> Vec:
-    total = vectors[0]
-    for v in vectors[1:]:
-        total = add(total, v)
-    return total
-
-
-def _combined(weights: Sequence[Any], vectors: Sequence[Vec], start: Vec = ZERO6) -> Vec:
+def combined(weights: Sequence[Any], vectors: Sequence[Vec], start: Vec = ZERO6) -> Vec:
     total = start
     for weight, v in zip(weights, vectors, strict=True):
         total = axpy(weight, v, total)
     return total
-
-
-def _times(matrix: tuple[Any, ...], x: Vec) -> Vec:
-    n = len(x)
-    return tuple(dot(matrix[n * i : n * i + n], x) for i in range(n))
-
-
-# ---- rows beside the tree ----------------------------------------------------------------------
-
-
-class Asked(NamedTuple):
-    """What a row asks of two nodes: push·(motion of one) − pull·(motion of the other) = wanted.
-
-    push, pull : the row as wrenches about the nodes' frames.   fall : that of `Relative`.
-    """
-
-    node: int
-    other: int
-    push: Vec
-    pull: Vec
-    fall: Vec | None
-    wanted: Any
-
-    def loads(self, size: Any = 1.0) -> dict[int, Vec]:
-        """size times the wrenches that the row's multiplier has, but for their sign."""
-        found = {self.node: scale(size, self.push)}
-        if self.other != GROUND:
-            found[self.other] = scale(-size, self.pull)
-        return found
-
-    def of(self, response: Response) -> Any:
-        """What it asks about, of what the nodes do."""
-        total = dot(self.push, response.moved[self.node])
-        if self.other != GROUND:
-            return total - dot(self.pull, response.moved[self.other])
-        return total
-
-
-def asked(
-    connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
-) -> Asked:
-    """Of a row with this Jacobian, J·V_rel."""
-    push = jacobian if connection.hangs else wrench_from(inner, jacobian)
-    pull = wrench_from(relative.seat, jacobian)
-    return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
-
-
-class Solved(NamedTuple):
-    """response : with all rows.   multipliers : of the rows asked for.
-
-    singular, dropped : marks, as of `saddle.Solution`.
-    """
-
-    response: Response
-    multipliers: tuple[Any, ...]
-    singular: Any
-    dropped: Any
-
-
-def solved(
-    bodies: Bodies,
-    rows: Sequence[Asked],
-    loads: dict[int, Vec],
-    biases: Sequence[Vec] | None = None,
-    fall: dict[int, Vec] | None = None,
-) -> Solved:
-    """What the nodes do under loads and rows; see `ArticulatedBodies.respond`."""
-    response = bodies.respond(loads, biases, fall)
-    if not rows:
-        return Solved(response, (), ZERO, ZERO)
-    responses = [bodies.respond(each.loads()) for each in rows]
-    schur = [[rows[i].of(responses[j]) for j in range(i + 1)] for i in range(len(rows))]
-    excess = []
-    for each in rows:
-        found = each.of(response) - each.wanted
-        excess.append(found if each.fall is None else found - dot(each.pull, ZERO3 + each.fall))
-    scales = _Scales(bodies.motion, loads, fall)
-    multipliers, singular, dropped = multipliers_of(
-        schur, excess, [scales.of(each) for each in rows], lambda i: scales.acceleration(rows[i])
-    )
-    total = dict(loads)
-    for size, each in zip(multipliers, rows, strict=True):
-        for i, load in each.loads(-size).items():
-            total[i] = add(total[i], load) if i in total else load
-    return Solved(bodies.respond(total, biases, fall), tuple(multipliers), singular, dropped)
-
-
-class _Scales:
-    """What rows and loads amount to, measured by the inertia that each node has alone."""
-
-    def __init__(
-        self, motion: TreeMotion, loads: dict[int, Vec], fall: dict[int, Vec] | None
-    ) -> None:
-        self.motion, self.loads, self.fall = motion, loads, fall or {}
-
-    def _easy(self, i: int) -> Vec:
-        rigid = self.motion.body.nodes[i].rigid
-        return (*(1.0 / rigid.inertia[4 * k] for k in range(3)), *(1.0 / rigid.mass,) * 3)
-
-    def _square(self, i: int, wrench: Vec) -> Any:
-        total: Any = ZERO
-        for x, easy in zip(wrench, self._easy(i), strict=True):
-            total = fma(x * x, easy, total)
-        return total
-
-    def of(self, row: Asked) -> Any:
-        """Its square: what the row would move."""
-        size = self._square(row.node, row.push)
-        return size if row.other == GROUND else size + self._square(row.other, row.pull)
-
-    def acceleration(self, row: Asked) -> Any:
-        """The acceleration of a row that loads and motion could bring about."""
-        return sqrt(self.of(row)) * self._forced
-
-    @cached_property
-    def _forced(self) -> Any:
-        total: Any = ZERO
-        for i, load in self.loads.items():
-            total = total + sqrt(self._square(i, load))
-        heavy = sum((sqrt(c.rigid.mass) for c in self.motion.body.nodes), start=ZERO)
-        for fall in self.fall.values():
-            total = total + norm(fall[3:]) * heavy
-        for i, twist in enumerate(self.motion.twists):
-            if self.motion.nodes[i].link != MASSLESS:
-                momentum = self.motion.body.nodes[i].rigid.momentum(twist)
-                total = total + norm(twist[:3]) * sqrt(dot(momentum, twist))
-        return total

@@ -40,6 +40,7 @@ class Columns:
         ends = tuple(accumulate((field.width for field in fields), initial=0))
         self.fields = fields
         self.count = ends[-1]
+        self._named = {field.name: field for field in fields}
         self._slices = dict(
             zip((f.name for f in fields), (slice(*e) for e in pairwise(ends)), strict=True)
         )
@@ -49,6 +50,9 @@ class Columns:
 
     def __iter__(self) -> Iterator[tuple[Field, slice]]:
         return zip(self.fields, self._slices.values(), strict=True)
+
+    def field(self, name: str) -> Field:
+        return self._named[name]
 
     def index(self, name: str) -> int:
         """Of a field of one number."""

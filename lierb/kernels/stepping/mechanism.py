@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
-from lierb.kernels.functions.function import BODY
-from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
+from lierb.kernels.groups import quaternion, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
 from lierb.kernels.mechanics.constraints import (
@@ -22,43 +21,39 @@ from lierb.kernels.mechanics.constraints import (
     rotation_error_squared,
 )
 from lierb.kernels.mechanics.elements import Element, UserObservable
-from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, unit_inertia
-from lierb.kernels.mechanics.rows import FIXED, PITCHED, Row, Rows, Screw
+from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import kinds_of
-from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
-from lierb.kernels.mechanics.subgroup import Slots
+from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import (
     GROUND,
     HERE,
     MASSLESS,
-    Asked,
-    Bodies,
     Connection,
     Ends,
-    Factored,
     Node,
-    NodeConstants,
     Relative,
-    Solved,
     TreeConstants,
     TreeMotion,
+)
+from lierb.kernels.mechanics.tree_dynamics import (
+    Asked,
+    Bodies,
+    Factored,
+    Solved,
     asked,
     bodies_of,
     solved,
 )
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, sqrt, where
 from lierb.kernels.numbers.vec import (
-    IDENTITY,
     ZERO3,
     ZERO6,
-    Mat,
     Vec,
     add,
     axpy,
-    column,
     cross,
     cross_add,
-    diagonal,
     dot,
     mat_t_vec,
     mat_vec,
@@ -68,41 +63,31 @@ from lierb.kernels.numbers.vec import (
     row,
     scale,
     sub,
-    transpose,
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.formulations import Rates, recharted
-from lierb.kernels.stepping.layout import POSE, Columns, Field
+from lierb.kernels.stepping.layout import Columns, Field
 from lierb.kernels.stepping.measures import JOINT_ERRORS, Observed, orthogonality_squared
+from lierb.kernels.stepping.mechanism_inputs import (
+    apart,
+    chart_of,
+    charts_of,
+    charts_side_by_side,
+    factored,
+    first_of_joint,
+    given_start,
+    inputs_of,
+    joint_ends,
+    node_constants,
+    placed_element,
+    root_of,
+    sixes,
+)
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
 CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
-LINK = (  # what is known of each
-    Field("mass", (), "kg"),
-    Field("inertia", (3, 3), "kg m²"),
-    Field("com", (3,), "m"),
-)
-JOINT = (  # of each link's, and of each loop's
-    Field("ground_frame", (4, 4), "1, m", POSE),
-    Field("body_frame", (4, 4), "1, m", POSE),
-    Field("pitch", (), "m/rad"),
-    Field("length", (), "m"),
-)
-START = (Field("pose", (4, 4), "1, m", POSE), Field("twist", (6,), "rad/s, m/s"))
-GRAVITY = Field("gravity", (3,), "m/s²")
-
-
-def charts_of(node: Node) -> Any:
-    """The group that a node's chart is of, as a step has it."""
-    if (
-        node.is_reduced
-        and sum(slot != FIXED for slot in node.slots) == 1
-        and max(node.slots[:3]) >= 0
-    ):
-        return turns
-    return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
 
 
 @dataclass(frozen=True)
@@ -162,23 +147,6 @@ class MechanismPlan(AnyPlan):
         return TreeFormulation(self)
 
 
-@lru_cache(64)
-def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
-    """What is read of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
-
-    Joints are numbered as the plan's connections are: those of links, then those of loops.
-    """
-    own = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in LINK)
-    held = (f._replace(name=f"{i}.{f.name}") for i in range(links + loops) for f in JOINT)
-    parameters = (
-        Field(f"element{k}.{name}", shape)
-        for k, element in enumerate(elements)
-        for name, shape in element.shapes.items()
-    )
-    starts = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in START)
-    return Columns(*own, *held, GRAVITY, *parameters, *starts)
-
-
 @dataclass(frozen=True)
 class TreeFormulation:
     """Of a plan: what the stepper asks of a formulation, and the driver of a system."""
@@ -207,10 +175,12 @@ class TreeFormulation:
         """Everything in joint axes."""
         plan, read = self.plan, self.inputs.parts(numbers)
         gravity = read["gravity"]
-        nodes = tuple(_node_constants(plan, i, read) for i in range(len(plan.tree)))
-        ends = [_joint_ends(plan, nodes, number, read) for number in range(len(plan.joints))]
+        nodes = tuple(node_constants(plan, i, read) for i in range(len(plan.tree)))
+        ends = [joint_ends(plan, nodes, number, read) for number in range(len(plan.joints))]
         acting = [*zip(plan.elements, plan.connections[len(ends) :], strict=True)]
-        placed = tuple(_placed(element, k, c, nodes, read) for k, (element, c) in enumerate(acting))
+        placed = tuple(
+            placed_element(element, k, c, nodes, read) for k, (element, c) in enumerate(acting)
+        )
         ends += [Ends(HERE, HERE) if c.joint < 0 else ends[c.joint] for _, c in acting]
         return TreeConstants(
             nodes, tuple(end._replace(elements=placed) for end in ends), gravity, placed
@@ -220,7 +190,7 @@ class TreeFormulation:
         """The state from poses and twists in the user's frames; what is off a subgroup is left."""
         plan, read = self.plan, self.inputs.parts(numbers)
         given = {
-            i: _given(body.nodes[i], read, node.link)
+            i: given_start(body.nodes[i], read, node.link)
             for i, node in enumerate(plan.tree)
             if node.link != MASSLESS
         }
@@ -228,22 +198,22 @@ class TreeFormulation:
         charts: list[Chart] = []
         velocities: list[Vec] = []
         for i, (place, twist) in [*given.items()][:-1]:
-            first = _first_of_joint(plan, i)
+            first = first_of_joint(plan, i)
             outside, moving = given[plan.tree[first].parent]
             seat = se3.compose(se3.inverse(outside), place)
             relative = sub(twist, twist_at(seat, moving))
             d = se3.compose(se3.inverse(body.nodes[first].hang), seat)
             if not plan.tree[i].is_reduced:
-                root = body.nodes[_root(plan, i)].hang
-                chart, velocity = _apart(plan.tree[i], body.nodes[i], root, place, twist)
+                root = body.nodes[root_of(plan, i)].hang
+                chart, velocity = apart(plan.tree[i], body.nodes[i], root, place, twist)
                 charts.append(chart)
                 velocities.append(velocity)
                 continue
             parts = [(d, relative)]
             if first != i:
-                parts = _factored(plan.tree[first].slots, plan.tree[i].slots, d, relative)
+                parts = factored(plan.tree[first].slots, plan.tree[i].slots, d, relative)
             for node, (part, velocity) in zip(plan.tree[first : i + 1], parts, strict=True):
-                charts.append(_chart(node, part))
+                charts.append(chart_of(node, part))
                 velocities.append(velocity)
         velocity = tuple(x for v in velocities for x in v)
         still = tuple(0.0 * x for x in velocity)
@@ -254,7 +224,7 @@ class TreeFormulation:
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         """From its numbers side by side, as the driver carries them."""
         parts = self.state.parts(numbers)
-        found = State(_charts(parts["charts"]), parts["x"], parts["v"], *parts["work"])
+        found = State(charts_side_by_side(parts["charts"]), parts["x"], parts["v"], *parts["work"])
         return self.structured(found, body)
 
     def structured(self, state: State, body: TreeConstants | None = None) -> State:
@@ -264,7 +234,7 @@ class TreeFormulation:
         xs: list[Any] = []
         velocities: list[Any] = []
         for i, (node, chart, x, v) in enumerate(
-            zip(plan.tree, state.chart, _sixes(state.x), _sixes(state.v_or_mu), strict=True)
+            zip(plan.tree, state.chart, sixes(state.x), sixes(state.v_or_mu), strict=True)
         ):
             if node.is_reduced:
                 pitch = 1.0 if body is None else body.nodes[i].pitch
@@ -294,7 +264,7 @@ class TreeFormulation:
 
     def turning(self, body: TreeConstants, state: State) -> list[Any]:
         """The square of each node's angular velocity on its joint, or of its own, rad²/s²."""
-        return [dot(v[:3], v[:3]) for v in _sixes(state.v_or_mu)]
+        return [dot(v[:3], v[:3]) for v in sixes(state.v_or_mu)]
 
     def seen(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
         chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)
@@ -433,12 +403,12 @@ class TreeFormulation:
         """C₀ exp X, node by node."""
         return tuple(
             charts_of(node).compose_exp(each, part)
-            for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
+            for node, each, part in zip(self.plan.tree, chart, sixes(x), strict=True)
         )
 
     def in_algebra(self, body: TreeConstants, x: Vec) -> Vec:
         found: list[Any] = []
-        for node, constants, part in zip(self.plan.tree, body.nodes, _sixes(x), strict=True):
+        for node, constants, part in zip(self.plan.tree, body.nodes, sixes(x), strict=True):
             reduced = node.is_reduced
             found += subgroup.in_subalgebra(node.slots, part, constants.pitch) if reduced else part
         return tuple(found)
@@ -453,7 +423,7 @@ class TreeFormulation:
         time: Any,
     ) -> Rates:
         """Of one stage; arguments as of `SaddlePoint`."""
-        parts = _sixes(x)
+        parts = sixes(x)
         angles = [quaternion.angle_coefficients(part) for part in parts]
         tree = self.plan.tree
         moved = tuple(
@@ -466,7 +436,7 @@ class TreeFormulation:
         if self.rows:  # another rank is another mechanism
             singular = where(found.dropped == body.dropped, singular, 1.0)
         x_rates: list[Any] = []
-        for node, part, v, k in zip(tree, parts, _sixes(velocity), angles, strict=True):
+        for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
             x_rates += charts_of(node).dexpinv(neg(part), v, k)
         return Rates(tuple(x_rates), found.rates, found.power, singular)
 
@@ -477,12 +447,12 @@ class TreeFormulation:
             (turns if charts_of(node) is turns else quaternion).pose(each)
             for node, each in zip(self.plan.tree, chart, strict=True)
         ]
-        return TreeMotion(self.plan.tree, body, poses, _sixes(velocity), time)
+        return TreeMotion(self.plan.tree, body, poses, sixes(velocity), time)
 
     def recharted(self, chart: tuple[Chart, ...], x: Vec) -> tuple[tuple[Chart, ...], Vec]:
         pairs = [
             recharted(charts_of(node), each, part)
-            for node, each, part in zip(self.plan.tree, chart, _sixes(x), strict=True)
+            for node, each, part in zip(self.plan.tree, chart, sixes(x), strict=True)
         ]
         return tuple(pair[0] for pair in pairs), tuple(y for pair in pairs for y in pair[1])
 
@@ -595,7 +565,7 @@ class TreeFormulation:
             if node.is_reduced:
                 rates += found.response.rates[i]
                 continue
-            falling = motion.body.nodes[_root(self.plan, i)].gravity
+            falling = motion.body.nodes[root_of(self.plan, i)].gravity
             moved, q = found.response.moved[i], motion.place(i)[0]
             if node.cspace == "SE3":
                 rates += moved[:3] + add(moved[3:], mat_t_vec(q, falling))
@@ -725,164 +695,6 @@ class _Relatives:
         if number not in self._residuals:
             self._residuals[number] = self.residuals(number, self.connections[number].rows)
         return self._residuals[number].get(row, ZERO)
-
-
-# ---- what a plan's constants are made of -------------------------------------------------------
-
-
-def _pose(numbers: Vec) -> Pose:
-    return numbers[:9], numbers[9:]
-
-
-def _charts(numbers: Vec) -> tuple[Chart, ...]:
-    return tuple((numbers[i : i + 4], numbers[i + 4 : i + 7]) for i in range(0, len(numbers), 7))
-
-
-def _sixes(numbers: Vec) -> list[Vec]:
-    return [numbers[i : i + 6] for i in range(0, len(numbers), 6)]
-
-
-def _first_of_joint(plan: MechanismPlan, i: int) -> int:
-    """Of the nodes that make up the joint of a link's node, the first."""
-    parent = plan.tree[i].parent
-    return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
-
-
-def _root(plan: MechanismPlan, i: int) -> int:
-    while plan.tree[i].parent != GROUND:
-        i = plan.tree[i].parent
-    return i
-
-
-def _node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
-    node = plan.tree[i]
-    link = node.link
-    if link == MASSLESS:  # the first motion of the next node's joint
-        nothing = Rigid(ZERO, ZERO3, diagonal(ZERO3))
-        link = plan.tree[i + 1].link
-        rigid, inertia, com, frame = nothing, nothing.inertia, ZERO3, HERE
-    else:
-        (mass,) = read[f"{link}.mass"]
-        frame = _pose(read[f"{link}.body_frame"])
-        theta = sub(read[f"{link}.inertia"], scale(mass, unit_inertia(read[f"{link}.com"])))
-        inertia = conjugated(transpose(frame[0]), theta)
-        com = mat_t_vec(frame[0], sub(read[f"{link}.com"], frame[1]))
-        about_point = axpy(mass, unit_inertia(com), inertia)
-        rigid = Rigid(mass, scale(mass, com), about_point)
-    hang, gravity = HERE, ZERO3
-    if _first_of_joint(plan, i) == i:
-        ground = _pose(read[f"{link}.ground_frame"])
-        hang = ground
-        if node.parent == GROUND:
-            gravity = mat_t_vec(ground[0], read["gravity"])
-        else:
-            hang = se3.compose(
-                se3.inverse(_pose(read[f"{plan.tree[node.parent].link}.body_frame"])), ground
-            )
-    (pitch,) = read[f"{link}.pitch"]
-    return NodeConstants(rigid, inertia, com, hang, gravity, frame, pitch)
-
-
-def _joint_ends(
-    plan: MechanismPlan, nodes: tuple[NodeConstants, ...], number: int, read: dict[str, Vec]
-) -> Ends:
-    joint = plan.joints[number]
-    (pitch,), (length,) = read[f"{number}.pitch"], read[f"{number}.length"]
-    inner = se3.compose(se3.inverse(nodes[joint.node].frame), _pose(read[f"{number}.body_frame"]))
-    outer = _pose(read[f"{number}.ground_frame"])
-    if joint.other != GROUND:
-        outer = se3.compose(se3.inverse(nodes[joint.other].frame), outer)
-    if number < plan.links:
-        inner = HERE
-    return Ends(inner, outer, pitch, length)
-
-
-def _placed(
-    element: Element, k: int, c: Connection, nodes: tuple[NodeConstants, ...], read: dict[str, Vec]
-) -> Any:
-    """An element's parameters in the frames that it acts between."""
-    given = {
-        name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
-        for name, shape in element.shapes.items()
-    }
-    if element.sees_body:
-        body = nodes[c.node]
-        turned = conjugated(body.frame[0], body.inertia)
-        com = mat_vec_add(body.frame[0], body.com, body.frame[1])
-        seen = body.rigid.mass, turned, com
-        given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
-    axes, origin = nodes[c.node].frame
-    ground = HERE if c.other == GROUND else nodes[c.other].frame
-    if c.joint >= 0:
-        ground = _pose(read[f"{c.joint}.ground_frame"])
-        axes, origin = _pose(read[f"{c.joint}.body_frame"])
-    return element.placed(given, Frames(ground, axes, origin))
-
-
-# ---- starts ------------------------------------------------------------------------------------
-
-
-def _given(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
-    """A node's pose, seen from the ground, and its twist."""
-    pose = se3.compose(_pose(read[f"{link}.pose"]), constants.frame)
-    return pose, twist_at(constants.frame, read[f"{link}.twist"])
-
-
-def _apart(
-    node: Node, constants: NodeConstants, root: Pose, place: Pose, twist: Vec
-) -> tuple[Chart, Vec]:
-    """The state of a node on its own pose, seen from the ground's frame at its tree's root."""
-    q, d = se3.compose(se3.inverse(root), place)
-    if node.cspace == "SE3":
-        return quaternion.from_pose((q, d)), twist
-    com = constants.com
-    rate = mat_vec(q, cross_add(twist[:3], com, twist[3:]))
-    return quaternion.from_pose((q, mat_vec_add(q, com, d))), twist[:3] + rate
-
-
-def _chart(node: Node, d: Pose) -> Chart:
-    """Of a node on its joint."""
-    if charts_of(node) is turns:
-        return turns.from_pose(d, node.slots.index(0))
-    return quaternion.from_pose(d)
-
-
-def _factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Pose, Vec]]:
-    """The two motions of one freedom whose product D is, and D⁻¹Ḋ of both.
-
-    The first one is read off D in the ground's axes, the last one in the body's.
-    """
-    i, j = first.index(0), last.index(0)
-    q, place = d
-    if i < 3:  # Q e = F₁ e, for the axis e of the last turn
-        axis = j if j < 3 else (i + 1) % 3
-        opening = _turn(i, axis, column(q, axis)), ZERO3
-    else:
-        opening = IDENTITY, tuple(place[k] if 3 + k == i else ZERO for k in range(3))
-    if j < 3:  # Qᵀe = F₂ᵀe, for the axis e of the first
-        axis = i if i < 3 else (j + 1) % 3
-        closing = transpose(_turn(j, axis, row(q, axis))), ZERO3
-    else:
-        within = mat_t_vec(q, place)
-        closing = IDENTITY, tuple(within[k] if 3 + k == j else ZERO for k in range(3))
-    along = row(q, i % 3)
-    rates = dot(along, relative[:3] if i < 3 else relative[3:]), relative[j]
-    return [
-        (pose, tuple(rate if k == slot else ZERO for k in range(6)))
-        for pose, rate, slot in zip((opening, closing), rates, (i, j), strict=True)
-    ]
-
-
-def _turn(about: int, axis: int, seen: Vec) -> Mat:
-    """The turn about one axis that takes another one to where it is `seen`, to its length."""
-    third = 3 - about - axis
-    sign = 1.0 if axis == (about + 1) % 3 else -1.0
-    c, s = seen[axis], sign * seen[third]
-    i, j = (about + 1) % 3, (about + 2) % 3
-    matrix = list(IDENTITY)
-    matrix[4 * i], matrix[4 * j] = c, c
-    matrix[3 * j + i], matrix[3 * i + j] = s, -s
-    return tuple(matrix)
 
 
 # ---- what is seen ------------------------------------------------------------------------------
