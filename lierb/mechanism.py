@@ -310,6 +310,13 @@ class Mechanism(Shown):
                 found.append(Connection(element.name, *ends, None, rows, (i,)))
         return tuple(found)
 
+    def name_of(self, element: int) -> str:
+        """Of an element's own columns: link.element, with a number where there are several."""
+        names = [f"{each.at[0]}.{each.name}" for each in self.elements]
+        name = names[element]
+        before = names[:element].count(name)
+        return f"{name}_{before + 1}" if names.count(name) > 1 else name
+
     @cached_property
     def connections(self) -> tuple[Connection, ...]:
         """All that have rows: joints, loops, constraints and motors."""

@@ -272,9 +272,7 @@ class Output:
 
 
 @lru_cache(64)
-def _shapes(
-    plan: AnyPlan, count: int, rows: int, with_state: bool
-) -> tuple[tuple[int, ...], ...]:
+def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tuple[int, ...], ...]:
     """Of an Output's arrays."""
     system = system_of(plan)
     states = (rows if with_state else 1) * system.links

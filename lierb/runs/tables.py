@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.clock import time_of
 from lierb.kernels.stepping.driver import history_measures
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
@@ -201,10 +202,11 @@ def _multipliers_of(
     if isinstance(problem, Problem):
         yield "lambda", found, ", ".join(row.unit for row in problem.rows)
         return
+    held: list[tuple[str, Rows]] = [(each.name, each.joint.rows) for each in problem.held]
+    held += [(problem.name_of(k), c.rows) for k, c in enumerate(problem.places)]
     first = 0
-    for each in problem.held:
-        rows = each.joint.rows
+    for name, rows in held:
         if rows:
             part = np.ascontiguousarray(found[..., first : first + len(rows)])
-            yield f"{each.name}.lambda", part, ", ".join(row.unit for row in rows)
+            yield f"{name}.lambda", part, ", ".join(row.unit for row in rows)
         first += len(rows)

@@ -98,13 +98,25 @@ def test_motor_of_given_speed_turns_its_joint_at_that_speed():
     )
     pose0 = made.pose({"upper": 0.4})
     twist0 = made.twist({"upper": 1.0, "lower": 2.0}, pose0)
-    result = lierb.integrate(made, pose0=pose0, twist0=twist0, **RUN)
+    result = lierb.integrate(
+        made, pose0=pose0, twist0=twist0, **RUN, save_every=10,
+        record=["state", "energy", "multipliers", "reaction"],
+    )  # fmt: skip
     end = {name: np.eye(4) for name in made.names}
     for name in made.names:
-        end[name][:3, :3], end[name][:3, 3] = result[name].rotation[0], result[name].position[0]
+        end[name][:3, :3] = result[name].rotation[-1, 0]
+        end[name][:3, 3] = result[name].position[-1, 0]
     angle = made.coordinates(end)["lower"][0]
     assert abs(angle - 2.0 * RUN["t_end"]) < 1e-13
     assert result.summary["rotation_rate_error_max"][0].as_py() < 1e-13
+    # −λ of its row is its torque, which the joint's reaction has about its axis, and whose power is
+    # what E gains.
+    torque = -np.array(result.history["lower.motor.lambda"].to_pylist())[:, 0]
+    about_axis = np.array(result.history["lower.reaction"].to_pylist())[:, 2]
+    np.testing.assert_allclose(about_axis, torque, rtol=1e-12)
+    energy = result.history["energy"].to_numpy()
+    done = np.trapezoid(2.0 * torque, result.t)  # over 10 ms: to 1e-4 of it
+    assert abs(energy[-1] - energy[0] - done) < 1e-3 * abs(done)
     # What the motor does is work: the energy is accounted for, to Heun's error.
     assert abs(result.summary["energy_drift_max"][0].as_py()) < 1e-4
 

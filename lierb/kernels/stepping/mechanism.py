@@ -137,8 +137,8 @@ class MechanismPlan(AnyPlan):
 
     @property
     def rows(self) -> Rows:  # type: ignore[override]
-        """Of all joints."""
-        return tuple(row for joint in self.joints for row in joint.rows)
+        """Of all joints, then of motors and constraints."""
+        return tuple(row for connection in self.connections for row in connection.rows)
 
     __hash__ = AnyPlan.__hash__
 
@@ -353,7 +353,9 @@ class TreeFormulation:
         return found
 
     def forces(self, body: TreeConstants, state: State, time: Any) -> tuple[Vec, list[Vec]]:
-        """λ of all rows of joints, and every joint's wrench on its body, about its frame there."""
+        """λ of all rows, and every joint's wrench on its body, about its frame there, with that of
+        a motor that prescribes its speed.
+        """
         found = self.accelerate(body, self.seen(body, state, time))
         solution = dict(zip(self.rows, found.solved.multipliers, strict=True))
         multipliers: list[Any] = []
@@ -369,8 +371,14 @@ class TreeFormulation:
                 if (number, r) in solution:
                     own[r] = solution[number, r]
                     total = axpy(-own[r], r.jacobian(x, ends), total)
+            for place, acting in enumerate(self.plan.connections):
+                for r in acting.rows if acting.joint == number and place != number else ():
+                    total = axpy(-solution[place, r], r.jacobian(x, ends), total)
             multipliers += [own[r] for r in joint.rows]
             wrenches.append(total)
+        first = len(self.plan.joints)
+        for place, acting in enumerate(self.plan.connections[first:], first):
+            multipliers += [solution[place, r] for r in acting.rows]
         return tuple(multipliers), wrenches
 
     def starts_well(self, numbers: list[Any], time: Any) -> Any:
