@@ -508,6 +508,15 @@ def test_contradicting_motors_are_told():
         driven.project(driven.twist({}, pose), pose)
 
 
+def test_motors_say_nothing_of_the_pose_that_closes():
+    bars = fourbar()
+    forces = [lierb.forces.motor(speed=1.0).on(n) for n in ("crank", "rocker")]
+    driven = lierb.Mechanism(bars.links, bars.loops, forces=forces)
+    near = bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7})
+    closed, expected = driven.close(near), bars.close(near)
+    assert all(np.array_equal(closed[name], expected[name]) for name in bars.names)
+
+
 # ---- elements ----------------------------------------------------------------------------------
 
 
