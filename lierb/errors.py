@@ -137,3 +137,11 @@ def two_readings(argument: str, shape: tuple[int, ...], **ways: str) -> Argument
 def body_label(argument: str, body: int, count: int) -> str:
     """`twist0[17]`, or `twist0` where there is only one."""
     return f"{argument}[{body}]" if count > 1 else argument
+
+
+def beyond_numbers(label: str, what: str) -> str:
+    """Of a start whose error is no number to compare."""
+    return (
+        f"{label} has a {what} beyond all numbers: the squares of what it is made of overflow; "
+        "give smaller numbers, or choose larger units"
+    )

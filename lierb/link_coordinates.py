@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.arrays import Array, Pose, as_floats, as_numbers, as_rotations, components
+from lierb.arrays import Array, Pose, as_floats, as_matrix, as_numbers, as_rotations, components
 from lierb.errors import ArgumentError, two_readings
 from lierb.joint_motions import TURNS, Motions
 from lierb.joints import Joint
@@ -24,9 +24,9 @@ def is_rigid(joint: Joint) -> bool:
 
 def is_pose(argument: str, given: Any, joint: Joint) -> bool:
     """Whether a link's coordinates are its whole pose: 4×4 matrices, and no rotation's."""
+    array = as_floats(argument, as_matrix(argument, given))
     if hasattr(given, "as_matrix"):
-        return bool(np.shape(given.as_matrix())[-1:] == (4,))
-    array = as_floats(argument, given)
+        return array.shape[-1:] == (4,)
     if array.shape[-2:] != (4, 4):
         return False
     motions = motions_of(joint)

@@ -465,10 +465,12 @@ class Mechanism(Shown):
             if place is not None and is_pose(argument, place, joint):
                 whole = as_poses(argument, place)
                 sizes[argument] = whole, 2
+                self.batch_size(**sizes)
                 found[i] = pose_components(whole)
                 continue
             relative, size = relative_of(argument, place, joint)
             sizes |= size
+            self.batch_size(**sizes)
             ground, body = pose_components(joint.ground_frame), pose_components(joint.body_frame)
             local = se3.compose(se3.compose(ground, relative), se3.inverse(body))
             parent = self.parents[i]
@@ -527,10 +529,12 @@ class Mechanism(Shown):
             if motions:
                 rates = numbers_of(argument, given.get(link.name, 0.0), motions.names)
                 sizes[argument] = rates, 1
+                self.batch_size(**sizes)  # before they meet
                 relative = motions.twist(components(rates), self.relative(at, poses))
             elif link.name in given:
                 whole = as_numbers(argument, given[link.name], (6,))
                 sizes[argument] = whole, 1
+                self.batch_size(**sizes)
                 found[i] = components(whole)
                 continue
             frame = pose_components(link.joint.body_frame)
@@ -553,6 +557,10 @@ class Mechanism(Shown):
         """
         poses = self.poses("pose", self.pose() if pose is None else pose)
         twists = self.twists("twist", twist)
+        sizes: dict[str, Any] = {f"pose[{n!r}]": poses[i][1][0] for i, n in enumerate(self.names)}
+        self.batch_size(
+            **sizes, **{f"twist[{n!r}]": v[0] for n, v in zip(self.names, twists, strict=True)}
+        )
         found = {}
         for i, link in enumerate(self.links):
             at = self.joints[i]

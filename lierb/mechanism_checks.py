@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lierb.arrays import as_poses, pose_components, taken
-from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
+from lierb.errors import (
+    ArgumentError,
+    LierbError,
+    PoseError,
+    TwistError,
+    beyond_numbers,
+    body_label,
+)
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.constraints import rate_errors_squared
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
@@ -64,12 +71,15 @@ def _pose_violation(system: System, held: list[Held], pose: Any) -> PoseError | 
             bad = np.flatnonzero(~np.broadcast_to((size <= allowed) & (allowed < np.inf), (count,)))
             for number in bad[:1]:
                 member = int(number)
+                label = body_label("pose0", member, count)
+                if not max(one_of(size, member), one_of(allowed, member)) < np.inf:
+                    return PoseError(beyond_numbers(label, f"{what} error"))
                 remedy = _what_close_does(mechanism, pose, member)
                 error, most = (f"{one_of(x, member):.3g}{unit}" for x in (size, allowed))
                 return PoseError(
-                    f"{body_label('pose0', member, count)} does not close "
+                    f"{label} does not close "
                     f"{name_of(mechanism, h.at)}: {what} error {error} > {most}; {remedy} "
-                    '(check="warn" integrates it all the same)'
+                    '(check="warn" integrates it all the same, but not on "reduced")'
                 )
     return None
 
@@ -110,12 +120,15 @@ def _twist_violation(
             bad = np.flatnonzero(~np.broadcast_to((error <= most) & (most < np.inf), (count,)))
             for number in bad[:1]:
                 member = int(number)
+                label = body_label("twist0", member, count)
+                if not max(one_of(error, member), one_of(most, member)) < np.inf:
+                    return TwistError(beyond_numbers(label, what))
                 found, bound = (f"{one_of(x, member):.3g} {unit}" for x in (error, most))
                 return TwistError(
-                    f"{body_label('twist0', member, count)} violates "
+                    f"{label} violates "
                     f"{name_of(system.mechanism, h.at)}: {what} {found} > {bound}; "
                     "mechanism.project(twist0, pose0) is the nearest twist that all joints allow "
-                    '(check="warn" integrates it all the same)'
+                    '(check="warn" integrates it all the same, but not on "reduced")'
                 )
     return None
 

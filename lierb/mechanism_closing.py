@@ -108,7 +108,7 @@ def _closed(
     poses = [pose_components(pose) for pose in given]
     was_closed = np.zeros(system.count, dtype=bool)
     for step in range(NEWTON_STEPS + 1):
-        held = system.held(poses)
+        held = _of_poses(system.held(poses))
         off = [residuals(h.at.rows, h.x, h.body) for h in held]
         is_closed = np.ones(system.count, dtype=bool)
         for h, values in zip(held, off, strict=True):
@@ -140,6 +140,14 @@ def _closed(
         for before, after in zip(given, poses, strict=True)
     ]
     return found, bool(not was_closed.all())
+
+
+def _of_poses(held: list[Held]) -> list[Held]:
+    """Without the rows of motors, which are of velocities alone."""
+    return [
+        h._replace(at=h.at._replace(rows=tuple(r for r in h.at.rows if r.is_holonomic)))
+        for h in held
+    ]
 
 
 def _excesses(h: Held, values: list[Any]) -> Iterator[Any]:
@@ -262,10 +270,7 @@ def mobility(mechanism: Mechanism, poses: list[Array]) -> Mobility:
     for part in parts_of(mechanism, count):
         system = System(mechanism.part(part) if count > 1 else mechanism, part.stop - part.start)
         placed = [np.broadcast_to(pose, (count, 4, 4))[part] for pose in poses]
-        held = [
-            h._replace(at=h.at._replace(rows=tuple(r for r in h.at.rows if r.is_holonomic)))
-            for h in system.held([pose_components(pose) for pose in placed])
-        ]
+        held = _of_poses(system.held([pose_components(pose) for pose in placed]))
         matrix, _ = system.matrix(held)
         ranks = _ranks(matrix)
         free.append(matrix.shape[2] - ranks)

@@ -107,9 +107,9 @@ def _names(model: Any, parts: Parts) -> list[str]:
 def _free_name(given: str, default: str, taken: list[str], parts: Parts) -> str:
     name = re.sub(r"\W", "_", given, flags=re.ASCII) or default
     name = name if name.isidentifier() else f"_{name}"
-    unique = name
+    unique, known = name, {other.lower() for other in taken}  # SQL, too, is blind to case
     for number in range(2, len(taken) + 3):
-        if unique not in taken:
+        if unique.lower() not in known:
             break
         unique = f"{name}_{number}"
     if unique != given and given:

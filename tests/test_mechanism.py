@@ -508,6 +508,15 @@ def test_contradicting_motors_are_told():
         driven.project(driven.twist({}, pose), pose)
 
 
+def test_motors_say_nothing_of_the_pose_that_closes():
+    bars = fourbar()
+    forces = [lierb.forces.motor(speed=1.0).on(n) for n in ("crank", "rocker")]
+    driven = lierb.Mechanism(bars.links, bars.loops, forces=forces)
+    near = bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7})
+    closed, expected = driven.close(near), bars.close(near)
+    assert all(np.array_equal(closed[name], expected[name]) for name in bars.names)
+
+
 # ---- elements ----------------------------------------------------------------------------------
 
 
@@ -627,6 +636,18 @@ REFUSED = {
         ArgumentError, "no coordinates; leave it out",
     ),
     "lacking pose": (lambda: two().close({"a": np.eye(4)}), ArgumentError, "pose lacks b"),
+    "poses that differ in number": (
+        lambda: two().pose({"a": np.zeros(3), "b": np.zeros((2, 3))}),
+        ArgumentError, r"coordinates\['a'\] has 3, coordinates\['b'\] has 2",
+    ),
+    "rates that differ in number": (
+        lambda: two().twist({"a": np.zeros(3), "b": np.zeros((2, 3))}),
+        ArgumentError, r"velocities\['a'\] has 3, velocities\['b'\] has 2",
+    ),
+    "twists and poses that differ in number": (
+        lambda: two().velocities(two().twist({"a": np.zeros(3)}), two().pose({"a": np.zeros(2)})),
+        ArgumentError, r"pose\['a'\] has 2, .*twist\['a'\] has 3",
+    ),
     "unknown link": (lambda: two().link("c"), UnknownNameError, "link='c'"),
     "member": (lambda: two().of_body(1), ArgumentError, "body=1"),
 }  # fmt: skip
@@ -637,6 +658,14 @@ def test_what_is_wrong_is_told_in_a_sentence(case):
     make, error, message = REFUSED[case]
     with pytest.raises(error, match=message):
         make()
+
+
+@pytest.mark.parametrize("speed", [1e160, 1.7e308])
+def test_a_twist_whose_squares_overflow_is_told_as_such(speed):
+    arm = two()
+    error = violation(arm, arm.pose(), {"a": (0, 0, speed, 0, 0, 0), "b": np.zeros(6)})
+    assert isinstance(error, TwistError)
+    assert "beyond all numbers" in str(error)
 
 
 def test_order_has_parents_first_and_shows_itself():

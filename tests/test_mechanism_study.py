@@ -413,6 +413,14 @@ WRONG = {
         "parent_point = [0.05, 0, 0]", "parent_point = [1.05, 0, 0]", "initial: trajectory 0",
     ),
     "on": ('on = "rocker"', 'on = "rcker"', "Did you mean 'rocker'"),
+    "two numbers of one coordinate": (  # no batch of two
+        "{coordinates = 0.5}", "{coordinates = [0.5, 0.6]}",
+        "coupler.coordinates has 2 numbers; expected a number, of phi",
+    ),
+    "two rates of one coordinate": (
+        "{coordinates = 0.5}", "{coordinates = 0.5, velocities = [0.5, 0.6]}",
+        "coupler.velocities has 2 numbers; expected a number, of phi",
+    ),
     "two starts": (
         "{coordinates = 0.5}", "{coordinates = 0.5, place = [0, 0, 0]}",
         "coupler: give coordinates, or rotation and place, or pose",
@@ -453,6 +461,7 @@ def test_loops_alone_are_told():
         ({"quantities": {"crank.mass": 1.0}}, StudyError, "expected names such as crank.body.mass"),
         ({"quantities": {"pin.body.mass": 1.0}}, StudyError, "'pin.body.mass' is no quantity"),
         ({"quantities": {"crank.joint.axis": (1.0, 0, 0)}}, StudyError, "a joint that is made has"),
+        ({"initial": [1.0]}, ArgumentError, r"initial=\[1.0\]; expected a dictionary"),
         ({"initial": {"crnk": {}}}, UnknownNameError, "Did you mean 'crank'"),
         ({"initial": {"crank": 0.3}}, ArgumentError, "expected a dictionary, such as"),
         ({"initial": {"crank": {"angle": 0.3}}}, UnknownNameError, "initial\\['crank'\\]='angle'"),

@@ -468,6 +468,14 @@ def test_names_that_no_column_can_have_are_changed_and_said(tmp_path):
     assert left_out == ("the name 'left/hip-1': it is left_hip_1",)
 
 
+def test_names_that_differ_in_case_alone_are_made_to_differ(tmp_path):
+    """As columns are for SQL."""
+    path, ball = tmp_path / "model.xml", "<joint/><geom size='1'/></body>"
+    bodies = f"<body name='arm'>{ball}<body name='Arm'>{ball}"
+    path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    assert read(path)[0].names == ("arm", "Arm_2")
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 
 from lierb.arrays import Array
-from lierb.errors import ArgumentError, LierbError, PoseError, TwistError, body_label
+from lierb.errors import (
+    ArgumentError,
+    LierbError,
+    PoseError,
+    TwistError,
+    beyond_numbers,
+    body_label,
+)
 from lierb.kernels.mechanics.constraints import (
     position_error_squared,
     rate_errors_squared,
@@ -89,7 +96,7 @@ def _pose_violation(
         if error <= most < np.inf:
             continue
         if not max(error, most) < np.inf:
-            return PoseError(_overflow(label, f"{what} error"))
+            return PoseError(beyond_numbers(label, f"{what} error"))
         values = [
             f"{r} = {_plain(r.value(x, body)):.3g}"
             for r in rows
@@ -104,7 +111,7 @@ def _pose_violation(
         return PoseError(
             f"{label} does not close the {_held_by(problem)}: {what} error {error:.3g}{unit} > "
             f"{most:.3g}{unit}{detail}; {remedy} "
-            '(check="warn" integrates it all the same)'
+            '(check="warn" integrates it all the same, but not on "reduced")'
         )
     return None
 
@@ -128,7 +135,7 @@ def _twist_violation(
         if error <= most < np.inf:
             continue
         if not max(error, most) < np.inf:
-            return TwistError(_overflow(label, what))
+            return TwistError(beyond_numbers(label, what))
         rows = ", ".join(
             f"{r}: {dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body):.3g}"
             for r in problem.rows
@@ -137,16 +144,9 @@ def _twist_violation(
         return TwistError(
             f"{label} violates the {_held_by(problem)}: {what} {error:.3g} {unit} > {most:.3g} "
             f"{unit} ({rows}); use problem.project(twist0, pose0) for the nearest twist that the "
-            'joint allows, or check="warn" to integrate it all the same'
+            'joint allows, or check="warn" to integrate it all the same, but not on "reduced"'
         )
     return None
-
-
-def _overflow(label: str, what: str) -> str:
-    return (
-        f"{label} has a {what} beyond all numbers: the squares of what it is made of overflow; "
-        "give smaller numbers, or choose larger units"
-    )
 
 
 def _held_by(problem: Problem) -> str:

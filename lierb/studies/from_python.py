@@ -74,6 +74,8 @@ def study_of(
         )
     if not isinstance(design, Design):
         raise ArgumentError(f"design={told(design)}; expected a lierb.sampling.Design")
+    if not (initial is None or isinstance(initial, Mapping)):
+        raise ArgumentError(f"initial={told(initial)}; expected a dictionary")
     problem.require_unchanged()
     for key in settings:
         if key not in (*INTEGRATE, *OUTPUT):

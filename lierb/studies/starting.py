@@ -32,6 +32,7 @@ from lierb.link_coordinates import motions_of, numbers_of
 from lierb.links import NOWHERE
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
+from lierb.shown import counted
 
 PLACES = ("rotation", "place")
 AUTO, NEVER = "auto", "never"  # whether loops are closed
@@ -156,7 +157,7 @@ def _of_coordinates(name: str, joint: Joint, given: Any) -> Pose:
             raise ArgumentError(f"{name}: a {joint.name} joint has no coordinates; {hint}")
         return IDENTITY, (0.0, 0.0, joint.length)
     numbers = 0.0 if given is None else given
-    return motions.pose(components(numbers_of(f"{name}.coordinates", numbers, motions.names)))
+    return motions.pose(components(_numbers(f"{name}.coordinates", numbers, motions.names)))
 
 
 def _twists(
@@ -192,5 +193,16 @@ def _rates(name: str, joint: Joint, given: Initial, relative: Pose) -> Vec:
     if motions is None:
         hint = "leave them out" if joint.name == "fixed" else "give omega or twist"
         raise ArgumentError(f"{name}: a {joint.name} joint has no velocities; {hint}")
-    rates = numbers_of(f"{name}.velocities", given["velocities"], motions.names)
+    rates = _numbers(f"{name}.velocities", given["velocities"], motions.names)
     return motions.twist(components(rates), relative)
+
+
+def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
+    """One for each coordinate: a list in a table is of one link, and no batch as what is drawn."""
+    if isinstance(given, list) and len(given) != len(names):
+        expected = "a number" if len(names) == 1 else counted(len(names), "number")
+        raise ArgumentError(
+            f"{argument} has {counted(len(given), 'number')}; expected {expected}, of "
+            f"{', '.join(names)}"
+        )
+    return numbers_of(argument, given, names)

@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 import lierb
 from lierb import errors, tableaus
 from lierb.kernels.mechanics.rows import JOINT_ROWS, Point
+from lierb.mechanism_plan import cspaces_of
 from lierb.studies import convergence
 
 SECONDS = 5.0  # that a call may take
@@ -330,6 +331,7 @@ def _each_call() -> Iterator[Call]:
     warm |= {"solver": "auto", "multipliers": False, "progress": None}
     yield Call("warmup", lierb.warmup, warm, 0.2, ("joints",))
     yield from _of_runs(body, ball, hinge)
+    yield from _of_mechanisms(body, hinge)
 
 
 def _of_joints(points: Any, frames: Any, directions: Any) -> Iterator[Call]:
@@ -403,6 +405,77 @@ def _of_runs(body: Any, ball: Any, hinge: Any) -> Iterator[Call]:
         yield Call("to_polars", found.to_polars, {"table": "history"}, 0.1)
         for name in ("t", "quaternion", "failed", "end", "__repr__", "_repr_html_"):
             yield Call(f"result.{name}", _then(lambda found=found: found, name), {}, 0.05)
+
+
+def _of_mechanisms(body: Any, hinge: Any) -> Iterator[Call]:
+    """Two links and a loop, driven; every link's part of a dictionary is an argument of its own."""
+    ball = lierb.joints.spherical(POINT, parent_point=POINT)
+    one = {"name": "crank", "body": body, "joint": hinge, "parent": "ground"}
+    yield Call("Link", lierb.Link, one, 1, ("name", "body", "joint"))
+    pin = {"name": "pin", "joint": ball, "body": "rod", "parent": "crank"}
+    yield Call("Loop", lierb.Loop, pin, 1, ("name", "joint", "body"))
+    links = [lierb.Link("rod", body, ball, "crank"), lierb.Link(**one)]
+    parts = {
+        "links": links, "loops": [lierb.Loop(**pin)], "gravity": (0.0, 0.0, -9.81),
+        "forces": [lierb.forces.drag(0.1).on("rod", "crank")], "constraints": (),
+    }  # fmt: skip
+    yield Call("Mechanism", lierb.Mechanism, parts, 3, ("links",))
+    placed = {"link": "rod", "other": "crank"}
+    yield Call("on", lierb.forces.drag(0.1).on, placed, 1, ("link",))
+    driven = [lierb.forces.motor(speed=lambda t: 1.0 / t).on("crank")]
+    heavy = lierb.Link("crank", lierb.Body((6.0, 1e300), BOX), hinge)
+    for arm in (
+        lierb.Mechanism(links), lierb.Mechanism(**parts), lierb.Mechanism(links, forces=driven),
+        lierb.Mechanism([links[0], heavy]),
+    ):  # fmt: skip
+        yield from _of_an_arm(arm)
+    arm = lierb.Mechanism(links)
+    asked = {"cspace": "SE3"}
+    yield Call("cspaces_of", lambda cspace: cspaces_of(arm, cspace), asked, 0.3, ("cspace",))
+    yield Call("predict", lierb.predict, {"problem": arm}, 0.004, ("problem",))
+
+    def run(crank: Any, rod: Any, crank_pose: Any, rod_pose: Any, **given: Any) -> Any:
+        twist0 = {"crank": crank, "rod": rod}
+        pose0 = {"crank": crank_pose, "rod": rod_pose}
+        return _integrate(problem=arm, twist0=twist0, pose0=pose0, **given)
+
+    pose0, twist0 = arm.pose(), arm.twist({"crank": 0.1})
+    sane = {n: twist0[n] for n in arm.names} | {f"{n}_pose": pose0[n] for n in arm.names}
+    sane |= {"dt": 0.1, "t_end": 0.2, "save_every": 1, "record": RECORD}
+    options = {
+        "t0": 0.0, "update": "local", "check": "raise", "solver": "auto", "stabilise": None,
+        "threads": 1, "progress": False,
+    }  # fmt: skip
+    result = run(**sane, progress=False)  # compiled before any call is timed
+    yield Call("integrate(mechanism)", run, sane | options, 4, tuple(sane))
+    yield Call("result[link]", result.__getitem__, {"link": "rod"}, 0.3, ("link",))
+
+
+def _of_an_arm(arm: lierb.Mechanism) -> Iterator[Call]:
+    pose, twist = arm.pose(), arm.twist()
+    turns = {"crank": 0.1, "rod": (0.1, 0.2, 0.3)}
+
+    def of_both(function: Any) -> Any:
+        return lambda crank, rod: function({"crank": crank, "rod": rod})
+
+    def with_poses(function: Any) -> Any:
+        return lambda crank, rod, crank_pose, rod_pose, **more: function(
+            {"crank": crank, "rod": rod}, {"crank": crank_pose, "rod": rod_pose}, **more
+        )
+
+    poses = {f"{name}_pose": pose[name] for name in arm.names}
+    names = tuple(arm.names)
+    for name, sane in {"pose": turns, "coordinates": pose, "close": pose, "freedoms": pose}.items():
+        function = getattr(arm, name)
+        argument = "coordinates" if name == "pose" else "pose"
+        yield Call(f"arm.{name}", of_both(function), sane, 0.4, names)
+        yield Call(f"arm.{name}", function, {argument: sane}, 0.1, (argument,))
+    for name, sane in {"twist": turns, "velocities": twist, "project": twist}.items():
+        function = with_poses(getattr(arm, name))
+        more = {"t0": 1.0} if name == "project" else {}
+        yield Call(f"arm.{name}", function, sane | poses | more, 0.4, (*names, *poses))
+    yield Call("arm.of_body", arm.of_body, {"body": 0}, 0.1, ("body",))
+    yield Call("arm.link", arm.link, {"name": "rod"}, 0.1, ("name",))
 
 
 def _peak(t: Any, params: Any) -> Any:
