@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import lierb
-from mechanisms.shared import double_pendulum
+from mechanisms.shared import double_pendulum, four_bar
 
 STIFF, LENGTH, ANCHOR = 30.0, 0.2, (0.1, 0.05, 0.2)
 RUN = {"dt": 1e-3, "t_end": 0.1, "method": "Heun"}
@@ -192,3 +192,22 @@ def test_momentum_is_that_of_the_bodies_and_stays_where_nothing_acts_from_outsid
         wanted += np.r_[np.cross(r + c, p) + R @ central @ R.T @ w, p]
     np.testing.assert_allclose(result.momentum[0, 0], wanted, atol=1e-14)
     np.testing.assert_allclose(result.momentum[-1, 0], wanted, atol=1e-11)  # RK4's error
+
+
+@pytest.mark.slow
+def test_a_projection_that_leads_away_is_told():
+    # bars of a millionth of a gram beside one of a kilogram: no step of 1 ms follows their swing
+    plain = four_bar()
+    links = [
+        replace(x, body=lierb.Body(x.body.mass * f, x.body.inertia * f))
+        for x, f in zip(plain.links, (1e-6, 1e-6, 1.0), strict=True)
+    ]
+    made = lierb.Mechanism(links, plain.loops, plain.gravity)
+    pose0 = made.close(made.pose({"crank": 0.3, "rocker": -1.6, "coupler": -0.5}))
+    twist0 = made.project(made.twist({"crank": 10.0}, pose0), pose0)
+    with pytest.warns(lierb.errors.FailedTrajectoryWarning):
+        result = lierb.integrate(
+            made, pose0=pose0, twist0=twist0, dt=2e-2, t_end=20.0, cspace="SE3", method="Heun",
+            stabilise="project",
+        )  # fmt: skip
+    assert result.summary["status"][0].as_py() in ("singular", "non_finite")

@@ -97,8 +97,9 @@ class OnOneChart:
     def recharted(self, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
         return recharted(self.plan.space.charts, chart, x)
 
-    def stabilised(self, body: BodyConstants, state: Any, time: Any) -> Any:
-        return state
+    def stabilised(self, body: BodyConstants, state: Any, time: Any) -> tuple[Any, Any]:
+        """The state, put back on its constraints, and the mark of one that cannot be."""
+        return state, ZERO
 
     def tidied(self, body: BodyConstants, chart: Chart) -> Chart:
         """C₀ put back where rounding has taken it from: p to unit length, a screw on H.

@@ -88,6 +88,7 @@ from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
 CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
+OPEN = 1e-2  # in the same: where two of its steps have not led nearer, none will
 
 
 @dataclass(frozen=True)
@@ -586,18 +587,25 @@ class TreeFormulation:
 
     # ---- stabilisation ----
 
-    def stabilised(self, body: TreeConstants, state: State, time: Any) -> State:
-        """Pose and velocity put back on all rows, by the least kinetic energy."""
+    def stabilised(self, body: TreeConstants, state: State, time: Any) -> tuple[State, Any]:
+        """Pose and velocity put back on all rows, by the least kinetic energy; and a mark where
+        that leads away from them, as where a step was too long for what the rows hold.
+        """
         if self.plan.stabilisation.kind != "project":
-            return state
-        chart = self._closer(body, state.chart, time)
-        off = self._openness(body, chart, time)
+            return state, ZERO
+        first = self._closer(body, state.chart, time)
+        off = self._openness(body, first, time)
 
         def again() -> Any:
-            return where(off > CLOSED * CLOSED, self._closer(body, chart, time), chart)
+            second = where(off > CLOSED * CLOSED, self._closer(body, first, time), first)
+            left, before = (self._openness(body, x, time) for x in (second, state.chart))
+            return second, where((left > OPEN * OPEN) & (left >= before), 1.0, 0.0)
 
-        chart = branch(any_lanes(off > CLOSED * CLOSED), again, lambda: chart, likely=False)
-        return state._replace(chart=chart, v_or_mu=self._on_rows(body, chart, state.v_or_mu, time))
+        chart, mark = branch(
+            any_lanes(off > CLOSED * CLOSED), again, lambda: (first, 0.0), likely=False
+        )
+        velocity = self._on_rows(body, chart, state.v_or_mu, time)
+        return state._replace(chart=chart, v_or_mu=velocity), mark
 
     def _openness(self, body: TreeConstants, chart: tuple[Chart, ...], time: Any) -> Any:
         """The sum of the squares of all rows' values, lengths in units of the mechanism's own."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from lierb.kernels.numbers.arithmetic import fma, maximum
 from lierb.kernels.numbers.vec import Vec
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 
@@ -42,7 +42,9 @@ def step(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[Sta
         chart, x = formulation.moved(state.chart, x), (ZERO,) * len(x)
     else:
         chart, x = formulation.recharted(state.chart, x)
-    return formulation.stabilised(body, State(chart, x, v_or_mu, work), time + h), singular
+    stepped = State(chart, x, v_or_mu, work)
+    kept, off = formulation.stabilised(body, stepped, time + h)
+    return kept, singular if is_zero(off) else maximum(singular, off)
 
 
 def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -> Vec:
