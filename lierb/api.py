@@ -87,17 +87,18 @@ def integrate(
         the pose0, twist0 and t0 with which a run goes on.
     method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
-        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b); that
-        has no room for an inconsistent start, whatever `check` says. Of a mechanism the product of
-        such, one for each link, or a dictionary link → "SE3" or "SO3xR3"; "reduced" is the product
-        of the joints' subgroups. Default: "SE3", and "reduced" for a mechanism.
+        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b), nor room
+        for an inconsistent start. Of a mechanism the product of such, one for each link, or a
+        dictionary link → "SE3" or "SO3xR3"; "reduced" is the product of the joints' subgroups.
+        Default: "SE3", and "reduced" for a mechanism.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `history`. Default: no history.
     measure_every : steps between samples of the maxima in `summary`.
     record : extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
         the body's joint frame and in its axes, whatever rows describe the joint.
-    check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off").
+    check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off");
+        on "reduced" it raises, whatever `check` says.
     solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup",
         for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
         constant gain, found once (with check="raise" only: a start that is off by less than the
@@ -163,13 +164,11 @@ def integrate(
 
     def check_start(starts: Array, first: int) -> bool:
         error = checks.violation(inputs, starts, first)
-        _report(error, on_violation)
+        _report(error, on_violation, stacklevel=5)
         return error is None
 
     _require_memory(plan, clock, inputs.count, recorded)
     checked = on_violation != "off" and not ready.goes_on
-    if checked and isinstance(problem, Mechanism):
-        _report(violation(problem, ready.pose0, ready.twist0, float(t0)), on_violation)
     metadata = provenance(
         problem,
         twist0=ready.twist0,
@@ -180,6 +179,9 @@ def integrate(
     )
     is_seen = checked and isinstance(problem, Problem) and bool(problem.rows)
     try:
+        if checked and isinstance(problem, Mechanism):
+            error = violation(problem, ready.pose0, ready.twist0, float(t0))
+            _report(error, on_violation, stacklevel=3)
         output = engine.integrate(
             plan, inputs, clock, "state" in recorded, threads, progress,
             check_start if is_seen else None,
@@ -223,7 +225,7 @@ def check_options(
     if isinstance(problem, Mechanism):
         cspaces_of(problem, cspace)
         check_mechanism_options(problem, update, solver, stabilise)
-        return recorded, tableau, steps, "articulated"
+        return recorded, tableau, steps, "tree"
     if stabilise is not None:
         raise ArgumentError(
             f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
@@ -357,9 +359,10 @@ def _no_room(
     return too_large(what, whole, free, remedy)
 
 
-def _report(error: ValueError | None, check: str) -> None:
+def _report(error: ValueError | None, check: str, stacklevel: int) -> None:
+    """stacklevel : of the caller of `integrate`."""
     if error is None:
         return
     if check == "raise":
         raise error
-    warnings.warn(str(error), InconsistentStateWarning, stacklevel=5)  # the caller of integrate
+    warnings.warn(str(error), InconsistentStateWarning, stacklevel=stacklevel)

@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, roundin
 from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
-from lierb.kernels.stepping.mechanism import NONE
+from lierb.kernels.stepping.mechanism import UNSTABILISED
 from lierb.link_coordinates import motions_of
 from lierb.links import Connection
 from lierb.mechanism_plan import plan_of
@@ -79,7 +79,7 @@ class Space:
         self.tree: tuple[Node, ...] = plan_of(
             mechanism,
             cspaces,
-            NONE,
+            UNSTABILISED,
             update="local",
             stages=((),),
             weights=(1.0,),

@@ -268,7 +268,7 @@ class Mechanism(Shown):
 
     @cached_property
     def quantities(self) -> dict[str, Array]:
-        """Its numbers, by the fields of `lierb.kernels.stepping.mechanism.inputs_of`."""
+        """Its numbers, by the fields of `lierb.kernels.stepping.mechanism_inputs.inputs_of`."""
         found: dict[str, Array] = {"gravity": self.gravity}
         for i, link in enumerate(self.links):
             found |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}

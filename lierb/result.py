@@ -245,10 +245,11 @@ class Result(States):
         """Where the run ended, as the keywords `pose0`, `twist0` and `t0` with which it goes on.
 
         `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with the same body, joint
-        and formulation, in the same process, from the driver's own state, so that with the same dt
-        and method the bits are those of one run without a break. A state that has drifted off its
-        joint goes on as it is. Maxima, energy drift and work count from the new start. Copies and
-        parts of `pose0`, or another twist or time with it, start as any other pose does.
+        and formulation (the same `Mechanism`), in the same process, from the driver's own state, so
+        that with the same dt and method the bits are those of one run without a break. A state that
+        has drifted off its joint goes on as it is. Maxima, energy drift and work count from the new
+        start. Copies and parts of `pose0`, or another twist or time with it, start as any other
+        pose does.
 
         Raises ArgumentError where a trajectory has failed.
 

@@ -122,14 +122,24 @@ class EndPose(np.ndarray):
 class EndPoses(dict[str, Array]):
     """Poses of all links at the end of a run, by name; a copy is a plain dictionary."""
 
-    continuation: Continuation | None = None
+    def __init__(self, poses: dict[str, Array]) -> None:
+        super().__init__(poses)
+        self._poses = dict(poses)
+        self._continuation: Continuation | None = None
+
+    @property
+    def continuation(self) -> Continuation | None:
+        """None as soon as one of the poses is another."""
+        kept = self._poses
+        is_whole = self.keys() == kept.keys() and all(self[name] is kept[name] for name in kept)
+        return self._continuation if is_whole else None
+
+    @continuation.setter
+    def continuation(self, given: Continuation) -> None:
+        self._continuation = given
 
     def copy(self) -> dict[str, Array]:
         return dict(self)
-
-    def __setitem__(self, name: str, pose: Array) -> None:
-        self.continuation = None  # it is another end now
-        super().__setitem__(name, pose)
 
     def __reduce__(self) -> Any:
         return dict, (dict(self),)

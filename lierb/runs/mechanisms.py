@@ -94,7 +94,7 @@ def stabilisation_of(given: Any) -> Stabilisation:
 def told_stabilisation(given: Any) -> str | None:
     """As metadata have it."""
     kept = stabilisation_of(given)
-    rates = f"({kept.alpha:g}, {kept.beta:g})" if kept.kind == "baumgarte" else ""
+    rates = f"({kept.alpha!r}, {kept.beta!r})" if kept.kind == "baumgarte" else ""
     return None if kept.kind == "none" else f"{kept.kind}{rates}"
 
 
@@ -107,8 +107,8 @@ def check_mechanism_options(mechanism: Mechanism, update: str, solver: str, stab
     kept = stabilisation_of(stabilise)
     if solver != "auto":
         raise ArgumentError(
-            f'solver="{solver}" is for a lierb.Problem; a mechanism is solved by articulated '
-            "bodies; leave solver out"
+            f'solver="{solver}" is for a lierb.Problem; a mechanism has none to choose: '
+            "leave solver out"
         )
     if kept.kind == "project" and update == "global":
         raise ArgumentError(

@@ -104,6 +104,8 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     links = system_of(plan).links
     copied = POSE_AND_TWIST.count * links if with_state and rows > 1 else 0  # of the end
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
+    if plan.multipliers and system_of(plan).joints:
+        own += len(plan.rows)  # cut up joint by joint
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
 

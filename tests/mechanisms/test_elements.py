@@ -195,6 +195,57 @@ def test_momentum_is_that_of_the_bodies_and_stays_where_nothing_acts_from_outsid
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["point_on_line", "constant_velocity"])
+def test_projection_closes_joints_whose_motions_are_no_group(name):
+    rng = np.random.default_rng(7)
+    ball = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    held = lierb.joints.JOINTS[name]
+    tail = lierb.joints.spherical((0.0, 0.0, 0.2), parent_point=(0.0, 0.0, -0.2))
+    made = lierb.Mechanism(
+        [lierb.Link("a", ball, held((0.1, 0.05, 0.2))), lierb.Link("b", ball, tail, "a")],
+        gravity=(1.0, 2.0, -9.81),
+    )
+    pose0 = made.close(made.pose())
+    twist0 = made.project({n: rng.normal(size=6) for n in made.names}, pose0)
+    result = lierb.integrate(
+        made, pose0=pose0, twist0=twist0, dt=1e-2, t_end=1.0, method="Heun", stabilise="project"
+    )
+    assert result.summary["status"][0].as_py() == "ok"
+    assert result.summary["position_error_max"][0].as_py() < 1e-14
+    assert result.summary["rotation_error_max"][0].as_py() < 1e-14
+    plain = lierb.integrate(made, pose0=pose0, twist0=twist0, dt=1e-2, t_end=1.0, method="Heun")
+    kind = "position" if name == "point_on_line" else "rotation"
+    assert plain.summary[f"{kind}_error_max"][0].as_py() > 1e-7  # which drifts otherwise
+
+
+def test_largest_error_of_joints_is_nan_where_one_is():
+    from lierb.kernels.numbers.zero import ZERO
+    from lierb.kernels.stepping.mechanism import _largest
+
+    for order in ([1.0, np.nan, 0.5], [np.nan, 1.0], [ZERO, 0.5, np.nan]):
+        assert np.isnan(_largest(order))
+    assert _largest([ZERO, 0.5, 2.0, ZERO]) == 2.0
+
+
+def test_an_end_with_another_pose_is_another_start():
+    made = double_pendulum()
+    first = lierb.integrate(made, **start(made), **RUN)
+    end = first.end
+    assert end["pose0"].continuation is not None
+    moved = made.pose({"upper": 1.0, "lower": 0.5})
+    end["pose0"].update(moved)
+    twist0 = made.twist({"upper": 0.0}, moved)
+    went_on = lierb.integrate(
+        made, pose0=end["pose0"], twist0=twist0, t0=end["t0"], dt=1e-3, t_end=0.2, method="Heun"
+    )
+    fresh = lierb.integrate(
+        made, pose0=moved, twist0=twist0, t0=end["t0"], dt=1e-3, t_end=0.2, method="Heun"
+    )
+    np.testing.assert_array_equal(went_on["lower"].position, fresh["lower"].position)
+    assert end["pose0"].continuation is None
+
+
+@pytest.mark.slow
 def test_a_projection_that_leads_away_is_told():
     # bars of a millionth of a gram beside one of a kilogram: no step of 1 ms follows their swing
     plain = four_bar()

@@ -284,9 +284,7 @@ class TreeMotion:
         return self._places[i]
 
     def root(self, i: int) -> int:
-        while self.nodes[i].parent != GROUND:
-            i = self.nodes[i].parent
-        return i
+        return root_of(self.nodes, i)
 
     def pose(self, i: int) -> Pose:
         """A node's frame, seen from the ground."""
@@ -356,6 +354,13 @@ class TreeMotion:
             b = se3.ad(carried, relative)
             found.append(b[:3] + sub(b[3:], self.held(i, bend)))
         return found
+
+
+def root_of(nodes: Sequence[Node], i: int) -> int:
+    """The node on the ground that another one hangs on in the end."""
+    while nodes[i].parent != GROUND:
+        i = nodes[i].parent
+    return i
 
 
 def free_directions(slots: Slots, pitch: Any) -> list[Vec]:

@@ -324,7 +324,7 @@ def solved(
     for each in rows:
         found = each.of(response) - each.wanted
         excess.append(found if each.fall is None else found - dot(each.pull, ZERO3 + each.fall))
-    scales = _Scales(bodies.motion, loads, fall)
+    scales = _TreeScales(bodies.motion, loads, fall)
     multipliers, singular, dropped = multipliers_of(
         schur, excess, [scales.of(each) for each in rows], lambda i: scales.acceleration(rows[i])
     )
@@ -335,7 +335,7 @@ def solved(
     return Solved(bodies.respond(total, biases, fall), tuple(multipliers), singular, dropped)
 
 
-class _Scales:
+class _TreeScales:
     """What rows and loads amount to, measured by the inertia that each node has alone."""
 
     def __init__(

@@ -78,8 +78,8 @@ ARRAYS = {
     "varying": "int64, [1][columns of inputs in which trajectories differ]",
     "inputs": "[thread][column][lane], where each thread brings a block's numbers together",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
-    "summary": "[SUMMARY, then KEEPS of each observable][trajectory]",
-    "history": "[`history_measures`, then observables][time][trajectory]",
+    "summary": "[SUMMARY, KEEPS of each observable, JOINT_KEPT of each joint][trajectory]",
+    "history": "[`history_measures`, observables, JOINT_ERRORS of each joint][time][trajectory]",
     **dict.fromkeys(
         (field.name for field in POSE_AND_TWIST.fields),
         "[link, time or the last one alone][trajectory][component]",

@@ -35,6 +35,7 @@ from lierb.kernels.mechanics.tree import (
     Relative,
     TreeConstants,
     TreeMotion,
+    root_of,
 )
 from lierb.kernels.mechanics.tree_dynamics import (
     Asked,
@@ -64,7 +65,7 @@ from lierb.kernels.numbers.vec import (
     scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.formulations import Rates, recharted
 from lierb.kernels.stepping.layout import Columns, Field
 from lierb.kernels.stepping.measures import JOINT_ERRORS, Observed, orthogonality_squared
@@ -80,7 +81,6 @@ from lierb.kernels.stepping.mechanism_inputs import (
     joint_ends,
     node_constants,
     placed_element,
-    root_of,
     sixes,
 )
 from lierb.kernels.stepping.plan import AnyPlan
@@ -103,7 +103,7 @@ class Stabilisation:
     beta: float = 0.0
 
 
-NONE = Stabilisation()
+UNSTABILISED = Stabilisation()
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class MechanismPlan(AnyPlan):
     multipliers: bool
     reaction: bool = False
     elements: tuple[Element, ...] = ()
-    stabilisation: Stabilisation = NONE
+    stabilisation: Stabilisation = UNSTABILISED
 
     @property
     def links(self) -> int:
@@ -205,7 +205,7 @@ class TreeFormulation:
             relative = sub(twist, twist_at(seat, moving))
             d = se3.compose(se3.inverse(body.nodes[first].hang), seat)
             if not plan.tree[i].is_reduced:
-                root = body.nodes[root_of(plan, i)].hang
+                root = body.nodes[root_of(plan.tree, i)].hang
                 chart, velocity = apart(plan.tree[i], body.nodes[i], root, place, twist)
                 charts.append(chart)
                 velocities.append(velocity)
@@ -383,7 +383,7 @@ class TreeFormulation:
         return tuple(multipliers), wrenches
 
     def starts_well(self, numbers: list[Any], time: Any) -> Any:
-        """1: mechanisms are looked at before they are packed (`lierb.mechanism.violation`)."""
+        """1: mechanisms are looked at before they are packed, by `lierb.mechanism_checks`."""
         return 1.0
 
     # ---- a step ----
@@ -513,7 +513,7 @@ class TreeFormulation:
         for (number, r), multiplier in zip(self.rows, found.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
-        rates = self._rates(motion, found)
+        rates = self._state_rates(motion, found)
         return TreeAcceleration(
             rates, power, found.singular, found.dropped, bodies, found, relatives
         )
@@ -559,6 +559,8 @@ class TreeFormulation:
     def _off(self, i: int, motion: TreeMotion) -> Vec:
         """How far a node on its own pose is off the rows on whose null space it is solved."""
         node = self.plan.tree[i]
+        if node.is_reduced:  # whose rows are among those that are solved for
+            return ZERO6
         held, fixed, _ = kinds_of(node.rows)
         own = (*held.values(), *fixed.values())
         x = Relative(motion.kinematics(motion.hung(i), ZERO6), HERE, ZERO6, None).x
@@ -567,14 +569,14 @@ class TreeFormulation:
         d = tuple(x.d[j] if j in held else ZERO for j in range(3))
         return turn + mat_t_vec(x.q, d)
 
-    def _rates(self, motion: TreeMotion, found: Solved) -> Vec:
+    def _state_rates(self, motion: TreeMotion, found: Solved) -> Vec:
         """V̇_rel, or V̇ as the node's c-space has it."""
         rates: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             if node.is_reduced:
                 rates += found.response.rates[i]
                 continue
-            falling = motion.body.nodes[root_of(self.plan, i)].gravity
+            falling = motion.body.nodes[root_of(self.plan.tree, i)].gravity
             moved, q = found.response.moved[i], motion.place(i)[0]
             if node.cspace == "SE3":
                 rates += moved[:3] + add(moved[3:], mat_t_vec(q, falling))
@@ -727,9 +729,14 @@ def _bound(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
 
 
 def _largest(squares: Sequence[Any]) -> Any:
+    """NaN where one of them is."""
     total: Any = ZERO
     for square in squares:
-        total = maximum(total, square)
+        if is_zero(total) or is_zero(square):
+            total = square if is_zero(total) else total
+            continue
+        larger = where(square == square, maximum(total, square), square)
+        total = where(total == total, larger, total)
     return total
 
 

@@ -110,12 +110,6 @@ def first_of_joint(plan: MechanismPlan, i: int) -> int:
     return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
 
 
-def root_of(plan: MechanismPlan, i: int) -> int:
-    while plan.tree[i].parent != GROUND:
-        i = plan.tree[i].parent
-    return i
-
-
 def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
     node = plan.tree[i]
     link = node.link

@@ -195,9 +195,7 @@ class OneBody:
         pairs = zip(self.plan.elements, body.elements, strict=True)
         return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
 
-    def in_user_frames(
-        self, body: BodyConstants, numbers: list[Any], state: State, seen: Any = None
-    ) -> list[Vec]:
+    def in_user_frames(self, body: BodyConstants, numbers: list[Any], state: State) -> list[Vec]:
         """R (row by row), r, ω, v, of every link."""
         parameters, _, _ = parameters_of(numbers, body.turn, body.shift)
         pose, velocity = self.seen(body, state, ZERO)
