@@ -10,6 +10,7 @@ import lierb
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
+from lierb.kernels.stepping.layout import inputs_of
 from lierb.kernels.stepping.plan import Plan
 from lierb.runs import engine, starts
 
@@ -143,11 +144,12 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     """Fed to the runner directly: the public face lets no NaN in."""
     twists = TWISTS[:17].copy()
     twists[victim, 1] = fault
-    inputs = engine.Inputs(_problem(), None, twists, 17)
     plan = Plan(
         starts.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
         lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
     )  # fmt: skip
+    problem = _problem()
+    inputs = engine.Inputs(problem, inputs_of(problem.kinds), {"twist": twists}, 17)
     output = engine.integrate(plan, inputs, Clock(1e-2, STEPS, 1, 0))
     others = np.arange(17) != victim
     state = np.concatenate(output.state, axis=1)

@@ -15,8 +15,8 @@ pytest.importorskip("scipy")
 BENCH = Path(__file__).parent.parent / "bench"
 sys.path.insert(0, str(BENCH))
 
-from mechanisms import cases, report  # noqa: E402
-from mechanisms.__main__ import NOT_PEERS, keep  # noqa: E402
+from linkages import cases, report  # noqa: E402
+from linkages.__main__ import NOT_PEERS, keep  # noqa: E402
 
 STORED = sorted((BENCH / "results").glob("mechanisms-*.json"))
 RK4 = 1e-9  # m: what it leaves of two links at 1 ms
@@ -66,7 +66,7 @@ def test_samples_do_not_depend_on_their_number():
 
 
 def test_lierb_starts_where_the_others_do():
-    own = importlib.import_module("mechanisms.lierb")
+    own = importlib.import_module("linkages.lierb")
     for name in cases.MECHANISMS:
         tree = cases.tree_of(name, 3)
         mechanism = own.mechanism_of(tree)
@@ -85,7 +85,7 @@ def test_lierb_starts_where_the_others_do():
     ],
 )
 def test_a_peer_meets_the_reference(peer, form, allowed):
-    module = importlib.import_module(f"mechanisms.{peer}")
+    module = importlib.import_module(f"linkages.{peer}")
     if reason := module.available():
         pytest.skip(reason)
     mechanism = module.FORMS[form].mechanism
@@ -95,9 +95,9 @@ def test_a_peer_meets_the_reference(peer, form, allowed):
 
 
 def test_every_peer_has_what_a_peer_needs():
-    peers = [path for path in BENCH.glob("mechanisms/*.py") if path.stem not in NOT_PEERS]
+    peers = [path for path in BENCH.glob("linkages/*.py") if path.stem not in NOT_PEERS]
     for path in peers:
-        module = importlib.import_module(f"mechanisms.{path.stem}")
+        module = importlib.import_module(f"linkages.{path.stem}")
         assert {form.mechanism for form in module.FORMS.values()} <= {*cases.MECHANISMS}
         assert all(callable(getattr(module, name)) for name in ("available", "config", "run"))
     assert len(peers) >= 7

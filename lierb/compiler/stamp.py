@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import llvmlite
@@ -28,6 +29,8 @@ from lierb.compiler import sealed
 PACKAGE = "lierb"
 ANYTHING = "*"  # imported by what may import whatever there is
 IMPORTERS = {"importlib", "pkgutil"}  # by names that are made at run time
+
+_parsing = Lock()  # of two threads that parse at once, Python 3.11 fails one (gh-106905)
 
 
 def _read(folder: str, package: str) -> Iterator[tuple[str, bytes]]:
@@ -103,7 +106,9 @@ def _tree_of(module: str) -> Tree:
 def described(source: bytes) -> Tree:
     """The syntax tree of a module's source."""
     imports: list[ast.Import | ast.ImportFrom] = []
-    plain = _plain(ast.parse(source), imports)
+    with _parsing:
+        tree = ast.parse(source)
+    plain = _plain(tree, imports)
     names = sorted({name for node in imports for name in _names(node)})
     return hashlib.sha256(repr(plain).encode()).hexdigest(), names
 

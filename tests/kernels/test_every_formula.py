@@ -58,6 +58,18 @@ NO_NUMBERS = {  # abstract, or of other things
     "stepping.formulations.SaddlePoint.is_light",
 }  # fmt: skip
 
+# Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
+# formulations, and test_spatial.py what they are made of against matrices.
+OF_MECHANISMS = (
+    "groups.turns.",
+    "mechanics.spatial.",
+    "mechanics.tree.",
+    "mechanics.tree_dynamics.",
+    "stepping.mechanism.",
+    "stepping.mechanism_inputs.",
+    "stepping.systems.",
+)
+
 in_python = pytest.mark.skipif(not config.DISABLE_JIT, reason="run below, with the JIT off")
 
 
@@ -91,7 +103,12 @@ def public(package):
                     yield f"{prefix}.{method}", of
 
 
-FUNCTIONS = {name: f for package in (groups, mechanics, stepping) for name, f in public(package)}
+FUNCTIONS = {
+    name: f
+    for package in (groups, mechanics, stepping)
+    for name, f in public(package)
+    if not name.startswith(OF_MECHANISMS)
+}
 
 
 @lierb.wrench(rate=3.0)

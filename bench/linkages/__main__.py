@@ -1,9 +1,9 @@
 """`make bench-peers`: run every peer on every mechanism, store what was found, write the tables.
 
-    python -m mechanisms                       all, from bench/
-    python -m mechanisms --only cpp lierb      some of them
-    python -m mechanisms --mechanisms chain2   one mechanism
-    python -m mechanisms --report FILE         the tables of a stored run
+    python -m linkages                       all, from bench/
+    python -m linkages --only cpp lierb      some of them
+    python -m linkages --mechanisms chain2   one mechanism
+    python -m linkages --report FILE         the tables of a stored run
 
 Each measurement is a process of its own; the list is gone through several times, and the best run
 of each entry counts, as for heavy tops (`python -m peers`).
@@ -22,8 +22,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import mechanisms
-from mechanisms import report
+import linkages
+from linkages import report
 
 RESULTS = Path(__file__).parent.parent / "results"
 README = Path(__file__).parent.parent / "README.md"  # has the tables of the last whole run
@@ -32,8 +32,8 @@ NOT_PEERS = {"__init__", "__main__", "cases", "report", "worker"}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m mechanisms")
-    found = pkgutil.iter_modules(mechanisms.__path__)
+    parser = argparse.ArgumentParser(prog="python -m linkages")
+    found = pkgutil.iter_modules(linkages.__path__)
     names = sorted(m.name for m in found if m.name not in NOT_PEERS)
     every = list(report.TITLES)
     parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="PEER")
@@ -67,7 +67,7 @@ def measured(names: list[str], which: list[str], passes: int) -> dict[str, Any]:
     unavailable: dict[str, str] = {}
     for turn in range(passes):
         for name in names:
-            peer = importlib.import_module(f"mechanisms.{name}")
+            peer = importlib.import_module(f"linkages.{name}")
             if reason := peer.available():
                 unavailable[name] = reason
                 continue
@@ -91,7 +91,7 @@ def measured(names: list[str], which: list[str], passes: int) -> dict[str, Any]:
 
 def worker(peer: str, form: str) -> dict[str, Any]:
     """One measurement; {"failed": why} where it broke."""
-    command = [sys.executable, "-m", "mechanisms.worker", peer, form]
+    command = [sys.executable, "-m", "linkages.worker", peer, form]
     pools = ("OMP", "MKL", "OPENBLAS")
     environment = os.environ | {f"{pool}_NUM_THREADS": "1" for pool in pools}
     try:

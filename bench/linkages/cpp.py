@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from peers import cpp as compiler
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 FORMS = {
     "chain2-bodies": Form("chain2", "C++, body by body, RK4", 16384),

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from peers.cpp import CACHE
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 COUNTS = {2: 256, 3: 192, 5: 96, 8: 64}
 FORMS = {

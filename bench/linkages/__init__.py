@@ -11,6 +11,6 @@ A peer is a module of this package with
                                    links are: (n, links, 3) m
 
 Every trajectory has masses, inertias, frames and initial values of its own: one model a sample.
-What `run` does is not timed. `python -m mechanisms` (from bench/, or `make bench-peers`) runs them
+What `run` does is not timed. `python -m linkages` (from bench/, or `make bench-peers`) runs them
 all, each in a process of its own, and shows no time of a peer whose motion is another.
 """

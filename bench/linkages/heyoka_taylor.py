@@ -11,8 +11,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 FORMS = {
     "chain2-1e-7": Form("chain2", "heyoka, Taylor, Lagrange's equations, 1e-7", 16384, dt=None),

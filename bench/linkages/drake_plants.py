@@ -11,8 +11,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 STEPS = {2: 4e-3, 3: 4e-3, 5: 4e-3, 8: 2e-3}  # s
 COUNTS = {2: 96, 3: 80, 5: 64, 8: 48}

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from peers import exudyn_tops
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 COUNTS = {2: 96, 3: 80, 5: 64, 8: 48}
 FORMS = {

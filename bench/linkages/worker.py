@@ -1,4 +1,4 @@
-"""One peer, one form, in a process of its own: `python -m mechanisms.worker PEER FORM` → JSON."""
+"""One peer, one form, in a process of its own: `python -m linkages.worker PEER FORM` → JSON."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def main() -> None:
 
     from peers.worker import timed
 
-    from mechanisms import cases
+    from linkages import cases
 
-    peer = importlib.import_module(f"mechanisms.{given.peer}")
+    peer = importlib.import_module(f"linkages.{given.peer}")
     form = peer.FORMS[given.form]
     tree = cases.tree_of(form.mechanism, given.count or form.count)
     integrate = peer.run(given.form, tree)

@@ -12,8 +12,8 @@ from importlib.util import find_spec
 import numpy as np
 from peers.mujoco_rollout import OFF
 
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 COUNTS = {2: 192, 3: 160, 5: 128, 8: 96}
 FORMS = {

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 import lierb
-from mechanisms import cases
-from mechanisms.cases import Form, Tree
+from linkages import cases
+from linkages.cases import Form, Tree
 
 COUNTS = {2: 16384, 3: 8192, 5: 4096, 8: 2048}
 FORMS = {
