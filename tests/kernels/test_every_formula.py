@@ -52,10 +52,11 @@ LOOPS = {  # code of Numba's, and what it works on
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
-    "mechanics.rows.JointRow.objection",
+    "mechanics.rows.HeldBody.elements", "mechanics.rows.HeldBody.length",
+    "mechanics.rows.HeldBody.pitch", "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection",
-    "stepping.formulations.SaddlePoint.is_light",
+    "stepping.formulations.SaddlePoint.is_light", "stepping.plan.AnyPlan.formulation",
 }  # fmt: skip
 
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
