@@ -254,57 +254,6 @@ def spring_damper(
     )  # fmt: skip
 
 
-class TorsionalSpring(BuiltIn):
-    """About the joint axis, back to a turn that is at most half a turn away."""
-
-    name = "torsional_spring"
-    parameters: ClassVar = {
-        "stiffness": Parameter("N m/rad", is_signed=False),
-        "damping": Parameter("N m s/rad", is_signed=False),
-        "angle": Parameter("rad"),
-    }
-    needs_axis: ClassVar = True
-    is_conservative: ClassVar = True
-    working: ClassVar = ("damping",)
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        stiffness, damping, angle = placed
-        torque = -fma(stiffness, _turn(x, angle), damping * x.omega[2])
-        return (ZERO, ZERO, torque), ZERO3
-
-    def energy(self, placed: Any, x: Motion) -> Any:
-        stiffness, _, angle = placed
-        turn = _turn(x, angle)
-        return 0.5 * stiffness * (turn * turn)
-
-    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        return -placed[1] * (x.omega[2] * x.omega[2])
-
-
-def _turn(x: Motion, angle: Any) -> Any:
-    """How far the body is turned about e₃ from that angle, in [−π, π]."""
-    turn = atan2(x.q[3], x.q[0]) - angle
-    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)
-
-
-def torsional_spring(
-    *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, angle: ArrayLike = 0.0
-) -> Force:
-    """A spring and damper about the joint axis.
-
-    stiffness : N m/rad.   damping : N m s/rad.   angle : rad, at which the spring is slack.
-
-    The spring knows the pose, not how it came about: it turns back to `angle` the shorter way, so
-    that its torque jumps half a turn from there. It counts in the energy, ½kφ². For joints that
-    keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
-
-    >>> import lierb
-    >>> lierb.forces.torsional_spring(stiffness=0.5, damping=[0.0, 0.01])
-    <torsional_spring: stiffness, damping, angle>
-    """
-    return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
-
-
 class AtJoint(BuiltIn, is_abstract=True):
     """About the joint axis e₃, or along it: by the rate there, and the place."""
 
@@ -336,7 +285,61 @@ class AlongJoint(AtJoint, is_abstract=True):
         return ZERO3, (ZERO, ZERO, size)
 
 
-class SlideSpring(AlongJoint):
+def _turn(x: Motion, angle: Any) -> Any:
+    """How far the body is turned about e₃ from that angle, in [−π, π]."""
+    turn = atan2(x.q[3], x.q[0]) - angle
+    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)
+
+
+class JointSpring(AtJoint, is_abstract=True):
+    """Back to where it is slack, with a damper: by stiffness, damping and that place."""
+
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        stiffness, damping, slack = placed
+        return self.pushed(-fma(stiffness, self.place(x, slack), damping * self.rate(x)))
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        stiffness, _, slack = placed
+        stretch = self.place(x, slack)
+        return 0.5 * stiffness * (stretch * stretch)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        return -placed[1] * (self.rate(x) * self.rate(x))
+
+
+class TorsionalSpring(JointSpring):
+    """About the joint axis, back to a turn that is at most half a turn away."""
+
+    name = "torsional_spring"
+    parameters: ClassVar = {
+        "stiffness": Parameter("N m/rad", is_signed=False),
+        "damping": Parameter("N m s/rad", is_signed=False),
+        "angle": Parameter("rad"),
+    }
+
+
+def torsional_spring(
+    *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, angle: ArrayLike = 0.0
+) -> Force:
+    """A spring and damper about the joint axis.
+
+    stiffness : N m/rad.   damping : N m s/rad.   angle : rad, at which the spring is slack.
+
+    The spring knows the pose, not how it came about: it turns back to `angle` the shorter way, so
+    that its torque jumps half a turn from there. It counts in the energy, ½kφ². For joints that
+    keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
+
+    >>> import lierb
+    >>> lierb.forces.torsional_spring(stiffness=0.5, damping=[0.0, 0.01])
+    <torsional_spring: stiffness, damping, angle>
+    """
+    return TorsionalSpring().force(stiffness=stiffness, damping=damping, angle=angle)
+
+
+class SlideSpring(AlongJoint, JointSpring):
     """Along the joint axis, back to a place."""
 
     name = "slide_spring"
@@ -345,20 +348,6 @@ class SlideSpring(AlongJoint):
         "damping": Parameter("N s/m", is_signed=False),
         "position": Parameter("m"),
     }
-    is_conservative: ClassVar = True
-    working: ClassVar = ("damping",)
-
-    def wrench(self, placed: Any, x: Motion) -> Wrench:
-        stiffness, damping, position = placed
-        return self.pushed(-fma(stiffness, self.place(x, position), damping * self.rate(x)))
-
-    def energy(self, placed: Any, x: Motion) -> Any:
-        stiffness, _, position = placed
-        stretch = self.place(x, position)
-        return 0.5 * stiffness * (stretch * stretch)
-
-    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        return -placed[1] * (self.rate(x) * self.rate(x))
 
 
 def slide_spring(

@@ -16,6 +16,11 @@ from lierb.kernels.mechanics.elements import Element
 POSE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11)  # of a 4×4 matrix: R, then r
 
 
+def pose_of(numbers: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """(R, r) from numbers in that order."""
+    return numbers[:9], numbers[9:]
+
+
 class Field(NamedTuple):
     """A quantity of a trajectory.
 

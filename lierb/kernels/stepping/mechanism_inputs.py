@@ -44,7 +44,7 @@ from lierb.kernels.numbers.vec import (
     transpose,
 )
 from lierb.kernels.numbers.zero import ZERO
-from lierb.kernels.stepping.layout import POSE, Columns, Field
+from lierb.kernels.stepping.layout import POSE, Columns, Field, pose_of
 
 if TYPE_CHECKING:
     from lierb.kernels.stepping.mechanism import MechanismPlan
@@ -90,10 +90,6 @@ def charts_of(node: Node) -> Any:
     ):
         return turns
     return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
-
-
-def pose_of(numbers: Vec) -> Pose:
-    return numbers[:9], numbers[9:]
 
 
 def charts_side_by_side(numbers: Vec) -> tuple[Chart, ...]:

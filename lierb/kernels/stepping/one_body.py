@@ -36,7 +36,7 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.formulations import LARGEST, accelerate
-from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, inputs_of
+from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, inputs_of, pose_of
 from lierb.kernels.stepping.measures import Observed, measured
 from lierb.kernels.stepping.state import State
 
@@ -66,12 +66,12 @@ def parameters_of(
         inertia=parts["inertia"],
         com=parts["com"],
         gravity=parts["gravity"],
-        ground=_pose(parts["ground_frame"]),
-        body=_pose(parts["body_frame"]),
+        ground=pose_of(parts["ground_frame"]),
+        body=pose_of(parts["body_frame"]),
         pitch=parts["pitch"][0],
         length=parts["length"][0],
     )
-    pose = _pose(parts["pose"])
+    pose = pose_of(parts["pose"])
     with rounded_as_numpy(parameters.mass):
         closed = closed_pose(parameters.ground, parameters.body, parameters.length)
     axes, point = parameters.body
@@ -80,10 +80,6 @@ def parameters_of(
         where(pose[1][0] == pose[1][0], pose, closed),
         parts["twist"],
     )
-
-
-def _pose(numbers: tuple[Any, ...]) -> tuple[Any, Any]:
-    return numbers[:9], numbers[9:]
 
 
 def body_of(
