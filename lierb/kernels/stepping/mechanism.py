@@ -83,7 +83,7 @@ from lierb.kernels.stepping.mechanism_inputs import (
     placed_element,
     sixes,
 )
-from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.plan import AnyPlan, Embedded, Extension, Stages
 from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
@@ -126,6 +126,11 @@ class MechanismPlan(AnyPlan):
     reaction: bool = False
     elements: tuple[Element, ...] = ()
     stabilisation: Stabilisation = UNSTABILISED
+    exponentials: tuple[Stages, ...] = ()
+    clock: str = "steps"
+    embedded: Embedded | None = None
+    extension: Extension | None = None
+    looks: bool = False
 
     @property
     def links(self) -> int:

@@ -14,13 +14,42 @@ from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
 
 
+Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What a step's error is estimated by.
+
+    weights : b − b̂, a row of it; or two rows, E₅ and E₃ of DOP853.   order : of b̂.
+    """
+
+    weights: Stages
+    order: int
+
+
+@dataclass(frozen=True)
+class Extension:
+    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
+    Σ weights[i][k] θᵏ⁺¹.
+    """
+
+    stages: Stages
+    weights: Stages
+
+
 class AnyPlan(Tag):
     """What the plans of one body and of a mechanism have in common."""
 
     lanes: int
     update: str
-    stages: tuple[tuple[float, ...], ...]
+    stages: Stages
     weights: tuple[float, ...]
+    exponentials: tuple[Stages, ...]  # of a commutator-free method: of each stage, then of the end
+    clock: str  # "steps", the same in all lanes, or "lanes", each with its own
+    embedded: Embedded | None  # of adaptive steps
+    extension: Extension | None
+    looks: bool  # between steps, too: for output and events
     elements: tuple[Element, ...]
     multipliers: bool
     reaction: bool
@@ -42,6 +71,12 @@ class AnyPlan(Tag):
     def nodes(self) -> tuple[float, ...]:
         """c of the Butcher tableau: when each stage is."""
         return tuple(sum(weights) for weights in self.stages)
+
+    @cached_property
+    def last_stage(self) -> int:
+        """How many stages a step needs that nobody looks into."""
+        asked = [i for i, weight in enumerate(self.weights) if weight != 0.0]
+        return asked[-1] + 1
 
     @property
     def is_local(self) -> bool:
@@ -79,7 +114,7 @@ class Plan(AnyPlan):
     rows: Rows
     cspace: str
     update: str
-    stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
+    stages: Stages  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
     reaction: bool = False  # whether the joint's wrench is
@@ -88,6 +123,11 @@ class Plan(AnyPlan):
     # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
     # subgroup joint's constant gain, by which poses stay in the subgroup.
     solver: str = "saddle"
+    exponentials: tuple[Stages, ...] = ()
+    clock: str = "steps"
+    embedded: Embedded | None = None
+    extension: Extension | None = None
+    looks: bool = False
 
     __hash__ = AnyPlan.__hash__
 
