@@ -6,7 +6,7 @@ by side. On reduced coordinates they have the structural zeros of the joint's su
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,8 +20,8 @@ from lierb.kernels.mechanics.constraints import (
     residuals,
     rotation_error_squared,
 )
-from lierb.kernels.mechanics.elements import Element, UserObservable
-from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.spatial import twist_at
@@ -84,6 +84,7 @@ from lierb.kernels.stepping.mechanism_inputs import (
     sixes,
 )
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import Watching
 from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
@@ -149,7 +150,7 @@ class MechanismPlan(AnyPlan):
 
 
 @dataclass(frozen=True)
-class TreeFormulation:
+class TreeFormulation(Watching):
     """Of a plan: what the stepper asks of a formulation, and the driver of a system."""
 
     plan: MechanismPlan
@@ -328,20 +329,14 @@ class TreeFormulation:
         first = len(self.plan.joints)
         pairs = zip(self.plan.elements, body.elements, strict=True)
         for number, (element, placed) in enumerate(pairs, first):
-            if not (isinstance(element, UserObservable) or element.rows):
+            if not (element.is_passive or element.rows):
                 still = relatives[number].x._replace(time=ZERO)  # potentials do not depend on it
                 total = total + element.energy(placed, still.motion)
         return total
 
-    def observed(self, body: TreeConstants, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each observable's value."""
-        relatives = _Relatives(self.plan.connections, body.ends, seen)
-        pairs = zip(self.plan.elements, body.elements, strict=True)
-        return tuple(
-            element.value(placed, relatives[number].x.motion)
-            for number, (element, placed) in enumerate(pairs, len(self.plan.joints))
-            if isinstance(element, UserObservable)
-        )
+    def motions(self, body: TreeConstants, seen: Any, time: Any) -> Callable[[int], Motion]:
+        relatives, first = _Relatives(self.plan.connections, body.ends, seen), len(self.plan.joints)
+        return lambda i: relatives[first + i].x.motion._replace(signals=body.signals)
 
     def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
         """R (row by row), r, ω, v, of every link."""
@@ -526,9 +521,9 @@ class TreeFormulation:
         for number, (element, placed) in enumerate(
             zip(self.plan.elements, body.elements, strict=True), first
         ):
-            if isinstance(element, UserObservable) or element.rows:
+            if element.is_passive or element.rows:
                 continue
-            x = relatives[number].x.motion
+            x = relatives[number].x.motion._replace(signals=body.signals)
             wrench = element.wrench(placed, x)
             power = power + element.power(placed, x, wrench)
             for i, load in relatives.asked(number, wrench[0] + wrench[1], ZERO).loads().items():

@@ -5,16 +5,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.quaternion import Chart
-from lierb.kernels.mechanics.elements import Element, UserObservable, body_with
+from lierb.kernels.mechanics.elements import Element, body_with
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
+    Motion,
     Parameters,
     Pose,
     SO3xR3,
@@ -38,6 +39,7 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.formulations import LARGEST, accelerate
 from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, inputs_of, pose_of
 from lierb.kernels.stepping.measures import Observed, measured
+from lierb.kernels.stepping.signals import Watching
 from lierb.kernels.stepping.state import State
 
 if TYPE_CHECKING:
@@ -95,7 +97,7 @@ def body_of(
 
 
 @dataclass(frozen=True)
-class OneBody:
+class OneBody(Watching):
     """Of a plan: what the driver asks of a system."""
 
     plan: Plan
@@ -183,13 +185,10 @@ class OneBody:
         )  # fmt: skip
         return Observed(found)
 
-    def observed(self, body: BodyConstants, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each observable's value."""
-        if not any(isinstance(element, UserObservable) for element in self.plan.elements):
-            return ()
+    def motions(self, body: BodyConstants, seen: Any, time: Any) -> Callable[[int], Motion]:
         x = self.plan.space.kinematics(body, *seen)._replace(time=time)
-        pairs = zip(self.plan.elements, body.elements, strict=True)
-        return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
+        motion = x.motion._replace(signals=body.signals)
+        return lambda _: motion
 
     def in_user_frames(self, body: BodyConstants, numbers: list[Any], state: State) -> list[Vec]:
         """R (row by row), r, ω, v, of every link."""
