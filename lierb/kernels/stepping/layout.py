@@ -99,11 +99,11 @@ POSE_AND_TWIST = Columns(
 
 
 @lru_cache(64)
-def inputs_of(elements: tuple[Element, ...]) -> Columns:
-    """INPUTS, then the elements' parameters, then a state to go on from."""
+def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
+    """INPUTS, then the elements' parameters, then the numbers of a state to go on from."""
     parameters = (
         Field(f"{number}.{name}", shape)
         for number, element in enumerate(elements)
         for name, shape in element.shapes.items()
     )
-    return Columns(*INPUTS.fields, *parameters, Field("state", (STATE.count,)))
+    return Columns(*INPUTS.fields, *parameters, Field("state", (numbers,)))

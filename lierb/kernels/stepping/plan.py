@@ -8,7 +8,7 @@ from typing import Any
 
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
-from lierb.kernels.mechanics.elements import Element, UserObservable
+from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
@@ -90,7 +90,7 @@ class AnyPlan(Tag):
     @cached_property
     def acting(self) -> tuple[Element, ...]:
         """The elements that do something to the motion."""
-        return tuple(e for e in self.elements if not isinstance(e, UserObservable))
+        return tuple(e for e in self.elements if not e.is_passive)
 
     @cached_property
     def calls_functions(self) -> bool:

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import in_states
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.stepper import Slopes, rates_at
 

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.mechanics.elements import Signals
 from lierb.kernels.numbers.arithmetic import fma, maximum
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.held import rates_of_states, with_states
 from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import rates_of_states
 from lierb.kernels.stepping.state import State
 
 Rows = tuple[tuple[float, ...], ...]
@@ -192,12 +191,6 @@ def rates_at(
         own = rates_of_states(plan, body, there, time)
     found = formulation.rates(body, chart, falling, x, v_or_mu, time)
     return StageRates(found.x, found.v_or_mu, own, found.power, found.singular)
-
-
-def with_states(body: Any, states: Vec) -> Any:
-    """The body as its functions see it with these states."""
-    held = body.signals or Signals((), (), ())
-    return body._replace(signals=held._replace(states=states))
 
 
 def _advanced(base: Vec, h: Any, weights: tuple[Any, ...], rates: Any) -> Vec:
