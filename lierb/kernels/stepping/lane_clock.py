@@ -14,6 +14,7 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.status import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
 from lierb.kernels.stepping.step_size import (
     EPS,
     LEAST_ULPS,
@@ -23,7 +24,6 @@ from lierb.kernels.stepping.step_size import (
     first_step,
 )
 
-OK, SINGULAR, NON_FINITE, RAISED, MAX_STEPS, DT_MIN, EVENT = range(7)  # status codes
 INF = float("inf")
 NEARLY = 1e-9  # of a step: what is left of a run, less than that, belongs to the step
 
@@ -167,11 +167,11 @@ def judged(
     return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
 
 
-def to_tidy(clock: LaneClock, span: Span, fresh: Any) -> Any:
+def to_tidy(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
     """Where rounding is to be taken off: every so many steps, those before a break included."""
     counted = clock.steps + span.counted
     turn = counted - TIDY_EVERY * floor(counted / TIDY_EVERY)
-    return (fresh > 0.5) & (turn == 0.0) & (counted > 0.0)
+    return (fresh > 0.5) & (fate == 0.0) & (turn == 0.0) & (counted > 0.0)
 
 
 def to_measure(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:

@@ -39,11 +39,11 @@ class Tolerances(NamedTuple):
 
     dt: float
     rtol: float
-    rotation: float
-    position: float
-    omega: float
-    v: float
-    states: float
+    rotation_atol: float
+    position_atol: float
+    omega_atol: float
+    v_atol: float
+    states_atol: float
     dt_min: float
     dt_max: float
     max_steps: float
@@ -115,10 +115,10 @@ def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolera
 
     places, turning, moving = (
         allowed(atol, *(end[i] for end in ends))
-        for i, atol in enumerate((limits.position, limits.omega, limits.v))
+        for i, atol in enumerate((limits.position_atol, limits.omega_atol, limits.v_atol))
     )
-    states = tuple(allowed(limits.states, *pair) for pair in zip(*(e[3] for e in ends), strict=True))
-    return _Scales(allowed(limits.rotation, 1.0), places, turning, moving, states)
+    states = tuple(allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True))
+    return _Scales(allowed(limits.rotation_atol, 1.0), places, turning, moving, states)
 
 
 def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:

@@ -64,22 +64,32 @@ def trial_step(
     return Step(kept, slopes, singular if is_zero(off) else maximum(singular, off))
 
 
+def extended(
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes
+) -> Slopes:
+    """With the further stages of the continuous extension."""
+    assert plan.extension is not None
+    rows = plan.extension.stages
+    found, _ = _stages(plan, body, state, time, h, slopes, rows, (None,) * len(rows))
+    return found
+
+
 def between(
-    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes, theta: Any
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Any, theta: Any
 ) -> State:
     """The state θ h after `time`, 0 ≤ θ ≤ 1: by the method's continuous extension, or, where it
     has none, by a step of its own to there.
 
     The pose is C₀ exp X(θ): on the group, and for a subgroup joint on its subgroup.
+    slopes : of all stages and of those of the extension.
     """
     extension = plan.extension
     if extension is None:
         return step(plan, body, state, time, theta * h)[0]
-    rows = extension.stages
-    slopes, _ = _stages(plan, body, state, time, h, slopes, rows, (None,) * len(rows))
     weights = tuple(_polynomial(theta, terms) for terms in extension.weights)
     found = _combined(plan, body, state, h, slopes, weights, None)
-    return plan.formulation.stabilised(body, found, fma(theta, h, time))[0]
+    kept: State = plan.formulation.stabilised(body, found, fma(theta, h, time))[0]
+    return kept
 
 
 def _polynomial(theta: Any, terms: tuple[float, ...]) -> Any:
