@@ -42,7 +42,7 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
 from lierb.kernels.stepping.formulations import LARGEST
-from lierb.kernels.stepping.layout import POSE_AND_TWIST
+from lierb.kernels.stepping.layout import LANE_SUMMARY, POSE_AND_TWIST
 from lierb.kernels.stepping.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -63,6 +63,7 @@ from lierb.kernels.stepping.observables import (
     with_value,
 )
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import signals_width
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import NON_FINITE, OK, RAISED, SINGULAR
 from lierb.kernels.stepping.stepper import step
@@ -159,13 +160,20 @@ def joint_columns(plan: AnyPlan) -> int:
 
 
 def summary_columns(plan: AnyPlan) -> int:
+    return lane_column(plan) + (LANE_SUMMARY.count + signals_width(plan)) * plan.has_lane_clocks
+
+
+def lane_column(plan: AnyPlan) -> int:
+    """Of a summary: the first of LANE_SUMMARY, where lanes have clocks of their own."""
     return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
 
 
 def history_columns(plan: AnyPlan) -> int:
-    """Measures, observables, and the errors of every joint of a mechanism."""
+    """Measures, observables, the errors of every joint of a mechanism, the user's states and
+    outputs.
+    """
     own = len(history_measures(plan)) + len(observables_of(plan))
-    return own + len(JOINT_ERRORS) * len(system_of(plan).joints)
+    return own + len(JOINT_ERRORS) * len(system_of(plan).joints) + signals_width(plan)
 
 
 # ---- formulas on one block ---------------------------------------------------------------------

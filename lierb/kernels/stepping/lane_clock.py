@@ -81,10 +81,9 @@ class Verdict(NamedTuple):
 
 
 def first_clock(
-    plan: AnyPlan, body: Any, state: State, span: Span, limits: Tolerances, due: Any
+    plan: AnyPlan, body: Any, state: State, span: Span, limits: Tolerances, zero: Any
 ) -> LaneClock:
-    """due : of the first row of the history, s."""
-    zero = 0.0 * due
+    """Before anything is due.   zero : of each lane."""
     start, length = zero + span.start, zero + (span.end - span.start)
     h = zero + limits.dt
     if plan.embedded is not None:
@@ -92,7 +91,8 @@ def first_clock(
         chosen = where(h > 0.0, h, chosen)
         h = maximum(minimum(chosen, limits.dt_max), limits.dt_min)
     return LaneClock(
-        start, h, zero + span.origin, zero + span.counted, zero + 1.0, zero, zero, start, due
+        start, h, zero + span.origin, zero + span.counted, zero + 1.0, zero, zero, start,
+        zero + INF,
     )
 
 

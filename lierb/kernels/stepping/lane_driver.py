@@ -91,6 +91,7 @@ from lierb.kernels.stepping.signals import (
     memory_slices,
     output_slices,
     outputs_of,
+    signals_width,
     states_of,
 )
 from lierb.kernels.stepping.state import State
@@ -118,6 +119,7 @@ from lierb.kernels.stepping.systems import system_of
     ROWS,
 ) = range(20)  # fmt: skip
 LOOKS = 4  # at events in a step, where the method has a continuous extension
+STARTS = SUMMARY.index("starts")  # which is known before
 SEARCHES = 120  # at most; every third one halves
 # What the state between a step's ends is asked for: events' values, to look for crossings and then
 # to find one; a crossing, to note it; the end of a trajectory; a row of its history.
@@ -125,16 +127,16 @@ LOOKING, SEARCHING, NOTING, ENDING, SHOWING = range(5)
 EVENT_COLUMNS = 3  # trajectory, event, t
 
 
-_OWN_ARRAYS = ("desk", "save_at", "numbers", "events", "kinds")
+OWN_ARRAYS = ("desk", "save_at", "numbers", "events", "kinds")
 _SIZES = (
-    "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values", "signals",
+    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values", "signals",
     "own_summary",
 )  # fmt: skip
 LANE_JOB = np.dtype(
     (
         np.record,
         [
-            *((name, np.int64, (4,)) for name in (*ARRAYS, *_OWN_ARRAYS)),
+            *((name, np.int64, (4,)) for name in (*ARRAYS, *OWN_ARRAYS)),
             *((name, np.int64) for name in _SIZES),
             ("seed", np.float64),
             *get_type_hints(Span).items(),
@@ -147,18 +149,9 @@ LANE_JOB = np.dtype(
 desk : [row][lane], of `desk_of`.   save_at : [1][row of the history], s.   numbers : [1][n].
 events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
 kinds : [direction, is terminal][event].
-turns : iterations in this call.   watched, looks : events, and how often each is asked in a step.
+first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how often each is asked in a step.
 sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
 """
-
-LANE_SUMMARY = Columns(
-    Field("t", (), "s"),
-    Field("steps"),
-    Field("rejected"),
-    Field("dt_last", (), "s"),
-)
-"""What a summary has of a lane's clock, behind all else; then the user's states and controls."""
-
 
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
@@ -176,11 +169,6 @@ def desk_of(plan: AnyPlan) -> Columns:
         Field("memory", (size_of(memory_of(plan)),)),
         Field("ticks", (len(controllers_of(plan)),)),
     )
-
-
-def signals_width(plan: AnyPlan) -> int:
-    """Numbers of the user's states and of all controls."""
-    return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
 # ---- formulas on all lanes -----------------------------------------------------------------------
@@ -250,7 +238,7 @@ def started(
         tuple(zero + _first_tick(span.start, every) for every in periods),
     )
     body = with_signals(plan, body, state, held)
-    clock = first_clock(plan, body, state, span, limits, due)
+    clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
     return initial_record(plan, body, state), clock, held
 
 
@@ -612,12 +600,11 @@ def hand_over_ends(desk, own, job, lanes):
     """What trajectories that have ended come to."""
     summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
     ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
-    starts = SUMMARY.index("starts")
     for lane in range(lanes):
         if desk[FATE, lane] > 0.0:
             column = int(desk[TRAJECTORY, lane])
             for c in range(own_summary.shape[0]):
-                if c != starts:
+                if c != STARTS:
                     summary[c, column] = own_summary[c, lane]
             for c in range(own_ends.shape[0]):
                 ends[c, column] = own_ends[c, lane]

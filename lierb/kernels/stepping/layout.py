@@ -98,6 +98,12 @@ POSE_AND_TWIST = Columns(
 )
 
 
+LANE_SUMMARY = Columns(
+    Field("t", (), "s"), Field("steps"), Field("rejected"), Field("dt_last", (), "s")
+)
+"""What a summary has of a lane's own clock, behind all else; then the user's states and outputs."""
+
+
 @lru_cache(64)
 def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
     """INPUTS, then the elements' parameters, then the numbers of a state to go on from."""

@@ -79,6 +79,10 @@ class AnyPlan(Tag):
         return asked[-1] + 1
 
     @property
+    def has_lane_clocks(self) -> bool:
+        return self.clock == "lanes"
+
+    @property
     def is_local(self) -> bool:
         return self.update == "local"
 

@@ -44,6 +44,11 @@ def memory_of(plan: AnyPlan) -> Shapes:
     return tuple(pair for e in controllers_of(plan) for pair in e.memory)
 
 
+def signals_width(plan: AnyPlan) -> int:
+    """Numbers of all extra states and outputs."""
+    return size_of(states_of(plan)) + size_of(outputs_of(plan))
+
+
 @lru_cache(64)
 def controllers_of(plan: AnyPlan) -> tuple[UserController, ...]:
     """By their numbers."""
