@@ -19,8 +19,7 @@ from lierb.kernels.stepping.step_size import (
     EPS,
     LEAST_ULPS,
     Tolerances,
-    after_accepted,
-    after_rejected,
+    factors,
     first_step,
 )
 
@@ -147,12 +146,11 @@ def judged(
     meets = fine & (square <= 1.0)  # false for NaN
     accepted = going & meets & ~raised
     refused = going & ~meets & ~raised
-    factor, before = after_accepted(plan, square, clock.before)
-    grown = trial.h * factor
+    by = factors(plan, where(fine & (square == square), square, INF), clock.before)
+    grown = trial.h * by.accepted
     # A step that was cut short says little about a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
-    shorter = trial.h * after_rejected(plan, where(fine, square, INF))
-    h = where(accepted, longer, where(refused, shorter, clock.h))
+    h = where(accepted, longer, where(refused, trial.h * by.rejected, clock.h))
     h = maximum(minimum(h, limits.dt_max), limits.dt_min)
     least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
     too_small = refused & (trial.h <= least)
@@ -160,7 +158,7 @@ def judged(
     moved = clock._replace(
         t=where(accepted, trial.end, clock.t),
         h=h,
-        before=where(accepted, before, where(refused, 1.0, clock.before)),
+        before=where(accepted, by.remembered, where(refused, 1.0, clock.before)),
         steps=where(accepted, steps + 1.0, steps),
         rejected=where(refused, clock.rejected + 1.0, clock.rejected),
     )

@@ -24,7 +24,8 @@ EPS = 2.0**-52
 SAFETY = 0.9
 SHRINKS, GROWS = 0.2, 6.0  # at most, from one step to the next
 DAMPING = 0.2  # of the PI controller: β = 0.2 / k, α = 1 / k − 0.75 β (Hairer's, for any k)
-ROOTS = 7  # powers are products of x^(1/2), x^(1/4), … x^(1/128)
+ROOTS = 6  # of a squared error in turn: exponents are multiples of 1/32
+LEAST_REMEMBERED = 1e-8  # of a squared error
 SMALLEST = 1e-20  # of a squared error: what is less lets a step grow no more
 LEAST_ULPS = 16.0  # of the time, in a step
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
@@ -158,37 +159,49 @@ def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
 # ---- the next step -----------------------------------------------------------------------------
 
 
-def power(square: Any, exponent: float) -> Any:
-    """(x²)^(exponent/2) to within a factor of x^(2⁻ᴿᴼᴼᵀˢ), by square roots: the same bits on every
-    CPU, and no call of a library.
+class Roots:
+    """Powers of x by one chain of square roots of x²: the same bits on every CPU, and no call of a
+    library.
     """
-    steps = round(abs(exponent) * 2 ** (ROOTS - 1))
-    total: Any = None
-    root = square
-    for place in range(ROOTS - 1, -1, -1):
-        root = sqrt(root)
-        if steps >> place & 1:
-            total = root if total is None else total * root
-    assert total is not None
-    return total if exponent > 0 else 1.0 / total
+
+    def __init__(self, square: Any) -> None:
+        self.found: list[Any] = []  # x, x^(1/2), x^(1/4), …
+        for _ in range(ROOTS):
+            square = sqrt(square)
+            self.found.append(square)
+
+    def power(self, exponent: float) -> Any:
+        """x^exponent, 0 < exponent < 2, to the nearest exponent that the chain has."""
+        steps = max(round(exponent * 2 ** (ROOTS - 1)), 1)
+        total: Any = None
+        for place, root in enumerate(reversed(self.found)):
+            if steps >> place & 1:
+                total = root if total is None else total * root
+        return total
 
 
-def after_accepted(plan: AnyPlan, square: Any, before: Any) -> tuple[Any, Any]:
-    """By how much the next step is longer, and what the controller remembers.
-
-    square : of the error.   before : what it remembered.
+class Factors(NamedTuple):
+    """By how much the next step is longer after one that is accepted, how much shorter after one
+    that is not, and what the control remembers of it.
     """
+
+    accepted: Any
+    rejected: Any
+    remembered: Any
+
+
+def factors(plan: AnyPlan, square: Any, remembered: Any) -> Factors:
+    """square : of the error; ∞ where it is no number.   remembered : of the step before."""
     k = _power_of(plan)
     beta = DAMPING / k
-    error = maximum(square, SMALLEST)
-    factor = SAFETY * before / power(error, 1.0 / k - 0.75 * beta)
-    return minimum(maximum(factor, SHRINKS), GROWS), power(maximum(error, 1e-8), beta)
-
-
-def after_rejected(plan: AnyPlan, square: Any) -> Any:
-    """By how much the next attempt is shorter; as short as it may where the error is no number."""
-    factor = SAFETY / power(maximum(square, 1.0), 1.0 / _power_of(plan))
-    return where((square == square) & (factor > SHRINKS), minimum(factor, SAFETY), SHRINKS)
+    roots = Roots(maximum(square, SMALLEST))
+    longer = SAFETY * remembered / roots.power(1.0 / k - 0.75 * beta)
+    shorter = SAFETY / roots.power(1.0 / k)
+    return Factors(
+        minimum(maximum(longer, SHRINKS), GROWS),
+        minimum(maximum(shorter, SHRINKS), SAFETY),
+        maximum(roots.power(beta), LEAST_REMEMBERED ** (beta / 2.0)),
+    )
 
 
 def _power_of(plan: AnyPlan) -> int:
@@ -224,7 +237,7 @@ def first_step(
     bend = _rate_against(plan, body, change, scales) / (guess * guess)
     largest = maximum(speed, bend)
     still = largest < 1e-30
-    wanted = power(0.01 * 0.01 / where(still, 1.0, largest), 1.0 / _power_of(plan))
+    wanted = Roots(1e-4 / where(still, 1.0, largest)).power(1.0 / _power_of(plan))
     wanted = where(still, maximum(1e-6 * length, guess * 1e-3), wanted)
     wanted = minimum(100.0 * guess, wanted)
     return where(absolute(wanted) < length, wanted, length)  # NaN: a trial will tell
