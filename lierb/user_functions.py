@@ -138,13 +138,10 @@ def _frames_of_lierb() -> int:
 
 
 def form_of_any(
-    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
+    signals: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
 ) -> tuple[str, ...]:
-    """What the function is given, in its own order: any of the arguments, params and body.
-
-    arguments : with the names of signals that it may see.
-    """
-    signature, known = inspect.signature(function), (*arguments, "params", "body")
+    """What the function is given, in its own order: any of ARGUMENTS, params, body and signals."""
+    signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
     expected = f"any of ({', '.join(known)}) by these names"
     given: list[str] = []
     for parameter in signature.parameters.values():

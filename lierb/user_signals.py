@@ -160,7 +160,7 @@ class EventFunction(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Event:
         """The event with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
-        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
+        form = partial(form_of_any, SIGNALS)
         function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
         name = column_name("the event's name", function.name)
         made = Event.of(name, kinds.UserEvent(function), **self.defaults | parameters)
@@ -186,7 +186,7 @@ class StatesFunction(Decorated):
         """The states with these initial values and parameters, of all bodies or of each."""
         initial, parameters = _apart(given, self.initial)
         shapes, states = self._shapes(parameters), _shapes_of(self.initial)
-        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
+        form = partial(form_of_any, SIGNALS)
         function = described(self.function, tuple(ARGUMENTS), shapes, (), form, outputs=(states,))
         if not function.sees_others:
             function = runnable(function, self.function, INTEGRATED)
@@ -223,7 +223,7 @@ class ControllerFunction(Decorated):
             raise ArgumentError(f"{name} has no period; give every=, s, such as {name}(every=0.1)")
         initial, parameters = _apart(given, self.memory)
         shapes, memory = self._shapes(parameters), _shapes_of(self.memory)
-        seen = (*ARGUMENTS, *SIGNALS, "memory") if memory else (*ARGUMENTS, *SIGNALS)
+        seen = (*SIGNALS, "memory") if memory else SIGNALS
         function = described(
             self.function, tuple(ARGUMENTS), shapes, (), partial(form_of_any, seen),
             memory=memory, outputs=((), memory) if memory else ((),), draws=True,
