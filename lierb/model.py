@@ -413,7 +413,9 @@ class Problem(Shown):
             if name == field.name
         }
         for element in self.elements:
-            entries |= element.batched()
+            for name, entry in element.batched().items():
+                same = sum(known.partition("[")[0] == name for known in entries)
+                entries[f"{name}[{same}]" if same else name] = entry
         return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
 
     def batch_size(self, **more: Any) -> int | None:

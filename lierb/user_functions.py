@@ -172,6 +172,12 @@ def form_of(
     signature = inspect.signature(function)
     own = list(signature.parameters.values())
     seen = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
+    for p in own:
+        if p.name in SIGNALS and p.name not in others and p.default is inspect.Parameter.empty:
+            raise ForceError(
+                f"{name} takes {signature}, but sees no {p.name}: wrenches, observables, events, "
+                "states and controllers do"
+            )
     forms = [(*arguments, "params")]
     if not has_parameters:  # first: what is left may be defaults, and no place for params
         forms.insert(0, arguments)
