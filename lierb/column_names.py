@@ -10,8 +10,8 @@ from lierb.joints import MOST_ROWS
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
+from lierb.user_binding import Column
 from lierb.user_elements import Observable
-from lierb.user_signals import Column
 
 AXES = ("x", "y", "z")
 COMPONENTS = {  # of vectors, in data frames

@@ -16,7 +16,7 @@ from lierb.kernels.stepping.mechanism import UNSTABILISED, MechanismPlan
 from lierb.kernels.stepping.one_body import OneBody
 from lierb.kernels.stepping.plan import Plan
 from lierb.mechanism_plan import plan_of
-from lierb.user_signals import Column
+from lierb.user_binding import Column
 
 FREE = lierb.joints.free()
 
