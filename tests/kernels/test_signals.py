@@ -33,13 +33,15 @@ from kernels.controlled_body import (
     made,
     seen,
 )
+from kernels.packs import FORMULAS, on_lanes
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.function import outputs_of, trial
 from lierb.kernels.functions.noise import normals
-from lierb.kernels.functions.signals import Signals
+from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.stepping import signals as sides
 from lierb.kernels.stepping.formulations import accelerate
 from lierb.kernels.stepping.mechanism import MechanismPlan
+from lierb.kernels.stepping.one_body import Seen
 
 
 def test_shapes_of_plan_are_in_the_order_of_elements():
@@ -73,6 +75,22 @@ def test_controlled_gives_outputs_and_memory_of_one_controller():
     np.testing.assert_allclose(outputs, (*torque, TIME + HELD_LAMP), rtol=1e-14)
     np.testing.assert_allclose(memory, integral, rtol=1e-14)
     assert SYSTEM.controlled(body(), seen(), TIME, 0, NOISE) == ((LEVEL,), ())
+
+
+FORMULAS["controlled"] = lambda *x: sum(
+    SYSTEM.controlled(body(), Seen(seen().pose, (*x[:3], *V)), TIME, 1, Noise(*x[3:])), ()
+)
+
+
+def test_controlled_on_lanes_draws_for_each_lane_its_own():
+    count = 11  # no whole packs
+    rng = np.random.default_rng(8)
+    noise = np.full(count, 7.0), np.arange(count), rng.permutation(count)
+    columns = [*rng.normal(size=(3, count)), *noise]
+    found = on_lanes("controlled", *columns, results=7)
+    expected = [FORMULAS["controlled"](*map(float, row)) for row in zip(*columns, strict=True)]
+    # Lanes fuse products with sums; noise, 1e-3 of it, would be off by that
+    np.testing.assert_allclose(found.T, expected, rtol=1e-14, atol=1e-15)
 
 
 def test_wrench_sees_states_and_controls():
