@@ -10,8 +10,8 @@ from lierb.joints import MOST_ROWS
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
+from lierb.user_binding import Column
 from lierb.user_elements import Observable
-from lierb.user_signals import Column
 
 AXES = ("x", "y", "z")
 COMPONENTS = {  # of vectors, in data frames
@@ -55,14 +55,13 @@ def require_free(observables: Iterable[Observable], signals: Iterable[Column] = 
 
 
 def _require_free(
-    what: str, name: str, columns: Iterable[str], seen: dict[str, str], remedy: str
+    what: str, name: str, columns: tuple[str, ...], seen: dict[str, str], remedy: str
 ) -> None:
     """As `require_free`, and note the columns among those `seen`."""
-    columns = [column.lower() for column in columns]
     for column in columns:
-        owner = "lierb's own" if column in TAKEN else seen.get(column)
+        owner = "lierb's own" if column.lower() in TAKEN else seen.get(column.lower())
         if owner:
             raise ArgumentError(
                 f"{what}: {name} would have the column {column}, which is {owner}; {remedy}"
             )
-    seen |= dict.fromkeys(columns, f"that of {name}")
+    seen |= dict.fromkeys((column.lower() for column in columns), f"that of {name}")

@@ -41,8 +41,9 @@ from lierb.links import GROUND, NOWHERE, Connection, Link, Loop
 from lierb.mechanism_closing import Mobility
 from lierb.model import ELEMENTS, bind, require, require_fit, shown_element
 from lierb.shown import Lines, Shown, counted, quantity
+from lierb.user_binding import Column, columns_of
 from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
-from lierb.user_signals import Column, Controller, Event, ExtraStates, columns_of
+from lierb.user_signals import Controller, Event, ExtraStates
 
 BODY = ("mass", "inertia", "com")
 JOINT = ("ground_frame", "body_frame", "pitch", "length")

@@ -56,16 +56,9 @@ from lierb.kernels.numbers.arithmetic import absolute, plain, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.stepping.layout import INPUTS
 from lierb.shown import Lines, Shown, counted, quantity
+from lierb.user_binding import Column, bound, columns_of, require_different_events
 from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
-from lierb.user_signals import (
-    Column,
-    Controller,
-    Event,
-    ExtraStates,
-    bound,
-    columns_of,
-    require_different_events,
-)
+from lierb.user_signals import Controller, Event, ExtraStates
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -413,7 +406,9 @@ class Problem(Shown):
             if name == field.name
         }
         for element in self.elements:
-            entries |= element.batched()
+            for name, entry in element.batched().items():
+                same = sum(known.partition("[")[0] == name for known in entries)
+                entries[f"{name}[{same}]" if same else name] = entry
         return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
 
     def batch_size(self, **more: Any) -> int | None:

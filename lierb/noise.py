@@ -54,7 +54,7 @@ def sample(
         ) from None
     noise = Noise(float(seeds), trajectories.ravel(), ticks.ravel())
     found = np.stack(normals(noise, name, count), axis=-1)
-    return found.reshape(*ticks.shape, *(() if size == () else (count,)))
+    return found.reshape((*ticks.shape, *(() if size == () else (count,))))
 
 
 def _whole(argument: str, value: Any, least: int) -> Array:

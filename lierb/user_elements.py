@@ -265,7 +265,7 @@ class ObservableFunction(Decorated):
         """The observable with these parameters; each is one for all bodies or one for each."""
         name = column_name("the observable's name", self.function.__name__)
         shapes = self._shapes(parameters)
-        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
+        form = partial(form_of_any, SIGNALS)
         function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
         kind = kinds.UserObservable(function)
         made = Observable.of(name, kind, **self.defaults | parameters)

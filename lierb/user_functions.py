@@ -138,13 +138,10 @@ def _frames_of_lierb() -> int:
 
 
 def form_of_any(
-    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
+    signals: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
 ) -> tuple[str, ...]:
-    """What the function is given, in its own order: any of the arguments, params and body.
-
-    arguments : with the names of signals that it may see.
-    """
-    signature, known = inspect.signature(function), (*arguments, "params", "body")
+    """What the function is given, in its own order: any of ARGUMENTS, params, body and signals."""
+    signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
     expected = f"any of ({', '.join(known)}) by these names"
     given: list[str] = []
     for parameter in signature.parameters.values():
@@ -175,6 +172,12 @@ def form_of(
     signature = inspect.signature(function)
     own = list(signature.parameters.values())
     seen = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
+    for p in own:
+        if p.name in SIGNALS and p.name not in others and p.default is inspect.Parameter.empty:
+            raise ForceError(
+                f"{name} takes {signature}, but sees no {p.name}: wrenches, observables, events, "
+                "states and controllers do"
+            )
     forms = [(*arguments, "params")]
     if not has_parameters:  # first: what is left may be defaults, and no place for params
         forms.insert(0, arguments)

@@ -11,13 +11,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from keyword import iskeyword
-from typing import Any, ClassVar, NamedTuple, Self, overload
+from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
 
 from lierb.arrays import as_floats, as_positive
 from lierb.errors import ArgumentError, ForceError, told, unknown_name
-from lierb.kernels.functions.function import Function, Shape, Shapes, outputs_of
+from lierb.kernels.functions.function import Function, Shapes, outputs_of
 from lierb.kernels.mechanics import elements as kinds
 from lierb.user_elements import (
     Decorated,
@@ -160,7 +160,7 @@ class EventFunction(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Event:
         """The event with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
-        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
+        form = partial(form_of_any, SIGNALS)
         function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
         name = column_name("the event's name", function.name)
         made = Event.of(name, kinds.UserEvent(function), **self.defaults | parameters)
@@ -186,7 +186,7 @@ class StatesFunction(Decorated):
         """The states with these initial values and parameters, of all bodies or of each."""
         initial, parameters = _apart(given, self.initial)
         shapes, states = self._shapes(parameters), _shapes_of(self.initial)
-        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
+        form = partial(form_of_any, SIGNALS)
         function = described(self.function, tuple(ARGUMENTS), shapes, (), form, outputs=(states,))
         if not function.sees_others:
             function = runnable(function, self.function, INTEGRATED)
@@ -223,7 +223,7 @@ class ControllerFunction(Decorated):
             raise ArgumentError(f"{name} has no period; give every=, s, such as {name}(every=0.1)")
         initial, parameters = _apart(given, self.memory)
         shapes, memory = self._shapes(parameters), _shapes_of(self.memory)
-        seen = (*ARGUMENTS, *SIGNALS, "memory") if memory else (*ARGUMENTS, *SIGNALS)
+        seen = (*SIGNALS, "memory") if memory else SIGNALS
         function = described(
             self.function, tuple(ARGUMENTS), shapes, (), partial(form_of_any, seen),
             memory=memory, outputs=((), memory) if memory else ((),), draws=True,
@@ -241,11 +241,11 @@ def _outputs_of(function: Function) -> Shapes:
     """What a controller puts out. Raises ForceError where it cannot be traced."""
     reason = why_untraced(function, outputs_of)
     if reason is not None:
-        raise _untraceable(function, reason)
+        raise untraceable(function, reason)
     return outputs_of(function)
 
 
-def _untraceable(function: Function, reason: str) -> ForceError:
+def untraceable(function: Function, reason: str) -> ForceError:
     return ForceError(
         f"{function.name} must run for many bodies at once, because {SAMPLED}; {reason}"
     )
@@ -427,157 +427,3 @@ def controller(function: Callable[..., Any] | None = None, /, **given: Any) -> A
     <attitude: every, gain, initial.integral>
     """
     return decorated(ControllerFunction, function, given)
-
-
-# ---- those of one problem ------------------------------------------------------------------------
-
-
-class Column(NamedTuple):
-    """Of a state, or of an output of a controller."""
-
-    name: str
-    shape: Shape
-    unit: str
-
-
-def columns_of(elements: Iterable[Element]) -> tuple[Column, ...]:
-    """Of all states, then of all that controllers put out, as they stand side by side."""
-    elements = tuple(elements)
-    return tuple(
-        Column(name, shape, each.units.get(name, "1"))
-        for kind in (ExtraStates, Controller)
-        for each in elements
-        if isinstance(each, kind)
-        for name, shape in each.columns
-    )
-
-
-Elements = tuple[Any, ...]
-
-
-def bound(
-    states: tuple[ExtraStates, ...], controllers: tuple[Controller, ...], *others: Elements
-) -> tuple[Elements, ...]:
-    """States, controllers and other elements of a problem, with all functions that see states or
-    controls tried on those of the problem.
-
-    Raises ForceError for a function that sees others, or cannot run; ArgumentError for names that
-    there are twice.
-    """
-    _require_different(states)
-    states_there = tuple(pair for each in states for pair in each.columns)
-    controllers = _with_outputs(controllers, states_there)
-    _require_different((*states, *controllers))
-    controls = tuple(pair for each in controllers for pair in each.columns)
-    parts: tuple[Elements, ...] = (states, controllers, *others)
-    return tuple(tuple(e.bound(states_there, controls) for e in part) for part in parts)
-
-
-def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
-    """Raise ArgumentError for a name that two have; SQL is blind to case, so are we."""
-    owners: dict[str, str] = {}
-    for each in elements:
-        for name, _ in each.columns:
-            if name.lower() in owners:
-                raise ArgumentError(
-                    f"two are named {name}, of {owners[name.lower()]} and of {each.name}; states "
-                    "and outputs of controllers need names of their own"
-                )
-            owners[name.lower()] = each.name
-
-
-def require_different_events(events: Iterable[Event]) -> None:
-    """Raise ArgumentError for two of one name."""
-    seen: set[str] = set()
-    for each in events:
-        if each.name.lower() in seen:
-            raise ArgumentError(
-                f"two events are named {each.name}; give one another name: "
-                f'{each.name}(…).named("…")'
-            )
-        seen.add(each.name.lower())
-
-
-def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[Controller, ...]:
-    """All of them with their outputs, found by tracing each with those that it sees of others."""
-    found: dict[int, Shapes] = {}
-    while len(found) < len(controllers):
-        known = tuple(pair for i in sorted(found) for pair in found[i])
-        waiting = [i for i in range(len(controllers)) if i not in found]
-        for i in waiting:
-            lacking = _Lacking()
-            outputs = lacking.outputs_of(seeing(controllers[i].kind.function, states, known))
-            if outputs is not None:
-                found[i] = outputs
-        if waiting == [i for i in range(len(controllers)) if i not in found]:
-            found |= _outputs_in_a_ring({i: controllers[i] for i in waiting}, states, known)
-    return tuple(each.putting_out(found[i]) for i, each in enumerate(controllers))
-
-
-class _Lacking:
-    """An attempt to find outputs, and which of the others' it has lacked."""
-
-    name: str | None = None
-    reason: str | None = None
-
-    def outputs_of(self, function: Function) -> Shapes | None:
-        """Those of the function; None where it sees outputs that are not known."""
-
-        def attempt(given: Function) -> None:
-            try:
-                outputs_of(given)
-            except AttributeError as error:
-                if type(error.obj).__name__ == "controls":
-                    self.name = error.name
-                raise
-
-        self.reason = why_untraced(function, attempt)
-        if self.reason is None:
-            return outputs_of(function)
-        if self.name is None:
-            raise _untraceable(function, self.reason)
-        return None
-
-
-TRIES = 10  # of guesses at shapes that depend on each other
-
-
-def _outputs_in_a_ring(
-    controllers: dict[int, Controller], states: Shapes, known: Shapes
-) -> dict[int, Shapes]:
-    """Of controllers that see their own outputs, or each other's: shapes that come out as they went
-    in, from numbers on.
-    """
-    guessed: dict[str, Shape] = {}
-    for _ in range(TRIES):
-        found: dict[int, Shapes] = {}
-        for i, each in controllers.items():
-            while i not in found:
-                lacking = _Lacking()
-                seen = (*known, *guessed.items())
-                try:
-                    outputs = lacking.outputs_of(seeing(each.kind.function, states, seen))
-                except ForceError as error:
-                    raise ForceError(
-                        f"{error} (it sees {', '.join(guessed)}, which depends on it and was taken "
-                        "for a number to find its shape; keep in memory what it has put out)"
-                    ) from None
-                if outputs is not None:
-                    found[i] = outputs
-                elif lacking.name is not None:
-                    guessed[lacking.name] = ()
-        shapes = {name: shape for outputs in found.values() for name, shape in outputs}
-        for name in guessed:
-            if name not in shapes:
-                there = ", ".join((*dict(known), *shapes)) or "nothing"
-                names = ", ".join(each.name for each in controllers.values())
-                raise ForceError(
-                    f"no controller puts out {name}, which {names} sees; there is {there}"
-                )
-        if all(shapes[name] == shape for name, shape in guessed.items()):
-            return found
-        guessed = {name: shapes[name] for name in guessed}
-    raise ForceError(
-        f"the shapes of what {', '.join(c.name for c in controllers.values())} put out depend on "
-        "each other without end; keep in memory what they have put out"
-    )

@@ -516,7 +516,9 @@ def test_constraints_see_their_body():
     ],
 )
 def test_form_is_told(function):
-    with pytest.raises(ForceError, match=r"form \(t, R, r, omega, v, params\), and body after"):
+    with pytest.raises(
+        ForceError, match=r"form \(t, R, r, omega, v, params\), and body, states or controls after"
+    ):
         lierb.wrench(function)()
 
 

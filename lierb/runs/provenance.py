@@ -119,6 +119,7 @@ def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:
         "observables": [
             _described_element(each) | {"unit": each.unit} for each in problem.observables
         ],
+        **_described_signals(problem),
     }
 
 
@@ -144,8 +145,23 @@ def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
         "observables": [
             _described_element(each) | {"unit": each.unit} for each in mechanism.observables
         ],
+        **_described_signals(mechanism),
         "rows": [f"{each.name}.{row}" for each in mechanism.connections for row in each.rows],
     }
+
+
+def _described_signals(problem: Problem | Mechanism) -> dict[str, Any]:
+    """Events, extra states and controllers, where there are any."""
+    found: dict[str, Any] = {}
+    if problem.events:
+        found["events"] = [
+            _described_element(e) | {"direction": e.direction, "terminal": e.terminal}
+            for e in problem.events
+        ]
+    for label in ("states", "controllers"):
+        if elements := getattr(problem, label):
+            found[label] = [_described_element(e) | {"units": dict(e.units)} for e in elements]
+    return found
 
 
 def _described_element(element: Element) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from numba import config
 from oracle import mp
 
 import lierb
+from kernels import controlled_body
 from kernels.exact import Exact
 from lierb import forces
 from lierb.kernels import groups, mechanics, stepping
@@ -57,6 +58,7 @@ NO_NUMBERS = {  # abstract, or of other things
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection",
     "stepping.formulations.SaddlePoint.is_light", "stepping.plan.AnyPlan.formulation",
+    "stepping.signals.Watching.motions",
 }  # fmt: skip
 
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
@@ -174,6 +176,8 @@ def go_through_all(before_each):
         if problem.joint.name == "spherical":
             end = TIDY_EVERY + 2
             integrate(problem, **first.end, dt=1e-3, t_end=end * 1e-3, save_every=end, **options)
+    before_each()
+    controlled_body.go_through()
     for name in ("planar", "fixed"):
         problem, _ = tilted(name)
         problem.close(problem.joint.closed_pose @ lierb.lie.se3.exp([1e-3] * 6))

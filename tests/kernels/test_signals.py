@@ -5,99 +5,43 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lierb.kernels.functions.fingerprint import UnfitFunctionError, fingerprint
-from lierb.kernels.functions.function import Function, outputs_of, traceable, trial
-from lierb.kernels.functions.noise import normal, normals
+from kernels.controlled_body import (
+    ATTITUDE,
+    ELEMENTS,
+    FILTERED,
+    GAIN,
+    HELD,
+    HELD_LAMP,
+    INTEGRAL,
+    LAMP,
+    LEVEL,
+    MEMORY,
+    NOISE,
+    OMEGA,
+    PLACE,
+    PLAN,
+    SIGNALS,
+    STATES,
+    SYSTEM,
+    TAU,
+    TIME,
+    TORQUE,
+    WANTED,
+    WHEEL,
+    V,
+    body,
+    made,
+    seen,
+)
+from kernels.packs import FORMULAS, on_lanes
+from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.function import outputs_of, trial
+from lierb.kernels.functions.noise import normals
 from lierb.kernels.functions.signals import Noise, Signals
-from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.stepping import signals as sides
 from lierb.kernels.stepping.formulations import accelerate
 from lierb.kernels.stepping.mechanism import MechanismPlan
-from lierb.kernels.stepping.one_body import OneBody, Seen
-from lierb.kernels.stepping.plan import Plan
-from lierb.user_elements import ARGUMENTS
-
-LAMP = (("brightness", ()),)
-TORQUE = (("torque", (3,)), ("lamp", ()))
-STATES = (("wheel", (3,)), ("filtered", ()))
-MEMORY = (("integral", (3,)),)
-SEEN = {"states": STATES, "controls": (*LAMP, *TORQUE)}
-WHEEL, FILTERED = (1.0, 2.0, 3.0), 4.0
-BRIGHTNESS, HELD, HELD_LAMP = 5.0, (7.0, 8.0, 9.0), 10.0
-INTEGRAL = (0.5, 0.25, 0.125)
-SIGNALS = Signals((*WHEEL, FILTERED), (BRIGHTNESS, *HELD, HELD_LAMP), INTEGRAL)
-NOISE = Noise(7.0, 3.0, 12.0)
-TIME, OMEGA, V, PLACE = 1.5, np.array((0.1, 0.2, 0.3)), (1.0, 2.0, 3.0), (0.4, 0.5, 0.6)
-GAIN, WANTED, TAU, LEVEL = 2.0, (0.01, 0.02, 0.03), 0.5, 42.0
-INPUTS = {
-    "mass": 2.0, "inertia": np.diag((1.0, 2.0, 3.0)), "ground_frame": np.eye(4),
-    "body_frame": np.eye(4), "pose": np.eye(4),
-    "2.tau": TAU, "2.initial.wheel": (11.0, 12.0, 13.0), "2.initial.filtered": 14.0,
-    "3.every": 0.2, "3.level": LEVEL,
-    "4.every": 0.1, "4.gain": GAIN, "4.wanted": WANTED, "4.initial.integral": (21.0, 22.0, 23.0),
-}  # fmt: skip
-
-
-def wheels(omega, states, controls, params):
-    filtered = (omega[2] - states.filtered) / params.tau
-    return {"filtered": filtered, "wheel": -controls.torque}
-
-
-def attitude(t, omega, params, memory, states, controls):
-    error = omega - params.wanted + 1e-3 * normal("gyro", 3)
-    integral = memory.integral + error
-    torque = -params.gain * error - 0.1 * integral - 0.01 * states.wheel
-    return {"torque": torque, "lamp": t + controls.lamp}, {"integral": integral}
-
-
-def lit(params):
-    return {"brightness": params.level}
-
-
-def landing(r, v, controls):
-    return r[2] + v[0] - controls.lamp
-
-
-def push(t, R, r, omega, v, controls, states):
-    return controls.torque, states.wheel
-
-
-def made(python, form, shapes=(), results=(), **more) -> Function:
-    fields = python.__name__, fingerprint(python), form, tuple(ARGUMENTS.items()), shapes, results
-    return Function(*fields, True, traceable(python), **more)
-
-
-ATTITUDE = made(
-    attitude, ("t", "omega", "params", "memory", "states", "controls"),
-    (("gain", ()), ("wanted", (3,))), **SEEN, memory=MEMORY, outputs=(TORQUE, MEMORY), draws=True,
-)  # fmt: skip
-WHEELS = made(
-    wheels, ("omega", "states", "controls", "params"), (("tau", ()),), **SEEN, outputs=(STATES,)
-)
-PUSH = ("t", "R", "r", "omega", "v", "controls", "states")
-ELEMENTS = (
-    kinds.UserWrench(made(push, PUSH, results=((3,), (3,)), **SEEN)),
-    kinds.UserEvent(made(landing, ("r", "v", "controls"), results=((),), **SEEN)),
-    kinds.UserStates(WHEELS, STATES),
-    kinds.UserController(made(lit, ("params",), (("level", ()),), outputs=(LAMP,)), (), LAMP),
-    kinds.UserController(ATTITUDE, MEMORY, TORQUE),
-)
-PLAN = Plan(1, (), "SE3", "local", ((),), (1.0,), False, elements=ELEMENTS)
-SYSTEM = OneBody(PLAN)
-
-
-@pytest.fixture
-def body():
-    numbers = []
-    for field, _ in SYSTEM.inputs:
-        given = np.broadcast_to(np.asarray(INPUTS.get(field.name, 0.0)), field.shape).ravel()
-        numbers += map(float, given if field.entries is None else given[list(field.entries)])
-    return SYSTEM.body(numbers)._replace(signals=SIGNALS)
-
-
-@pytest.fixture
-def seen():
-    return Seen((tuple(np.eye(3).ravel()), PLACE), (*OMEGA, *V))
+from lierb.kernels.stepping.one_body import Seen
 
 
 def test_shapes_of_plan_are_in_the_order_of_elements():
@@ -108,37 +52,53 @@ def test_shapes_of_plan_are_in_the_order_of_elements():
     assert sides.output_slices(PLAN) == (slice(0, 1), slice(1, 5))
 
 
-def test_initial_values_and_periods_are_the_parameters(body):
-    assert SYSTEM.initial_states(body) == (11.0, 12.0, 13.0, 14.0)
-    assert SYSTEM.initial_memory(body) == (21.0, 22.0, 23.0)
-    assert SYSTEM.periods(body) == (0.2, 0.1)
+def test_initial_values_and_periods_are_the_parameters():
+    assert SYSTEM.initial_states(body()) == (11.0, 12.0, 13.0, 14.0)
+    assert SYSTEM.initial_memory(body()) == (21.0, 22.0, 23.0)
+    assert SYSTEM.periods(body()) == (0.2, 0.1)
 
 
-def test_state_rates_are_in_declared_order(body, seen):
+def test_state_rates_are_in_declared_order():
     expected = (*(-x for x in HELD), (OMEGA[2] - FILTERED) / TAU)
-    np.testing.assert_allclose(SYSTEM.state_rates(body, seen, TIME), expected, rtol=1e-15)
+    np.testing.assert_allclose(SYSTEM.state_rates(body(), seen(), TIME), expected, rtol=1e-15)
 
 
-def test_events_see_held_outputs(body, seen):
-    np.testing.assert_allclose(SYSTEM.events(body, seen, TIME), [PLACE[2] + V[0] - HELD_LAMP])
+def test_events_see_held_outputs():
+    np.testing.assert_allclose(SYSTEM.events(body(), seen(), TIME), [PLACE[2] + V[0] - HELD_LAMP])
 
 
-def test_controlled_gives_outputs_and_memory_of_one_controller(body, seen):
-    outputs, memory = SYSTEM.controlled(body, seen, TIME, 1, NOISE)
+def test_controlled_gives_outputs_and_memory_of_one_controller():
+    outputs, memory = SYSTEM.controlled(body(), seen(), TIME, 1, NOISE)
     error = OMEGA - WANTED + 1e-3 * np.array(normals(NOISE, "gyro", 3))
     integral = np.array(INTEGRAL) + error
     torque = -GAIN * error - 0.1 * integral - 0.01 * np.array(WHEEL)
     np.testing.assert_allclose(outputs, (*torque, TIME + HELD_LAMP), rtol=1e-14)
     np.testing.assert_allclose(memory, integral, rtol=1e-14)
-    assert SYSTEM.controlled(body, seen, TIME, 0, NOISE) == ((LEVEL,), ())
+    assert SYSTEM.controlled(body(), seen(), TIME, 0, NOISE) == ((LEVEL,), ())
 
 
-def test_wrench_sees_states_and_controls(body, seen):
+FORMULAS["controlled"] = lambda *x: sum(
+    SYSTEM.controlled(body(), Seen(seen().pose, (*x[:3], *V)), TIME, 1, Noise(*x[3:])), ()
+)
+
+
+def test_controlled_on_lanes_draws_for_each_lane_its_own():
+    count = 11  # no whole packs
+    rng = np.random.default_rng(8)
+    noise = np.full(count, 7.0), np.arange(count), rng.permutation(count)
+    columns = [*rng.normal(size=(3, count)), *noise]
+    found = on_lanes("controlled", *columns, results=7)
+    expected = [FORMULAS["controlled"](*map(float, row)) for row in zip(*columns, strict=True)]
+    # Lanes fuse products with sums; noise, 1e-3 of it, would be off by that
+    np.testing.assert_allclose(found.T, expected, rtol=1e-14, atol=1e-15)
+
+
+def test_wrench_sees_states_and_controls():
     chart = (1.0, 0.0, 0.0, 0.0), PLACE
-    found = accelerate(PLAN, body, chart, (0.0,) * 6)
+    found = accelerate(PLAN, body(), chart, (0.0,) * 6)
     expected = (*(np.array(HELD) / (1.0, 2.0, 3.0)), *(np.array(WHEEL) / 2.0))
     np.testing.assert_allclose(found.rate, expected, rtol=1e-14)
-    other = body._replace(signals=SIGNALS._replace(states=(0.0,) * 4))
+    other = body()._replace(signals=SIGNALS._replace(states=(0.0,) * 4))
     assert tuple(accelerate(PLAN, other, chart, (0.0,) * 6).rate[3:]) == (0.0, 0.0, 0.0)
 
 
@@ -153,9 +113,9 @@ def test_outputs_of_are_found_by_tracing():
     assert trial(ATTITUDE) == 7
 
 
-def test_function_without_its_signals_says_so(body, seen):
+def test_function_without_its_signals_says_so():
     with pytest.raises(ValueError, match="sees 5 numbers of controls, got 0"):
-        SYSTEM.events(body._replace(signals=Signals()), seen, TIME)
+        SYSTEM.events(body()._replace(signals=Signals()), seen(), TIME)
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,8 @@ def refusal_of_call(value: Any, name: str) -> str | None:
     if any(module == known or module.startswith(known + ".") for known in RANDOM):
         return (
             f"it draws random numbers, {name}: they would be the same constants for every body and "
-            f"in every step; {ALONE}: sample a parameter instead"
+            f"in every step; {ALONE}: sample a parameter instead, or draw "
+            "lierb.noise.normal in a controller"
         )
     if top in CLOCKS or value is np.datetime64:  # of "now"
         return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"

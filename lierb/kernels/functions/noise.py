@@ -19,7 +19,7 @@ from typing import Any
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.numbers.arithmetic import minimum, sqrt, where
+from lierb.kernels.numbers.arithmetic import any_lanes, branch, minimum, sqrt, where
 from lierb.kernels.numbers.object_arrays import numbers
 from lierb.kernels.numbers.words import LOW, real_of, words_of
 
@@ -185,7 +185,13 @@ def normal_of(p: Any) -> Any:
     central = q * _ratio(CENTRE, 0.180625 - q * q)
     tail = minimum(p, 1.0 - p)
     root = sqrt(-logarithm(tail))
-    outer = where(root <= 5.0, _ratio(NEAR, root - 1.6), _ratio(FAR, root - 5.0))
+    near, is_far = _ratio(NEAR, root - 1.6), root > 5.0  # one of 3·10¹⁰ is
+    outer = branch(
+        any_lanes(is_far),
+        lambda: where(is_far, _ratio(FAR, root - 5.0), near),
+        lambda: near,
+        likely=False,
+    )
     return where(q * q <= 0.425 * 0.425, central, where(q < 0.0, -outer, outer))
 
 

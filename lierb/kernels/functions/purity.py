@@ -96,7 +96,8 @@ def _watching() -> Iterator[None]:
     if _random_states() != before:
         raise _DrawingError(
             "it draws random numbers: they would be the same constants for every body and in every "
-            f"step; {ALONE}: sample a parameter instead"
+            f"step; {ALONE}: sample a parameter instead, or draw lierb.noise.normal in a "
+            "controller"
         )
 
 
