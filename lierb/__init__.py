@@ -17,6 +17,7 @@ from lierb.prediction import predict
 from lierb.result import Result
 from lierb.runs.mechanisms import baumgarte
 from lierb.runs.provenance import package_version
+from lierb.studies.comparing import convergence
 from lierb.tableaus import ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
 
@@ -41,6 +42,7 @@ __all__ = [
     "bodies",
     "clip",
     "constraint",
+    "convergence",
     "errors",
     "forces",
     "info",
