@@ -117,7 +117,7 @@ def convergence(
     progress : True, False or None as in `integrate`, or a function of (runs done, runs in all, the
         next one's name).
 
-    Raises subclasses of `lierb.errors.LierbError` before anything runs. Trajectories that fail in a
+    Raises subclasses of `lierb.errors.LierbError`. Trajectories that fail in a
     run are left out of its errors, counted in `failed`, and told in one FailedTrajectoryWarning.
 
     >>> import lierb
@@ -287,7 +287,8 @@ def _check(
             save_every=None, measure_every=measure_every, record=(), **kept,
         )  # fmt: skip
 
-    check(length)  # all but the step, of which we have more to say
+    is_time = 0.0 < length < math.inf
+    check(length if is_time else run.dt or 1.0)  # all but the step, of which we have more to say
     if run.dt is not None:
         _require_part(run.dt, length)
         check(run.dt)

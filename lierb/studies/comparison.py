@@ -112,8 +112,10 @@ class Comparison(Shown):
 
         cspace : may be left out where there is one.
 
-        Raises UnknownNameError, ArgumentError.
+        Raises UnknownNameError, ArgumentError where there is none to choose.
         """
+        if not self.orders:
+            raise ArgumentError("each method was run with one step; give two and more for orders")
         require_name("method", method, dict.fromkeys(each.method for each in self.orders))
         require_name("quantity", quantity, dict.fromkeys(each.quantity for each in self.orders))
         found = [
@@ -134,10 +136,11 @@ class Comparison(Shown):
         columns : of `table`. Default: all that have numbers, floors apart.
         """
         parts = []
-        for header, rows in (self._runs(columns), self._orders()):
+        for header, rows in self.told(columns):
             lines = [header, ["---"] * len(header), *rows]
             parts.append("\n".join(f"| {' | '.join(map(_in_markdown, line))} |" for line in lines))
-        parts.append("\n".join(f"- {note}" for note in self._all_notes()))
+        notes = (*self.notes, *((ORDERS_NOTE,) if self.orders else ()))
+        parts.append("\n".join(f"- {note}" for note in notes))
         return "\n\n".join(parts) + "\n"
 
     def to_latex(self, columns: Iterable[str] | None = None) -> str:
@@ -145,16 +148,17 @@ class Comparison(Shown):
 
         columns : of `table`. Default: all that have numbers, floors apart.
         """
-        runs, orders = self._runs(columns), self._orders()
-        return _latex_table(*runs, " ".join(self._all_notes())) + _latex_table(*orders, ORDERS_NOTE)
+        captions = (" ".join(self.notes), ORDERS_NOTE)
+        each = zip(self.told(columns), captions, strict=False)
+        return "\n".join(_latex_table(*table, caption) for table, caption in each)
 
-    def told(self) -> Iterator[tuple[list[str], list[list[str]]]]:
-        """Header and rows of the runs, and of the orders, as texts."""
-        yield self._runs(None)
-        yield self._orders()
-
-    def _all_notes(self) -> tuple[str, ...]:
-        return (*self.notes, ORDERS_NOTE)
+    def told(
+        self, columns: Iterable[str] | None = None
+    ) -> Iterator[tuple[list[str], list[list[str]]]]:
+        """Header and rows of the runs, and of the orders if there are any, as texts."""
+        yield self._runs(columns)
+        if self.orders:
+            yield self._orders()
 
     def _runs(self, columns: Iterable[str] | None) -> tuple[list[str], list[list[str]]]:
         if columns is None:
@@ -278,8 +282,9 @@ def _observed(
     for row in rows:
         keyed.setdefault((row["method"], row["cspace"], _control(row)), []).append(row)
     for (method, cspace, control), of in keyed.items():
-        steps = [row["step"] for row in of]
-        if len(set(steps)) < 2:
+        by_step = {row["step"]: row for row in of if row["step"] is not None}
+        steps, of = list(by_step), list(by_step.values())
+        if len(steps) < 2:
             continue
         for quantity in quantities:
             errors = np.array([_number(r[quantity]) if not r["failed"] else np.nan for r in of])

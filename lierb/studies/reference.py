@@ -149,16 +149,16 @@ def sizes_of(problem: Model, ends: Ends, twist0: Any) -> dict[str, float]:
     starts = arrays_of(problem, "twist0", twist0) if isinstance(problem, Mechanism) else {
         "": as_numbers("twist0", twist0, (6,))
     }  # fmt: skip
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):  # a trajectory may run away
         placed, moving = (poses, twists) if is_tree else (poses[""], twists[""])
         length, energy = (float(np.nanmedian(each)) for each in magnitudes(problem, placed, moving))
-    speeds = {}
-    for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
-        each = [
-            float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1)))
-            for twist in (*starts.values(), *twists.values())
-        ]
-        speeds[name] = max(each)
+        speeds = {}
+        for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
+            each = [
+                float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1)))
+                for twist in (*starts.values(), *twists.values())
+            ]
+            speeds[name] = max(each)
     speeds["v"] = max(speeds["v"], length * speeds["omega"])
     return {
         "error.rotation": 1.0, "error.position": length, "error.omega": speeds["omega"],
