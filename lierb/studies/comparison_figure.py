@@ -139,7 +139,8 @@ def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
     panel.set_xlabel(AXES[across])
     panel.set_ylabel(AXES[quantity])
     log_axes(panel, "xy", zeros, NO_RUN)
-    if ends:  # where errors are at rounding, an order's line would go on
-        panel.set_ylim(bottom=0.3 * min(lowest for *_, lowest in ends))
+    if ends:  # where errors are at rounding an order's line would go on; zeros are told below
+        low, high = min(lowest for *_, lowest in ends), panel.get_ylim()[1]
+        panel.set_ylim(bottom=0.3 * low / (high / low) ** (0.07 * len(zeros)))
     if len(lines) > MOST_KEYS and ends:
         label_lines(panel, ends)
