@@ -1,10 +1,9 @@
-"""Tableaus check themselves, have the order that they claim, and a user's runs like a named one."""
+"""Tableaus check themselves, and a user's runs like a named one."""
 
 import math
-from collections import Counter
-from fractions import Fraction
-from functools import cache
-from itertools import combinations_with_replacement
+import re
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,155 +11,6 @@ import pytest
 import lierb
 from lierb.errors import ArgumentError, LierbError, UnknownNameError
 from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
-
-EVERY = pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
-
-# The coefficients of DOP853 have 16 digits and sizes up to 43, and a condition adds products of
-# them: 1e-14 is some fifty roundings (1e-15 measured); a wrong digit anywhere shows above it.
-CONDITION_TOLERANCE = 1e-14
-
-
-# ---------------------------------------------------------------- rooted trees
-
-# A tree is the sorted tuple of its root's subtrees; () is the single node. The condition of a tree
-# τ is Φ(τ) = 1/γ(τ), Φ its elementary weight, γ its density (Hairer, Nørsett, Wanner, II.2).
-
-
-def _partitions(total, largest):
-    if total == 0:
-        yield ()
-    for first in range(min(total, largest), 0, -1):
-        for rest in _partitions(total - first, first):
-            yield (first, *rest)
-
-
-@cache
-def trees(nodes):
-    found = set()
-    for sizes in _partitions(nodes - 1, nodes - 1):
-        forests = [()]
-        for size, count in Counter(sizes).items():
-            forests = [
-                (*forest, *more)
-                for forest in forests
-                for more in combinations_with_replacement(trees(size), count)
-            ]
-        found.update(tuple(sorted(forest)) for forest in forests)
-    return sorted(found)
-
-
-def nodes_of(tree):
-    return 1 + sum(map(nodes_of, tree))
-
-
-def density(tree):
-    return nodes_of(tree) * math.prod(map(density, tree))
-
-
-def square(tableau):
-    """A as an (s, s) array."""
-    s = len(tableau.b)
-    return np.array([[*row, *[0.0] * (s - len(row))] for row in tableau.A])
-
-
-def elementary_weight(tree, A, b):
-    def stage_values(subtree):
-        values = np.ones(len(b))
-        for child in subtree:
-            values = values * (A @ stage_values(child))
-        return values
-
-    return math.fsum(b * stage_values(tree))
-
-
-def worst_condition(tableau, order):
-    A, b = square(tableau), np.array(tableau.b)
-    return max(abs(elementary_weight(t, A, b) - 1 / density(t)) for t in trees(order))
-
-
-def test_trees_are_as_many_as_known():
-    # OEIS A000081: without this count a wrong generator would prove an order by leaving trees out.
-    assert [len(trees(n)) for n in range(1, 9)] == [1, 1, 2, 4, 9, 20, 48, 115]
-
-
-# ---------------------------------------------------------------- the catalogue
-
-
-@EVERY
-def test_tableau_satisfies_the_conditions_of_its_order(tableau):
-    for order in range(1, tableau.order + 1):
-        assert worst_condition(tableau, order) <= CONDITION_TOLERANCE
-
-
-@EVERY
-def test_tableau_claims_its_full_order(tableau):
-    # DOP853 misses a condition of order 9 by 2.7e-5, the others one of their next by 8e-3 or more.
-    assert worst_condition(tableau, tableau.order + 1) > 1e-6
-
-
-# Σ bᵢ gᵢ for the eight trees with up to four nodes, as a textbook lists them.
-TEXTBOOK = {
-    "b": (lambda A, b, c: b.sum(), Fraction(1)),
-    "b c": (lambda A, b, c: b @ c, Fraction(1, 2)),
-    "b c²": (lambda A, b, c: b @ c**2, Fraction(1, 3)),
-    "b A c": (lambda A, b, c: b @ (A @ c), Fraction(1, 6)),
-    "b c³": (lambda A, b, c: b @ c**3, Fraction(1, 4)),
-    "b c A c": (lambda A, b, c: b @ (c * (A @ c)), Fraction(1, 8)),
-    "b A c²": (lambda A, b, c: b @ (A @ c**2), Fraction(1, 12)),
-    "b A A c": (lambda A, b, c: b @ (A @ (A @ c)), Fraction(1, 24)),
-}
-
-
-@pytest.mark.parametrize("name", ["RK4", "RK38", "DOP853"])
-@pytest.mark.parametrize("condition", TEXTBOOK)
-def test_fourth_order_tableau_satisfies_the_textbook_condition(name, condition):
-    tableau = TABLEAUS[name]
-    left, right = TEXTBOOK[condition]
-    got = left(square(tableau), np.array(tableau.b), np.array(tableau.c))
-    assert got == pytest.approx(float(right), abs=CONDITION_TOLERANCE)
-
-
-@EVERY
-def test_tableau_nodes_are_the_row_sums(tableau):
-    sums = [math.fsum(row) for row in tableau.A]
-    # 2e-14: sums of up to ten numbers of size 43, rounded in another order
-    np.testing.assert_allclose(tableau.c, sums, rtol=0, atol=2e-14)
-    assert tableau.c[0] == 0.0
-
-
-def test_dop853_has_the_coefficients_of_scipy():
-    published = pytest.importorskip("scipy.integrate._ivp.dop853_coefficients")
-    tableau = TABLEAUS["DOP853"]
-    s = tableau.stages
-    # 1e-15 relative: both are decimal prints of the same numbers
-    np.testing.assert_allclose(square(tableau), published.A[:s, :s], rtol=1e-15, atol=0)
-    np.testing.assert_allclose(tableau.b, published.B, rtol=1e-15, atol=0)
-    # 2e-14: ours are the row sums, of up to ten numbers of size 43
-    np.testing.assert_allclose(tableau.c, published.C[:s], rtol=0, atol=2e-14)
-
-
-def _solve(tableau, rate, y, t_end, steps):
-    """y′ = rate(y) in a Runge–Kutta loop of the test's own."""
-    A, h = square(tableau), t_end / steps
-    for _ in range(steps):
-        k = []
-        for row in A:
-            k.append(rate(y + h * sum(a * known for a, known in zip(row, k, strict=False))))
-        y += h * math.fsum(w * known for w, known in zip(tableau.b, k, strict=True))
-    return y
-
-
-@EVERY
-def test_tableau_shows_its_order_on_a_scalar_equation(tableau):
-    if tableau.order == 8:  # y = tan t: hard enough that 24 steps still err by 6e-12
-        problem, exact, steps = (lambda y: 1 + y * y, 0.0, 1.2), math.tan(1.2), 12
-    else:  # y′ = sin y: the leading error of none of the methods passes through 0 at these steps
-        exact = 2 * math.atan(math.tan(0.5) * math.exp(2.0))
-        problem, steps = (math.sin, 1.0, 2.0), 16
-    coarse, fine = (abs(_solve(tableau, *problem, n) - exact) for n in (steps, 2 * steps))
-    # ±0.15: the next term of the error is still felt; a wrong order would be off by 1
-    assert math.log2(coarse / fine) == pytest.approx(tableau.order, abs=0.15)
-
 
 # ---------------------------------------------------------------- checks of a user's tableau
 
@@ -201,6 +51,118 @@ def test_tableau_rejects(arguments, named):
         ButcherTableau(**arguments)
 
 
+# A pair of orders 2 and 1 with a continuous extension that takes a stage at half the step.
+PAIR = {
+    "A": [[], [1]], "b": [0.5, 0.5], "order": 2, "error": [[-0.5, 0.5]], "error_order": 1,
+    "dense": [[1, -1.5, 1], [0, -0.5, 1], [0, 2, -2]], "dense_A": [[0.25, 0.25]], "dense_order": 2,
+}  # fmt: skip
+HEUN = {"A": [[], [1]], "b": [0.5, 0.5]}
+PUSHED = [[], [[1]], [[0.5, 0], [0, 0.5]]]  # Heun's weights, each an exponential of its own
+
+
+def test_pair_keeps_what_it_is_given():
+    made = ButcherTableau(**PAIR)
+    assert made.error == ((-0.5, 0.5),)
+    assert made.dense == ((1.0, -1.5, 1.0), (0.0, -0.5, 1.0), (0.0, 2.0, -2.0))
+    assert made.dense_A == ((0.25, 0.25),)
+    assert (made.error_order, made.dense_order) == (1, 2)
+    assert hash(made) == hash(ButcherTableau(**PAIR))
+
+
+def test_tableau_without_them_has_no_pair_nor_output_nor_exponentials():
+    made = ButcherTableau(**HEUN)
+    assert made.error is made.error_order is made.dense is made.dense_order is None
+    assert made.exponentials is None
+    assert made.dense_A == ()
+
+
+def test_rows_of_dense_may_be_short():
+    made = ButcherTableau([[], [1]], [0.5, 0.5], dense=[[1, -0.5], [0, 0.5]])
+    same = ButcherTableau([[], [1]], [0.5, 0.5], dense=[[1, -0.5, 0], [0, 0.5]])
+    assert made.dense == ((1.0, -0.5), (0.0, 0.5))
+    assert same.dense == ((1.0, -0.5, 0.0), (0.0, 0.5, 0.0))
+
+
+def test_exponentials_are_lower_rows():
+    full = ButcherTableau(**HEUN, exponentials=[[], [[1, 0]], [[0.5, 0], [0, 0.5]]])
+    assert full.exponentials == ((), ((1.0,),), ((0.5, 0.0), (0.0, 0.5)))
+    assert full == ButcherTableau(**HEUN, exponentials=PUSHED)
+
+
+@pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
+def test_tableau_of_the_catalogue_is_made_again_from_its_own_numbers(tableau):
+    assert replace(tableau) == tableau
+
+
+@pytest.mark.parametrize("name", TABLEAUS)
+def test_fsal_methods_are_those_known_as_such(name):
+    assert TABLEAUS[name].is_fsal == (name in {"BS32", "DP54", "Tsit5", "Verner65"})
+
+
+BAD_PAIRS = {
+    "error adds up to 0.1": ({"error": [[-0.4, 0.5]]}, "row 0 of error adds up to 0.0999"),
+    "error is a row": ({"error": [-0.5, 0.5]}, "row 0 of error"),
+    "error is zero": ({"error": [[0, 0]]}, "row 0 of error has zeros alone"),
+    "error is short": ({"error": [[0]]}, "row 0 of error has 1 numbers; expected 2"),
+    "error has no row": ({"error": []}, "error has 0 rows"),
+    "error has three rows": ({"error": [[-0.5, 0.5]] * 3}, "error has 3 rows"),
+    "error overflows": ({"error": [[1e308, 1e308]]}, "row 0 of error adds up to inf"),
+    "error is NaN": ({"error": [[math.nan, 0.5]]}, "row 0 of error"),
+    "error without order": ({"error_order": None}, "error_order"),
+    "order of no error": ({"error": None}, "error_order=1 is given without error"),
+    "order is no number": ({"error_order": "one"}, "error_order='one'"),
+    "order is half": ({"error_order": 1.5}, "error_order=1.5"),
+    "order is none at all": ({"error_order": 0}, "error_order=0"),
+    "dense is short": ({"dense": [[1, -0.5], [0, 0.5]]}, "dense has 2 rows; expected 3"),
+    "dense ends elsewhere": (
+        {"dense": [[1, -1.5, 1.1], [0, -0.5, 1], [0, 2, -2]]}, r"row 0 of dense .* not to b\[0\]",
+    ),
+    "dense ends with another stage": (
+        {"dense": [[1, -1.5, 1], [0, -0.5, 1], [0, 2, -1]]}, "row 2 of dense adds up to 1.0",
+    ),
+    "dense starts elsewhere": (
+        {"dense": [[0.5, -1, 1], [0.5, -1, 1], [0, 2, -2]]}, "row 0 of dense starts with 0.5",
+    ),
+    "dense does not add up to θ": (
+        {"dense": [[1, -1, 0.5], [0, -0.5, 1], [0, 2, -2]]}, "what dense has of θ\\^2",
+    ),
+    "dense is empty": ({"dense": [[], [], []]}, "row 0 of dense starts with 0.0"),
+    "dense is a number": ({"dense": 1.0}, "dense"),
+    "stages of no dense": ({"dense": None, "dense_order": None}, "dense_A is given without dense"),
+    "order of no dense": ({"dense": None, "dense_A": ()}, "dense_order=2 is given without dense"),
+    "dense order is no number": ({"dense_order": True}, "dense_order=True"),
+    "stage is implicit": ({"dense_A": [[0.25, 0.25, 0.1]]}, "row 0 of dense_A"),
+    "stage is short": ({"dense_A": [[0.5]]}, "row 0 of dense_A"),
+    "too many stages": ({"dense_A": [[0.0] * 64] * 63}, "A and dense_A have 65 rows"),
+    "exponentials and dense": ({"exponentials": PUSHED}, "exponentials and dense"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "named"), BAD_PAIRS.values(), ids=BAD_PAIRS)
+def test_pair_rejects(changes, named):
+    with pytest.raises(ArgumentError, match=named):
+        ButcherTableau(**PAIR | changes)
+
+
+BAD_EXPONENTIALS = {
+    "no end": (PUSHED[:2], "exponentials has 2 entries; expected 3"),
+    "stage differs from A": ([[], [[0.9]], PUSHED[2]], r"exponentials\[1\] .* not to A\[1\]\[0\]"),
+    "end differs from b": ([[], [[1]], [[0.5, 0.4]]], r"column 1 of exponentials\[2\] .* b\[1\]"),
+    "no exponential": ([[], [], PUSHED[2]], r"column 0 of exponentials\[1\] adds up to 0"),
+    "implicit": ([[], [[1, 0.1]], PUSHED[2]], r"row 0 of exponentials\[1\]"),
+    "short": ([[], [[1]], [[0.5], [0, 0.5]]], r"row 0 of exponentials\[2\]"),
+    "not nested": ([[], [1], [0.5, 0.5]], r"row 0 of exponentials\[1\]"),
+    "infinite": ([[], [[math.inf]], PUSHED[2]], r"row 0 of exponentials\[1\]"),
+    "number": (1.0, "exponentials"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "named"), BAD_EXPONENTIALS.values(), ids=BAD_EXPONENTIALS)
+def test_exponentials_are_rejected(given, named):
+    with pytest.raises(ArgumentError, match=named):
+        ButcherTableau(**HEUN, exponentials=given)
+
+
 def test_tableau_of_returns_a_users_tableau_itself():
     mine = ButcherTableau([[]], [1])
     assert tableau_of(mine) is mine
@@ -220,6 +182,28 @@ def test_tableau_of_suggests_the_nearest_name(method):
 def test_tableau_of_rejects_what_is_no_name(method):
     with pytest.raises(LierbError, match="method"):
         tableau_of(method)
+
+
+# ---------------------------------------------------------------- the page
+
+
+def page_row(name):
+    """What the page of methods says of one."""
+    t = TABLEAUS[name]
+    stages = f"{t.stages}, FSAL" if t.is_fsal else f"{t.stages}"
+    output = "–" if t.dense is None else f"{t.dense_order}"
+    if t.dense_A:
+        further = len(t.dense_A) - (t.dense_A[0] == t.b)  # f at the end is the next step's first
+        output += f", {further} stages more"
+    return f"| {name} | {t.order} | {stages} | {t.error_order or '–'} | {output} | {t.source} |"
+
+
+def test_page_of_methods_lists_what_the_entries_say():
+    page = Path(__file__).parents[1] / "docs" / "reference" / "methods.md"
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if re.match(r"\| \w+ \| \d", line)] == [
+        page_row(name) for name in TABLEAUS
+    ]
 
 
 # ---------------------------------------------------------------- in a run
@@ -250,7 +234,6 @@ def test_integrate_gives_a_users_rk4_the_bits_of_the_named_one(top):
 def test_integrate_uses_the_users_coefficients(top):
     # Ralston's third-order method; its order on a body is measured elsewhere
     ralston = ButcherTableau([[], [1 / 2], [0, 3 / 4]], [2 / 9, 1 / 3, 4 / 9], order=3)
-    assert worst_condition(ralston, 3) <= CONDITION_TOLERANCE
     turned = np.array(run(top, ralston)["rotation"].to_pylist()[0])
     close = np.array(run(top, "RK4")["rotation"].to_pylist()[0])
     # (|ω| dt)³ ≈ 4e-4 a step, over 30 steps of a third-order method: about 1e-5, never 0

@@ -1,0 +1,98 @@
+"""Order conditions of Runge–Kutta methods by rooted trees, in 40 digits.
+
+A tree is the sorted tuple of its root's subtrees; () is the single node. The condition of a tree τ
+of n nodes, at θ of a step, is Φ(τ) = θⁿ/γ(τ), Φ its elementary weight, γ its density (Hairer,
+Nørsett, Wanner, Solving ODEs I, II.2 and II.6).
+"""
+
+import math
+from collections import Counter
+from functools import cache
+from itertools import combinations_with_replacement
+
+from mpmath import mp, mpf
+
+DIGITS = 40
+
+
+def _partitions(total, largest):
+    if total == 0:
+        yield ()
+    for first in range(min(total, largest), 0, -1):
+        for rest in _partitions(total - first, first):
+            yield (first, *rest)
+
+
+@cache
+def trees(nodes):
+    found = set()
+    for sizes in _partitions(nodes - 1, nodes - 1):
+        forests = [()]
+        for size, count in Counter(sizes).items():
+            forests = [
+                (*forest, *more)
+                for forest in forests
+                for more in combinations_with_replacement(trees(size), count)
+            ]
+        found.update(tuple(sorted(forest)) for forest in forests)
+    return sorted(found)
+
+
+def nodes_of(tree):
+    return 1 + sum(map(nodes_of, tree))
+
+
+def density(tree):
+    return nodes_of(tree) * math.prod(map(density, tree))
+
+
+class Stages:
+    """The elementary weights of a method's stages, each found once."""
+
+    def __init__(self, A):
+        self.A = [[mpf(a) for a in row] for row in A]
+        self._values, self._sums = {}, {}
+
+    def values(self, tree):
+        """gᵢ(τ) = Πₖ Σⱼ Aᵢⱼ gⱼ(τₖ), for each stage."""
+        if tree not in self._values:
+            product = [mpf(1)] * len(self.A)
+            for child in tree:
+                product = [x * y for x, y in zip(product, self._summed(child), strict=True)]
+            self._values[tree] = product
+        return self._values[tree]
+
+    def _summed(self, tree):
+        if tree not in self._sums:
+            values = self.values(tree)
+            self._sums[tree] = [_dot(row, values) for row in self.A]
+        return self._sums[tree]
+
+    def weight(self, tree, b):
+        """Φ(τ) = Σᵢ bᵢ gᵢ(τ)."""
+        return _dot([mpf(x) for x in b], self.values(tree))
+
+
+def _dot(weights, values):
+    return mp.fsum(w * x for w, x in zip(weights, values, strict=False) if w)
+
+
+def defect(stages, b, order, theta=1):
+    """How far doubles miss the conditions of the trees of `order` nodes: the largest."""
+    with mp.workdps(DIGITS):
+        return max(
+            float(abs(stages.weight(tree, b) - mpf(theta) ** order / density(tree)))
+            for tree in trees(order)
+        )
+
+
+def worst_defect(stages, b, order, theta=1):
+    """Of all conditions up to that order."""
+    return max(defect(stages, b, n, theta) for n in range(1, order + 1))
+
+
+def weights_at(dense, theta):
+    """bᵢ(θ) of a continuous extension."""
+    with mp.workdps(DIGITS):
+        powers = [mpf(theta) ** k for k in range(1, len(dense[0]) + 1)]
+        return [_dot([mpf(x) for x in row], powers) for row in dense]
