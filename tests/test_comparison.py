@@ -19,15 +19,13 @@ import lierb
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, TimeGridError, UnknownNameError
 from lierb.studies import comparing, reference
 from lierb.studies.comparison import ESCAPED
+from lierb.tableaus import TABLEAUS
 
 OMEGA = np.array([[6.28, 3.14, 0.63], [5.0, -2.0, 1.0], [-1.0, 4.0, 7.0]])
 DTS = (8e-3, 4e-3, 2e-3)
 T_END = 0.4
 LATER = {"pose0": np.eye(4), "twist0": np.zeros(6), "t0": 1.0}
 METHODS = {"Euler": 1, "Heun": 2, "RK4": 4}
-FSAL = lierb.ButcherTableau(
-    [[], [1 / 2], [0, 3 / 4], [2 / 9, 1 / 3, 4 / 9]], [2 / 9, 1 / 3, 4 / 9, 0], name="BS_3", order=3
-)
 
 
 def box_top() -> lierb.Problem:
@@ -232,8 +230,8 @@ def test_right_hand_sides_are_counted(found):
     for row in found.table.to_pylist():
         assert row["steps"] == round(T_END / row["dt"])
         assert row["evaluations"] == stages[row["method"]] * row["steps"]
-    assert comparing._stages(FSAL) == 3
-    assert comparing._stages(lierb.ButcherTableau([[]], [1])) == 1
+    assert comparing._stages(TABLEAUS["BS32"]) == 3
+    assert comparing._stages(TABLEAUS["DOP853"]) == 12
 
 
 def test_cpu_time_is_that_of_the_thread(monkeypatch):
@@ -263,6 +261,42 @@ def test_progress_is_told_run_by_run(exact):
     assert [done for done, _, _ in told] == [0, 1, 2, 3, 4]
     assert {total for _, total, _ in told} == {4}
     assert told[0][2] == "Euler, SE3, dt = 0.008 s"
+
+
+def test_tolerances_make_adaptive_runs(monkeypatch, exact):
+    """How integrate is asked, and what becomes of the steps that it tells; here they are fixed."""
+    asked = []
+    steps = {1e-4: (40, 8), 1e-6: (100, 10), 1e-8: (250, 5)}
+
+    def integrate(problem, *, rtol=None, atol=None, **options):
+        if rtol is None:
+            return lierb.integrate(problem, **options | {"method": "RK4"})
+        asked.append((options["method"].name, rtol, atol, "dt" in options))
+        taken, rejected = steps[rtol]
+        result = lierb.integrate(problem, **options | {"dt": T_END / taken, "method": "RK4"})
+        summary = result.summary
+        for name, value in (("steps", taken), ("rejected", rejected)):
+            summary = summary.append_column(name, [np.full(summary.num_rows, value)])
+        return lierb.Result(summary, None)
+
+    monkeypatch.setattr(comparing, "integrate", integrate)
+    found = lierb.convergence(
+        box_top(), ["RK4", "BS32"], DTS[:1], rtols=[1e-6, 1e-4, 1e-8], atol=1e-9,
+        twist0=twists(), t_end=T_END, reference=exact, repeats=0,
+    )  # fmt: skip
+    assert asked == [("BS32", rtol, 1e-9, False) for rtol in steps]
+    fixed, adaptive = found.table.to_pylist()[:2], found.table.to_pylist()[2:]
+    assert [(row["method"], row["rtol"]) for row in fixed] == [("RK4", None), ("BS32", None)]
+    for row, (rtol, (taken, rejected)) in zip(adaptive, steps.items(), strict=True):
+        assert (row["rtol"], row["dt"]) == (rtol, None)
+        assert (row["steps"], row["rejected"]) == (taken, rejected)
+        assert row["step"] == pytest.approx(T_END / taken)
+        assert row["evaluations"] == 3 * (taken + rejected)
+    # over the mean step: of RK4, which has made these runs
+    assert found.order("BS32", quantity="error.rotation") == pytest.approx(4.0, rel=0.1)
+    assert {each.control for each in found.orders} == {"rtol"}
+    assert [axes.get_xlabel() for axes in found.figure().axes][2] == "rtol"
+    assert "mean step" in found.to_markdown()
 
 
 # ---- arguments ---------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from lierb.api import check_options, integrate
+from lierb.api import MOST_STEPS, check_options, integrate
 from lierb.arrays import as_positive, is_whole
 from lierb.errors import ArgumentError, TimeGridError, items_of, require_name, told
 from lierb.kernels.stepping.mechanism import Stabilisation
@@ -188,11 +188,12 @@ def convergence(
     warn_of_runs(failures)
     count = rows[0]["trajectories"]
     times = float(t0), float(t_end)
+    measure_every = min(int(measure_every), int(MOST_STEPS))
     notes = _notes(problem, given, norm, repeats, overhead, count, times, measure_every)
     metadata = {
         **machine(), "units": "SI: m, s, rad, J", "norm": norm, "reference": given.what,
         "reference_errors": given.errors, "t0": float(t0), "t_end": float(t_end),
-        "repeats": int(repeats), "measure_every": int(measure_every), "update": update,
+        "repeats": int(repeats), "measure_every": measure_every, "update": update,
     }  # fmt: skip
     return comparison(rows, tableaus, _quantities(problem), name, notes, metadata)
 
@@ -249,25 +250,21 @@ def _runs(
         raise ArgumentError("neither dts nor rtols is given; give fixed steps, s, or tolerances")
     if rtols and not dts:
         for tableau in tableaus:
-            if not _has_pair(tableau):
-                pairs = ", ".join(name for name, each in TABLEAUS.items() if _has_pair(each))
+            if tableau.error is None:
+                pairs = ", ".join(name for name, each in TABLEAUS.items() if each.error is not None)
                 raise ArgumentError(
                     f"{tableau.name} has no embedded pair, which rtols needs; give dts= as well, "
-                    f"or take {pairs or 'a tableau with one'}"
+                    f"or take {pairs}"
                 )
     found = [Run(*pair, dt, None) for pair in product(tableaus, cspaces) for dt in dts]
     found += [
         Run(tableau, cspace, None, rtol)
-        for tableau, cspace in product(tableaus, cspaces) if _has_pair(tableau)
+        for tableau, cspace in product(tableaus, cspaces) if tableau.error is not None
         for rtol in rtols
     ]  # fmt: skip
     if len(found) > MOST_RUNS:
         raise ArgumentError(f"these are {len(found)} runs; expected {MOST_RUNS} at most")
     return found
-
-
-def _has_pair(tableau: ButcherTableau) -> bool:
-    return getattr(tableau, "error", None) is not None
 
 
 def _check(
@@ -295,10 +292,13 @@ def _check(
 
 
 def _length(t0: Any, t_end: Any) -> float:
+    """From t0 to t_end, s; NaN where they are no times, of which check_options says more."""
+    if not all(is_whole(t) or isinstance(t, (float, np.floating)) for t in (t0, t_end)):
+        return math.nan
     try:
         return float(t_end) - float(t0)
-    except (TypeError, ValueError, OverflowError):
-        return 1.0  # check_options says what is wrong with them
+    except OverflowError:
+        return math.nan
 
 
 def _require_part(dt: float, length: float) -> None:
@@ -417,9 +417,7 @@ def _or_none(number: float) -> float | None:
 
 def _stages(tableau: ButcherTableau) -> int:
     """Right-hand sides of a step; the last stage may be the next step's first."""
-    b = tuple(tableau.b)
-    is_first_again = len(b) > 1 and b[-1] == 0.0 and tuple(tableau.A[-1]) == b[:-1]
-    return tableau.stages - is_first_again
+    return tableau.stages - tableau.is_fsal
 
 
 def _quantities(problem: Problem | Mechanism) -> list[str]:
