@@ -92,8 +92,8 @@ class Comparison(Shown):
         evaluations of right-hand sides, of a trajectory in the mean; cpu_time, s, of the batch;
         trajectories, failed; error.rotation, error.position, error.omega and error.v at t_end, over
         the trajectories the largest or the median; drift.position and drift.rotation, of the
-        joints, and drift.energy, largest of the run. After each the same name with `.floor`: an
-        error up to that is rounding, or the reference's.
+        joints, and drift.energy, largest of the run. After each of these its floor, such as
+        error.v.floor: an error up to that is rounding, or the reference's.
     orders : the observed orders of all that falls with the step.
     name : of figures.   notes : how it was measured, in sentences.
     """
