@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from lierb import animation, bodies, errors, forces, joints, lie, sampling
+from lierb import animation, bodies, errors, forces, joints, lie, noise, sampling
 from lierb.animation import animate
 from lierb.api import integrate
 from lierb.extras import is_installed, require
@@ -20,6 +20,7 @@ from lierb.runs.provenance import package_version
 from lierb.studies.comparing import convergence
 from lierb.tableaus import ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
+from lierb.user_signals import controller, event, states
 
 if TYPE_CHECKING:
     from lierb.studies.from_python import study_of as study_of
@@ -42,18 +43,22 @@ __all__ = [
     "bodies",
     "clip",
     "constraint",
+    "controller",
     "convergence",
     "errors",
+    "event",
     "forces",
     "info",
     "integrate",
     "joints",
     "lie",
     "log",
+    "noise",
     "observable",
     "predict",
     "quaternion",
     "sampling",
+    "states",
     "table",
     "warmup",
     "where",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import sys
 import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -11,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, is_whole
+from lierb.arrays import Array
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
     MemoryLimitError,
-    TimeGridError,
     items_of,
     require_name,
     told,
@@ -32,8 +29,9 @@ from lierb.mechanism_checks import violation
 from lierb.mechanism_plan import cspaces_of
 from lierb.model import Problem
 from lierb.result import Result
-from lierb.runs import checks, engine
-from lierb.runs.continuation import End, counted
+from lierb.runs import checks, engine, lanes
+from lierb.runs.continuation import End
+from lierb.runs.engine import Times
 from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
 from lierb.runs.mechanisms import (
     check_mechanism_options,
@@ -41,18 +39,21 @@ from lierb.runs.mechanisms import (
     told_cspace,
     told_stabilisation,
 )
+from lierb.runs.lanes import LaneTime
 from lierb.runs.memory import available, is_free, too_large
 from lierb.runs.progress import Progress, check_progress
 from lierb.runs.provenance import provenance
 from lierb.runs.starts import ready_body
-from lierb.runs.tables import history_table, size_of_tables, summary_table
-from lierb.tableaus import ButcherTableau, tableau_of
+from lierb.runs.tables import events_table, history_table, size_of_tables, summary_table
+from lierb.runs.timing import Timing, checked_numbers, checked_seed, timing_of
+from lierb.tableaus import ButcherTableau
+from lierb.user_signals import Event
 
 CSPACE_NAMES = (*CSPACES, "reduced")
 UPDATES = ("local", "global")
 SOLVER_NAMES = ("auto", *FORMULATIONS)
 RECORDS = ("state", "energy", "multipliers", "reaction")
-MOST_STEPS = 2.0**53  # beyond, not every step has a number
+ADAPTIVE = ("rtol", "atol", "dt_min", "dt_max", "max_steps")
 CHECKS = ("raise", "warn", "off")
 
 
@@ -61,18 +62,27 @@ def integrate(
     *,
     twist0: ArrayLike | Mapping[str, ArrayLike],
     pose0: Any = None,
-    dt: float,
+    dt: float | None = None,
     t_end: float,
     t0: float = 0.0,
-    method: str | ButcherTableau = "RK4",
+    rtol: float | None = None,
+    atol: float | Mapping[str, float] | None = None,
+    dt_min: float | None = None,
+    dt_max: float | None = None,
+    max_steps: int | None = None,
+    method: str | ButcherTableau | None = None,
     cspace: str | Mapping[str, str] | None = None,
     update: str = "local",
     save_every: int | None = None,
+    save_at: ArrayLike | None = None,
     measure_every: int = 1,
     record: Iterable[str] = (),
+    events: Event | Iterable[Event] = (),
     check: str = "raise",
     solver: str = "auto",
     stabilise: str | Stabilisation | None = None,
+    seed: int = 0,
+    trajectories: ArrayLike | None = None,
     threads: int | None = None,
     progress: Progress = None,
 ) -> Result:
@@ -83,9 +93,19 @@ def integrate(
         mechanism a dictionary with that of every link; see `Mechanism.twist`.
     pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint. Of a mechanism
         a dictionary; default: that with all coordinates 0, `Mechanism.pose()`.
-    dt, t_end, t0 : s; from t0 to t_end there must be a whole number of steps. `Result.end` gives
-        the pose0, twist0 and t0 with which a run goes on.
-    method : "Euler", "Heun", "RK4", "RK38", "DOP853", or a ButcherTableau.
+    t_end, t0 : s. `Result.end` gives the pose0, twist0 and t0 with which a run goes on.
+    dt : of fixed steps, s; from t0 to t_end there must be a whole number of them. Of adaptive steps
+        the first one; default: Hairer's choice.
+    rtol, atol : either makes steps adaptive, each trajectory's its own: the error of a step by the
+        method's embedded one is, in each block, at most √(atol² + rtol² size²). Blocks: rotation
+        (size 1 rad), position, omega, v, and each of the user's states. atol is a number, in SI
+        units, or a dictionary by block ("states" for all of these). Default: rtol 1e-6, atol
+        1e-3 rtol.
+    dt_min, dt_max : of adaptive steps, s. One that would have to be shorter ends the trajectory
+        with status "dt_min". Default: rounding of t, and no bound.
+    max_steps : tried steps, after which a trajectory ends with status "max_steps". Default: none.
+    method : a name of `lierb.TABLEAUS`, or a ButcherTableau. Default: "RK4", and "DOP853" with
+        adaptive steps, which need a method with an embedded one.
     cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
         joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b), nor room
         for an inconsistent start. Of a mechanism the product of such, one for each link, or a
@@ -93,10 +113,15 @@ def integrate(
         Default: "SE3", and "reduced" for a mechanism.
     update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
     save_every : steps between rows of `history`. Default: no history.
+    save_at : times of the rows of `history`, s, in ascending order; by the method's continuous
+        extension, or, where it has none, a step of its own to there. `step` is then the row's
+        number.
     measure_every : steps between samples of the maxima in `summary`.
     record : extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
         the body's joint frame and in its axes, whatever rows describe the joint.
+    events : more of them, made by `lierb.event`, beside the problem's own; see `Result.events`. One
+        that is terminal ends its trajectory with status "event".
     check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off");
         on "reduced" it raises, whatever `check` says.
     solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup",
@@ -107,6 +132,8 @@ def integrate(
     stabilise : what keeps a mechanism's loops, and its joints on "SE3" and "SO3xR3", that drift
         otherwise: "project", after each step pose and velocity are put back on them, by the least
         kinetic energy; or `lierb.baumgarte(alpha, beta)`. Default: nothing.
+    seed : of `lierb.noise`.   trajectories : numbers of the batch's members, (n,), to draw noise by.
+        Default: 0 … n−1.
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
         False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
@@ -131,23 +158,27 @@ def integrate(
             f"problem must be a lierb.Problem or a lierb.Mechanism, got {told(problem)}"
         )
     problem.require_unchanged()
+    problem = problem.with_events(events) if events else problem
     space = ("SE3" if isinstance(problem, Problem) else "reduced") if cspace is None else cspace
-    recorded, tableau, steps, found_by = check_options(
-        problem, dt=dt, t_end=t_end, t0=t0, method=method, cspace=space, update=update,
-        save_every=save_every, measure_every=measure_every, record=record, check=check,
-        solver=solver, stabilise=stabilise,
+    recorded, timing, found_by = check_options(
+        problem, dt=dt, t_end=t_end, t0=t0, rtol=rtol, atol=atol, dt_min=dt_min, dt_max=dt_max,
+        max_steps=max_steps, method=method, cspace=space, update=update, save_every=save_every,
+        save_at=save_at, measure_every=measure_every, record=record, check=check, solver=solver,
+        stabilise=stabilise,
     )  # fmt: skip
     check_progress(progress)
-    measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
-    clock = Clock(float(dt), steps, measured, saved, *counted(float(t0), float(dt)))
+    noise_seed = checked_seed(seed)
+    clock = None if timing.is_adaptive else timing.clock()
     options = {
-        "dt": clock.dt, "t_end": float(t_end), "t0": float(t0), "method": tableau.name,
-        "cspace": told_cspace(space), "update": update,
-        "save_every": clock.save_every or None, "measure_every": clock.measure_every,
-        "record": recorded, "check": check, "solver": found_by,
+        "dt": timing.dt or None, "t_end": float(t_end), "t0": float(t0),
+        "method": timing.tableau.name, "cspace": told_cspace(space), "update": update,
+        "save_every": timing.save_every or None, "measure_every": timing.measure_every,
+        "record": recorded, "check": check, "solver": found_by, **timing.options(),
     }  # fmt: skip
+    if problem.controllers:
+        options["seed"] = noise_seed
     described = {
-        "update": update, "stages": tableau.A, "weights": tableau.b,
+        "update": update, **timing.described(bool(problem.events)),
         "multipliers": "multipliers" in recorded, "reaction": "reaction" in recorded,
         "elements": problem.kinds,
     }  # fmt: skip
@@ -159,7 +190,14 @@ def integrate(
         ready = ready_mechanism(
             problem, pose0, twist0, clock, float(t0), space, stabilise, described
         )
-    plan, inputs, clock = ready.plan, ready.inputs, ready.clock
+    plan, inputs, count = ready.plan, ready.inputs, ready.inputs.count
+    times: Clock | LaneTime
+    if timing.is_of_lanes:
+        numbers = checked_numbers(trajectories, count)
+        times = timing.lane_time(ready.clock, problem.events, noise_seed, numbers)
+    else:
+        assert ready.clock is not None
+        times = ready.clock
     on_violation = "raise" if space == "reduced" else check  # there it has no room
 
     def check_start(starts: Array, first: int) -> bool:
@@ -167,7 +205,7 @@ def integrate(
         _report(error, on_violation, stacklevel=5)
         return error is None
 
-    _require_memory(plan, clock, inputs.count, recorded)
+    _require_memory(plan, times, count, recorded)
     checked = on_violation != "off" and not ready.goes_on
     metadata = provenance(
         problem,
@@ -182,17 +220,17 @@ def integrate(
         if checked and isinstance(problem, Mechanism):
             error = violation(problem, ready.pose0, ready.twist0, float(t0))
             _report(error, on_violation, stacklevel=3)
-        output = engine.integrate(
-            plan, inputs, clock, "state" in recorded, threads, progress,
-            check_start if is_seen else None,
-        )  # fmt: skip
+        run = (plan, inputs, times, "state" in recorded, threads, progress,
+               check_start if is_seen else None)  # fmt: skip
+        output = lanes.integrate(*run) if timing.is_of_lanes else engine.integrate(*run)
         result = Result(
             summary_table(output, metadata, problem),
-            history_table(output, recorded, plan, metadata, problem) if save_every else None,
+            history_table(output, recorded, plan, metadata, problem) if timing.saves else None,
             End(problem, plan, output, STATUS_NAMES),
+            events_table(output, metadata, problem) if problem.events else None,
         )
     except MemoryError as error:
-        raise _no_room(plan, clock, inputs.count, recorded) from error
+        raise _no_room(plan, times, count, recorded) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
         warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
     return result
@@ -204,28 +242,37 @@ def integrate(
 def check_options(
     problem: Problem | Mechanism,
     *,
-    dt: float,
     t_end: float,
-    method: str | ButcherTableau,
     cspace: str | Mapping[str, str],
     update: str,
+    record: Iterable[str],
     save_every: int | None,
     measure_every: int,
-    record: Iterable[str],
+    dt: float | None = None,
+    method: str | ButcherTableau | None = None,
     check: str = "raise",
     solver: str = "auto",
     t0: float = 0.0,
     stabilise: str | Stabilisation | None = None,
-) -> tuple[tuple[str, ...], ButcherTableau, int, str]:
-    """Raise what `integrate` would; columns to record, method, steps and what finds V̇."""
+    save_at: ArrayLike | None = None,
+    **adaptive: Any,
+) -> tuple[tuple[str, ...], Timing, str]:
+    """Raise what `integrate` would; columns to record, when the run is, and what finds V̇.
+
+    adaptive : rtol, atol, dt_min, dt_max, max_steps.
+    """
     check_names(update=update, check=check, solver=solver)
-    recorded = _checked_record(record, save_every)
-    tableau = tableau_of(method)
-    steps = _checked_grid(dt, t_end, t0, save_every, measure_every)
+    recorded = _checked_record(record, save_every is not None or save_at is not None)
+    timing = timing_of(
+        dt=dt, t_end=t_end, t0=t0, method=method, update=update, save_every=save_every,
+        measure_every=measure_every, save_at=save_at,
+        has_own_time=bool(problem.events or problem.states or problem.controllers),
+        **dict.fromkeys(ADAPTIVE) | adaptive,
+    )  # fmt: skip
     if isinstance(problem, Mechanism):
         cspaces_of(problem, cspace)
         check_mechanism_options(problem, update, solver, stabilise)
-        return recorded, tableau, steps, "tree"
+        return recorded, timing, "tree"
     if stabilise is not None:
         raise ArgumentError(
             f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
@@ -236,7 +283,7 @@ def check_options(
     check_names(cspace=cspace)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
-    return recorded, tableau, steps, _solver(problem, cspace, check, solver)
+    return recorded, timing, _solver(problem, cspace, check, solver)
 
 
 CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver": SOLVER_NAMES}
@@ -278,60 +325,17 @@ def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
     return "subgroup"
 
 
-def _checked_record(record: Iterable[str], save_every: int | None) -> tuple[str, ...]:
+def _checked_record(record: Iterable[str], saves: bool) -> tuple[str, ...]:
     expected = f"names out of {', '.join(RECORDS)}"
     names = (record,) if isinstance(record, str) else items_of("record", record, expected)
     for name in names:
         require_name("record", name, RECORDS)
-    if names and save_every is None:
+    if names and not saves:
         raise ArgumentError(
-            f"record={told(names)} adds columns to the history; give save_every= as well"
+            f"record={told(names)} adds columns to the history; give save_every= or save_at= as "
+            "well"
         )
     return tuple(name for name in RECORDS if name in names)
-
-
-def _checked_grid(
-    dt: float, t_end: float, t0: float, save_every: int | None, measure_every: int
-) -> int:
-    dt, t0 = _checked_time("dt", dt), _checked_time("t0", t0, after=-math.inf)
-    t_end = _checked_time("t_end", t_end, after=t0)
-    for name, every in (("save_every", save_every), ("measure_every", measure_every)):
-        is_left_out = every is None and name == "save_every"
-        if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
-            raise TimeGridError(
-                f"{name}={told(every)}; expected a whole number of steps, at least 1"
-            )
-    largest = max(abs(t0), abs(t_end))
-    if largest / dt > MOST_STEPS:
-        name = "t_end" if largest == abs(t_end) else "t0"
-        raise TimeGridError(f"{name} is more than {MOST_STEPS:g} steps of dt={dt!r} s from 0 s")
-    length = t_end - t0
-    if length == math.inf:
-        raise TimeGridError(f"from t0={t0!r} s to t_end={t_end!r} s is beyond all numbers")
-    steps = round(length / dt)
-    rounding = 4 * sys.float_info.epsilon * largest  # of the times and of N·dt themselves
-    if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
-        below = max(int(length / dt), 1)
-        misfit = "no multiple" if t0 == 0.0 else f"after t0={t0!r} s no whole number of steps"
-        raise TimeGridError(
-            f"t_end={t_end!r} s is {misfit} of dt={dt!r} s; the nearest are "
-            f"{t0 + below * dt:.15g} and {t0 + (below + 1) * dt:.15g}"
-        )
-    return steps
-
-
-def _checked_time(name: str, given: float, after: float = 0.0) -> float:
-    """A time in s, later than `after`."""
-    is_real = is_whole(given) or isinstance(given, (float, np.floating))
-    try:
-        seconds = float(given) if is_real else math.nan
-    except OverflowError:
-        seconds = math.inf
-    if not after < seconds < math.inf:
-        late = "positive time in s" if after == 0.0 else f"time in s later than t0={after!r}"
-        expected = "finite time in s" if after == -math.inf else late
-        raise TimeGridError(f"{name}={told(given)}; expected a {expected}")
-    return seconds
 
 
 def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
@@ -341,21 +345,23 @@ def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str
 
 
 def _no_room(
-    plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]
+    plan: AnyPlan, clock: Times, count: int, recorded: tuple[str, ...]
 ) -> MemoryLimitError:
     free = available()
     whole = size_of_tables(plan, count, clock.saved_rows, recorded)
     summary = size_of_tables(plan, count, 0, ())
     apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"
-    if summary >= free or not clock.save_every:
+    if summary >= free or not clock.saved_rows:
         what, remedy = f"the summary of {count} bodies", f"take fewer at a time, or {apart}"
     else:
         rows = clock.saved_rows
         fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
-        every = -(-clock.steps // (fitting - 1))
+        fits = f"{fitting} times fit"
+        if isinstance(clock, Clock):
+            fits = f"save_every={-(-clock.steps // (fitting - 1))} fits"
         what = f"the history of {rows} times × {count} bodies"
         more = ", record less" if recorded else ""
-        remedy = f"save less often (save_every={every} fits){more}, take fewer bodies, or {apart}"
+        remedy = f"save less often ({fits}){more}, take fewer bodies, or {apart}"
     return too_large(what, whole, free, remedy)
 
 

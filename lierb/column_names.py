@@ -1,8 +1,9 @@
-"""Names that columns of a run's tables have already, and so no observable."""
+"""Names that columns of a run's tables have already, and so no observable, state or output."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from math import prod
 
 from lierb.errors import ArgumentError
 from lierb.joints import MOST_ROWS
@@ -10,6 +11,7 @@ from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
 from lierb.user_elements import Observable
+from lierb.user_signals import Column
 
 AXES = ("x", "y", "z")
 COMPONENTS = {  # of vectors, in data frames
@@ -36,18 +38,31 @@ def _taken() -> Iterator[str]:
 TAKEN = frozenset(_taken())
 
 
-def require_free(observables: Iterable[Observable]) -> None:
-    """Raise ArgumentError for a column that there is already; SQL is blind to case, so are we."""
+def require_free(observables: Iterable[Observable], signals: Iterable[Column] = ()) -> None:
+    """Raise ArgumentError for a column that there is already; SQL is blind to case, so are we.
+
+    signals : extra states and what controllers put out, of different names.
+    """
     seen: dict[str, str] = {}
     for each in observables:
-        for column in (each.name, *(f"{each.name}_{how}" for how in KEEPS)):
-            owner = "lierb's own" if column.lower() in TAKEN else seen.get(column.lower())
-            if owner:
-                raise ArgumentError(
-                    f"observables: {each.name} would have the column {column}, which is {owner}; "
-                    f'give it another name: {each.name}(…).named("…")'
-                )
-        seen |= dict.fromkeys(
-            (each.name.lower(), *(f"{each.name}_{how}".lower() for how in KEEPS)),
-            f"that of {each.name}",
-        )
+        columns = (each.name, *(f"{each.name}_{how}" for how in KEEPS))
+        remedy = f'give it another name: {each.name}(…).named("…")'
+        _require_free("observables", each.name, columns, seen, remedy)
+    for signal in signals:
+        parts = (f"{signal.name}_{i + 1}" for i in range(prod(signal.shape)) if signal.shape)
+        columns = (signal.name, *parts)
+        _require_free("states and controllers", signal.name, columns, seen, "rename it")
+
+
+def _require_free(
+    what: str, name: str, columns: Iterable[str], seen: dict[str, str], remedy: str
+) -> None:
+    """As `require_free`, and note the columns among those `seen`."""
+    columns = [column.lower() for column in columns]
+    for column in columns:
+        owner = "lierb's own" if column in TAKEN else seen.get(column)
+        if owner:
+            raise ArgumentError(
+                f"{what}: {name} would have the column {column}, which is {owner}; {remedy}"
+            )
+    seen |= dict.fromkeys(columns, f"that of {name}")

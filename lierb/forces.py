@@ -51,7 +51,8 @@ from lierb.kernels.numbers.vec import (
     sub,
 )
 from lierb.kernels.numbers.zero import ZERO
-from lierb.user_elements import Force, user_function
+from lierb.user_elements import Force
+from lierb.user_functions import DERIVATIVES, user_function
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -670,7 +671,8 @@ def motor(
                 f"expected a number or a function of (t) or (t, params), got {told(given)}"
             )
         shapes: dict[str, Shape] = dict.fromkeys(parameters, ())
-        function = user_function(given, ("t",), shapes, ((),), differentiated=speed is not None)
+        because = None if speed is None else DERIVATIVES
+        function = user_function(given, ("t",), shapes, ((),), because)
         return kind(function).force(**parameters)
     if parameters:
         raise ArgumentError(f"{', '.join(parameters)}: only a function takes parameters")

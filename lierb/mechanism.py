@@ -31,7 +31,6 @@ from lierb.arrays import (
     pose_matrix,
     taken,
 )
-from lierb.column_names import require_free
 from lierb.errors import ArgumentError, LeftOutWarning, items_of, told, unknown_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
@@ -40,9 +39,10 @@ from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
 from lierb.link_coordinates import is_pose, is_rigid, motions_of, numbers_of, relative_of
 from lierb.links import GROUND, NOWHERE, Connection, Link, Loop
 from lierb.mechanism_closing import Mobility
-from lierb.model import require, require_fit, shown_element
+from lierb.model import ELEMENTS, bind, require, require_fit, shown_element
 from lierb.shown import Lines, Shown, counted, quantity
 from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
+from lierb.user_signals import Column, Controller, Event, ExtraStates, columns_of
 
 BODY = ("mass", "inertia", "com")
 JOINT = ("ground_frame", "body_frame", "pitch", "length")
@@ -56,14 +56,15 @@ class Mechanism(Shown):
     links : in any order; a link's parent may come after it.
     loops : joints beside those of the links.
     gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
-    forces, constraints, observables : as of `lierb.Problem`, each placed by `.on(link)` or
-        `.on(link, other)`; with one link that may be left out.
+    forces, constraints, observables, events, states, controllers : as of `lierb.Problem`, each
+        placed by `.on(link)` or `.on(link, other)`; with one link that may be left out.
 
     Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
     (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed.
 
     Raises ArgumentError for links that make no tree and for names that are no link's, ForceError
-    for a force about a joint axis that there is not.
+    for a force about a joint axis that there is not, and for a function that sees states or
+    controls that there are not.
 
     >>> import lierb
     >>> pin = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
@@ -89,6 +90,9 @@ class Mechanism(Shown):
     forces: tuple[Force, ...]
     constraints: tuple[Constraint, ...]
     observables: tuple[Observable, ...]
+    events: tuple[Event, ...]
+    states: tuple[ExtraStates, ...]
+    controllers: tuple[Controller, ...]
 
     def __init__(
         self,
@@ -98,22 +102,19 @@ class Mechanism(Shown):
         forces: Force | Iterable[Force] = (),
         constraints: Constraint | Iterable[Constraint] = (),
         observables: Observable | Iterable[Observable] = (),
+        events: Event | Iterable[Event] = (),
+        states: ExtraStates | Iterable[ExtraStates] = (),
+        controllers: Controller | Iterable[Controller] = (),
     ) -> None:
         object.__setattr__(self, "links", _all_of("links", links, Link, "lierb.Link"))
         object.__setattr__(self, "loops", _all_of("loops", loops, Loop, "lierb.Loop"))
         object.__setattr__(self, "gravity", as_numbers("gravity", gravity, (3,)))
         self._check_names()
         _ = self.order
-        for label, given, kind in (
-            ("forces", forces, Force),
-            ("constraints", constraints, Constraint),
-            ("observables", observables, Observable),
-        ):
-            expected = f"{kind.__name__.lower()}s made by lierb"
-            elements = _all_of(label, given, kind, expected)
-            fitted = tuple(self._fitted(f"{label}[{i}]", e) for i, e in enumerate(elements))
-            object.__setattr__(self, label, fitted)
-        require_free(self.observables)
+        given = forces, constraints, observables, events, states, controllers
+        for (label, kind), elements in zip(ELEMENTS.items(), given, strict=True):
+            object.__setattr__(self, label, self._all_fitted(label, elements, kind))
+        bind(self)
         self.batch_size()
 
     # ---- from files ----------------------------------------------------------------------------
@@ -258,8 +259,13 @@ class Mechanism(Shown):
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """Forces, constraints and observables, each with the place where it acts."""
-        return (*self.forces, *self.constraints, *self.observables)
+        """Forces, constraints, observables, events, states and controllers, each with its place."""
+        return tuple(e for label in ELEMENTS for e in getattr(self, label))
+
+    @cached_property
+    def signals(self) -> tuple[Column, ...]:
+        """Its extra states, then what its controllers put out, as they stand side by side."""
+        return columns_of(self.elements)
 
     @cached_property
     def kinds(self) -> tuple[kinds.Element, ...]:
@@ -321,6 +327,10 @@ class Mechanism(Shown):
     def connections(self) -> tuple[Connection, ...]:
         """All that have rows: joints, loops, constraints and motors."""
         return tuple(c for c in (*self.joints, *self.places) if c.rows)
+
+    def _all_fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
+        elements = _all_of(label, given, kind, f"{kind.words[1]} made by lierb")
+        return tuple(self._fitted(f"{label}[{i}]", e) for i, e in enumerate(elements))
 
     def _fitted(self, label: str, element: Element) -> Any:
         """The element with its place. Raises where it has none, or does not act there."""
@@ -384,10 +394,14 @@ class Mechanism(Shown):
             [Link(x.name, x.body.of(which), x.joint.of(which), x.parent) for x in self.links],
             [Loop(x.name, x.joint.of(which), x.body, x.parent) for x in self.loops],
             taken(self.gravity, which, 1),
-            [e.of_body(which) for e in self.forces],
-            [e.of_body(which) for e in self.constraints],
-            [e.of_body(which) for e in self.observables],
+            **{label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS},
         )
+
+    def with_events(self, events: Event | Iterable[Event]) -> Mechanism:
+        """The same mechanism with more events, after its own."""
+        elements = {label: getattr(self, label) for label in ELEMENTS}
+        elements["events"] = (*self.events, *self._all_fitted("events", events, Event))
+        return Mechanism(self.links, self.loops, self.gravity, **elements)
 
     def _shown(self) -> tuple[str, Lines]:
         rows = [("links", "\n".join(_shown_joint(x, x.body._shown()[1]) for x in self.links))]
@@ -396,7 +410,7 @@ class Mechanism(Shown):
         rows.append(("gravity", quantity(self.gravity, "m/s²", 1)))
         rows += [
             (label, "\n".join(f"{shown_element(e)}, on {' and '.join(e.at)}" for e in elements))
-            for label in ("forces", "constraints", "observables")
+            for label in ELEMENTS
             if (elements := getattr(self, label))
         ]
         parts = [counted(len(self.links), "link")]

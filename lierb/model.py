@@ -57,6 +57,15 @@ from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.stepping.layout import INPUTS
 from lierb.shown import Lines, Shown, counted, quantity
 from lierb.user_elements import Constraint, Element, Force, Observable, reject_functions
+from lierb.user_signals import (
+    Column,
+    Controller,
+    Event,
+    ExtraStates,
+    bound,
+    columns_of,
+    require_different_events,
+)
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
@@ -65,6 +74,15 @@ TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 LEAST_GYRATION = 0.03  # of the problem's length, that a pose is closed with
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
+# Of a problem and a mechanism: the arguments that are elements, in the order of all.
+ELEMENTS: dict[str, type[Element]] = {
+    "forces": Force,
+    "constraints": Constraint,
+    "observables": Observable,
+    "events": Event,
+    "states": ExtraStates,
+    "controllers": Controller,
+}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -203,9 +221,7 @@ def require(argument: str, value: object, kind: type, expected: str) -> None:
 
 
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
-    name = kind.__name__.lower()
-    one = f"{'an' if name[0] in 'aeiou' else 'a'} {name} made by lierb"
-    expected = f"{name}s made by lierb"
+    one, expected = (f"{words} made by lierb" for words in kind.words)
     elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
     for number, element in enumerate(elements):
         label = f"{argument}[{number}]"
@@ -218,6 +234,19 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
             )
         require_fit(element, joint)
     return elements
+
+
+def bind(problem: Any) -> None:
+    """Let functions of a problem or a mechanism see its states and controllers.
+
+    Raises ForceError for one that sees what there is not, ArgumentError for names that are taken.
+    """
+    labels = ("states", "controllers", "forces", "observables", "events")
+    parts = bound(*(getattr(problem, label) for label in labels))
+    for label, elements in zip(labels, parts, strict=True):
+        object.__setattr__(problem, label, elements)
+    require_different_events(problem.events)
+    require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
 
 
 def require_fit(element: Element, joint: Joint) -> None:
@@ -257,8 +286,12 @@ class Problem(Shown):
     forces : made by `lierb.forces` and `lierb.wrench`, as many as wanted.
     constraints : made by `lierb.constraint`, beside the joint's own.
     observables : made by `lierb.observable`: columns of the results.
+    events : made by `lierb.event`: crossings of zero, to be found and told.
+    states : made by `lierb.states`: more states, integrated with the body's.
+    controllers : made by `lierb.controller`: called once a period, with outputs that are held.
 
-    Raises ForceError for a force about a joint axis that the joint does not have.
+    Raises ForceError for a force about a joint axis that the joint does not have, and for a
+    function that sees states or controls that the problem has not.
 
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=[1.0, 2.0])
@@ -272,6 +305,9 @@ class Problem(Shown):
     forces: tuple[Force, ...]
     constraints: tuple[Constraint, ...]
     observables: tuple[Observable, ...]
+    events: tuple[Event, ...]
+    states: tuple[ExtraStates, ...]
+    controllers: tuple[Controller, ...]
 
     def __init__(
         self,
@@ -281,6 +317,9 @@ class Problem(Shown):
         forces: Force | Iterable[Force] = (),
         constraints: Constraint | Iterable[Constraint] = (),
         observables: Observable | Iterable[Observable] = (),
+        events: Event | Iterable[Event] = (),
+        states: ExtraStates | Iterable[ExtraStates] = (),
+        controllers: Controller | Iterable[Controller] = (),
     ) -> None:
         require("body", body, Body, "a lierb.Body")
         require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
@@ -288,14 +327,10 @@ class Problem(Shown):
         object.__setattr__(self, "body", body)
         object.__setattr__(self, "joint", joint)
         object.__setattr__(self, "gravity", field)
-        object.__setattr__(self, "forces", _checked("forces", forces, Force, joint))
-        object.__setattr__(
-            self, "constraints", _checked("constraints", constraints, Constraint, joint)
-        )
-        object.__setattr__(
-            self, "observables", _checked("observables", observables, Observable, joint)
-        )
-        require_free(self.observables)
+        given = forces, constraints, observables, events, states, controllers
+        for (label, kind), elements in zip(ELEMENTS.items(), given, strict=True):
+            object.__setattr__(self, label, _checked(label, elements, kind, joint))
+        bind(self)
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
@@ -310,7 +345,7 @@ class Problem(Shown):
         ]
         rows += [
             (label, "\n".join(map(shown_element, elements)))
-            for label in ("forces", "constraints", "observables")
+            for label in ELEMENTS
             if (elements := getattr(self, label))
         ]
         count = counted(self.batch_size() or 1, "body", "bodies")
@@ -319,16 +354,26 @@ class Problem(Shown):
     def of_body(self, body: int) -> Problem:
         """The problem of one body of the batch. Raises ArgumentError for a number of none."""
         which = member_of(body, self.batch_size())
-        return Problem(
-            self.body.of(which), self.joint.of(which), taken(self.gravity, which, 1),
-            [e.of_body(which) for e in self.forces], [e.of_body(which) for e in self.constraints],
-            [e.of_body(which) for e in self.observables],
-        )  # fmt: skip
+        elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
+        gravity = taken(self.gravity, which, 1)
+        return Problem(self.body.of(which), self.joint.of(which), gravity, **elements)
+
+    def with_events(self, events: Event | Iterable[Event]) -> Problem:
+        """The same problem with more events, after its own."""
+        more = _checked("events", events, Event, self.joint)
+        elements = {label: getattr(self, label) for label in ELEMENTS}
+        elements["events"] = (*self.events, *more)
+        return Problem(self.body, self.joint, self.gravity, **elements)
 
     @cached_property
     def elements(self) -> tuple[Element, ...]:
-        """Forces, constraints and observables."""
-        return (*self.forces, *self.constraints, *self.observables)
+        """Forces, constraints, observables, events, states and controllers."""
+        return tuple(e for label in ELEMENTS for e in getattr(self, label))
+
+    @cached_property
+    def signals(self) -> tuple[Column, ...]:
+        """Its extra states, then what its controllers put out, as they stand side by side."""
+        return columns_of(self.elements)
 
     def require_unchanged(self) -> None:
         """Raise ForceError where a force's function refers to something that is another by now."""

@@ -137,10 +137,11 @@ class LinkResult(States):
 
 @dataclass(frozen=True, repr=False)
 class Result(States):
-    """What `integrate` gives back: two pyarrow tables, and the state in them as NumPy arrays.
+    """What `integrate` gives back: pyarrow tables, and the state in them as NumPy arrays.
 
     summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
-    None without `save_every`.
+    None without `save_every` or `save_at`.   events: one row per crossing of an event, with the
+    state there, by trajectory and time; None for a problem without events.
 
     `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
     state (`save_every=…, record="state"`), an axis of times before that of trajectories; else they
@@ -160,6 +161,7 @@ class Result(States):
     """
 
     _end: End | None = field(default=None, repr=False, compare=False)
+    events: pa.Table | None = None
 
     @property
     def failed(self) -> NDArray[np.int64]:
@@ -270,7 +272,7 @@ class Result(States):
 
     def __reduce__(self) -> Any:
         """Without its end, whose problem may have functions that cannot be pickled."""
-        return Result, (self.summary, self.history)
+        return Result, (self.summary, self.history, None, self.events)
 
     # ---- pictures ----
 

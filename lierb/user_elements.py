@@ -8,42 +8,27 @@ at once.
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, update_wrapper
-from typing import Any, Self, overload
+from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
 
 from lierb.arrays import Array, as_floats, as_numbers, batch_size, taken
-from lierb.errors import (
-    ArgumentError,
-    ForceError,
-    ScalarFunctionWarning,
-    require_name,
-    told,
-    unknown_name,
-)
-from lierb.kernels.functions.fingerprint import (
-    TEXT,
-    Reference,
-    UnfitFunctionError,
-    fingerprint,
-    modules_named,
-    watched,
-)
-from lierb.kernels.functions.function import (
-    ANY,
-    Function,
-    Shape,
-    compilable,
-    compile_alone,
-    traceable,
-    trial,
-    where_it_was,
-)
+from lierb.errors import ArgumentError, ForceError, require_name, told, unknown_name
+from lierb.kernels.functions.fingerprint import Reference
+from lierb.kernels.functions.function import ANY, Function, Shape, Shapes, traceable, trial
 from lierb.kernels.mechanics import elements as kinds
+from lierb.user_functions import (
+    ARGUMENTS,
+    DERIVATIVES,
+    SIGNALS,
+    form_of,
+    form_of_any,
+    runnable,
+    user_function,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +45,12 @@ class Element:
     parameters: dict[str, Array]
     made_by: Decorated | None = None
     at: tuple[str, ...] = ()
+    words: ClassVar[tuple[str, str]] = "an element", "elements"  # for one of its kind, for many
 
     @classmethod
     def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
         parameters = {
-            parameter: as_numbers(parameter, given[parameter], shape)
+            parameter: as_numbers(parameter.removeprefix(kinds.INITIAL), given[parameter], shape)
             for parameter, shape in kind.shapes.items()
         }
         element = cls(name, kind, parameters)
@@ -120,16 +106,50 @@ class Element:
             if reference.has_changed():
                 raise ForceError(
                     f"{reference.name} has changed since {self.name} was made with it; make the "
-                    f"{type(self).__name__.lower()} anew, or make {reference.name} a parameter"
+                    f"{self.words[0].partition(' ')[2]} anew, or make {reference.name} a parameter"
                 )
+
+    def bound(self, states: Shapes, controls: Shapes) -> Self:
+        """The same in a problem with these extra states and outputs of controllers.
+
+        Raises ForceError where its function sees others.
+        """
+        function = getattr(self.kind, "function", None)
+        if self.made_by is None or not (isinstance(function, Function) and function.sees_others):
+            return self
+        seen = seeing(function, states, controls)
+        if not function.is_traced:
+            if seen == function:
+                return self
+            seen = replace(seen, is_traced=True, python=traceable(self.made_by.function))
+        seen = runnable(seen, self.made_by.function)
+        return self.of_kind(function=seen)
+
+    def of_kind(self, **changed: Any) -> Self:
+        """The same with other fields of its kind."""
+        kind: Any = self.kind
+        return replace(self, kind=replace(kind, **changed))
+
+
+def seeing(function: Function, states: Shapes, controls: Shapes) -> Function:
+    """The function, with what it sees of a problem."""
+    return replace(
+        function,
+        states=states if "states" in function.form else (),
+        controls=controls if "controls" in function.form else (),
+    )
 
 
 class Force(Element):
     """A force on the body; made by the functions of `lierb.forces` and by `lierb.wrench`."""
 
+    words: ClassVar = "a force", "forces"
+
 
 class Constraint(Element):
     """Rows beside the joint's own; made by `lierb.constraint`."""
+
+    words: ClassVar = "a constraint", "constraints"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,6 +160,7 @@ class Observable(Element):
     """
 
     unit: str = "1"
+    words: ClassVar = "an observable", "observables"
 
     def named(self, name: str) -> Self:
         """The same under another name: a problem may have one function several times.
@@ -151,23 +172,19 @@ class Observable(Element):
         >>> above(height=2.0).named("above_the_roof")
         <above_the_roof: height>
         """
-        return replace(self, name=_column_name("name", name))
+        return replace(self, name=column_name("name", name))
 
 
 # ---- functions of the user's -------------------------------------------------------------------
 
-ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
 POSE = ("R", "r")
 WRENCH: tuple[Shape, ...] = ((3,), (3,))
-# Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
-# body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
-BODY_BY_BODY = "10 to 60 times slower"
 
 
 class Decorated:
     """A function and its parameters' defaults; called with parameters, it is an element."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, ArrayLike]) -> None:
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         self.function, self.defaults = function, defaults
         update_wrapper(self, function)  # type: ignore[arg-type]
 
@@ -195,9 +212,10 @@ class Wrench(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Force:
         """The force with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
-        function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH)
+        form = partial(form_of, tuple(ARGUMENTS), others=("body", *SIGNALS))
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH, form=form)
         potential = self._potential and user_function(
-            self._potential, POSE, shapes, ((),), differentiated=True
+            self._potential, POSE, shapes, ((),), because=DERIVATIVES
         )
         kind = kinds.UserWrench(function, potential)
         made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
@@ -227,7 +245,7 @@ class ConstraintFunction(Decorated):
     def __call__(self, **parameters: ArrayLike) -> Constraint:
         """The constraint with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
-        function = user_function(self.function, POSE, shapes, (ANY,), differentiated=True)
+        function = user_function(self.function, POSE, shapes, (ANY,), because=DERIVATIVES)
         rows = trial(function)
         function = replace(function, results=((rows,),))
         kind = kinds.UserConstraint(function, rows, self.is_translational)
@@ -239,19 +257,15 @@ class ObservableFunction(Decorated):
     """What `lierb.observable` makes of a function."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
-        unit = defaults.pop("unit", "1")
-        if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
-            raise ArgumentError(
-                f'unit={told(unit)}; expected the unit as text, such as "rad", or "1"'
-            )
+        unit = require_unit("unit", defaults.pop("unit", "1"))
         super().__init__(function, defaults)
         self.unit = unit
 
     def __call__(self, **parameters: ArrayLike) -> Observable:
         """The observable with these parameters; each is one for all bodies or one for each."""
-        name = _column_name("the observable's name", self.function.__name__)
+        name = column_name("the observable's name", self.function.__name__)
         shapes = self._shapes(parameters)
-        form = partial(_form_of_any, tuple(ARGUMENTS))
+        form = partial(form_of_any, (*ARGUMENTS, *SIGNALS))
         function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
         kind = kinds.UserObservable(function)
         made = Observable.of(name, kind, **self.defaults | parameters)
@@ -275,6 +289,8 @@ def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike)
 
     An argument named `body`, after `params`, sees the body: `body.mass`, `body.inertia` (3×3, about
     the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
+    Arguments named `states` and `controls` see the problem's extra states (`lierb.states`) and what
+    its controllers put out last (`lierb.controller`), each by its name.
 
     The function is written for one body and compiled for many at once: operators, `math`, NumPy,
     and `lierb.where(condition, a, b)` in place of `if`. One that branches on a number all the same
@@ -291,7 +307,7 @@ def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike)
     >>> tether(stiffness=[5.0, 10.0, 20.0])
     <tether: stiffness, anchor>
     """
-    return _decorated(Wrench, function, defaults)
+    return decorated(Wrench, function, defaults)
 
 
 @overload
@@ -319,7 +335,7 @@ def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     >>> rod(length=[0.4, 0.5])
     <rod: length>
     """
-    return _decorated(ConstraintFunction, function, defaults)
+    return decorated(ConstraintFunction, function, defaults)
 
 
 @overload
@@ -331,9 +347,10 @@ def observable(
 def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
     """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
 
-    The function takes any of t, R, r, omega, v, params and body, by these names and in any order,
-    each as in `lierb.wrench`, and returns one number. For `Problem(observables=…)`. It is asked
-    where measures are taken (`measure_every`, `save_every`), and changes nothing of the motion.
+    The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
+    and in any order, each as in `lierb.wrench`, and returns one number. For
+    `Problem(observables=…)`. It is asked where measures are taken (`measure_every`, `save_every`),
+    and changes nothing of the motion.
 
     `history` has its values in a column of its name; `summary` has, under that name and over the
     measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
@@ -352,10 +369,10 @@ def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     >>> pointing_error()
     <pointing_error: axis>
     """
-    return _decorated(ObservableFunction, function, defaults)
+    return decorated(ObservableFunction, function, defaults)
 
 
-def _column_name(argument: str, name: Any) -> str:
+def column_name(argument: str, name: Any) -> str:
     """A name that a column may have. Raises ArgumentError."""
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
@@ -368,158 +385,21 @@ def _column_name(argument: str, name: Any) -> str:
 MOST_NAME, MOST_UNIT = 100, 40  # characters
 
 
-def _decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+def require_unit(argument: str, unit: Any) -> str:
+    """A unit. Raises ArgumentError for what is none."""
+    if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
+        raise ArgumentError(
+            f'{argument}={told(unit)}; expected the unit as text, such as "rad", or "1"'
+        )
+    return unit
+
+
+def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
     if function is None:
-        return lambda given: _decorated(kind, given, defaults)
+        return lambda given: decorated(kind, given, defaults)
     if not inspect.isfunction(function):
         raise ForceError(f"expected a function to decorate, got {told(function)}")
     return kind(function, defaults)
-
-
-_warned: set[str] = set()  # fingerprints of functions that run body by body
-
-
-def user_function(
-    function: Callable[..., Any],
-    arguments: tuple[str, ...],
-    shapes: dict[str, Shape],
-    results: tuple[Shape, ...],
-    differentiated: bool = False,
-    form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]] | None = None,
-) -> Function:
-    """The function as kernels take it: traced if it can be, else compiled by Numba.
-
-    differentiated : whether its derivatives are needed too, which only a traced one has.
-    form : finds what it is given, as `_form` does. Default: that.
-    """
-    name = getattr(function, "__name__", "function")
-    given_to = (form or partial(_form, arguments))(function, name, bool(shapes))
-    try:
-        mark, references = fingerprint(function), watched(function)
-        modules = tuple(sorted(modules_named(function, set(), [])))
-        python = traceable(function)
-    except UnfitFunctionError as error:
-        raise ForceError(f"{name} cannot be compiled: {error}") from None
-    given = tuple((argument, ARGUMENTS[argument]) for argument in arguments)
-    fields = (name, mark, given_to, given, tuple(shapes.items()), results)
-    traced = Function(*fields, True, python, references, modules)
-    try:
-        trial(traced)
-    except UnfitFunctionError as error:
-        raise ForceError(f"{name} cannot be compiled: {_told(error)}") from None
-    except Exception as error:  # whatever a function of the user's may raise
-        if isinstance(error, ValueError) and "read-only" in str(error):
-            raise ForceError(
-                f"{name} cannot be compiled: {where_it_was(error)}: it changes an array that is "
-                "not its own; make a copy in the function"
-            ) from None
-        reason = _told(error)
-    else:
-        return traced
-    if differentiated:
-        raise ForceError(
-            f"{name} must run for many bodies at once, because its derivatives are needed as well; "
-            f"{reason}"
-        )
-    compiled = Function(*fields, False, compilable(function), references, modules)
-    try:
-        compile_alone(compiled)
-    except UnfitFunctionError as error:
-        raise ForceError(f"{name} cannot be compiled: {error}") from None
-    except Exception as error:
-        raise ForceError(
-            f"{name} runs neither for many bodies at once ({reason}) nor, compiled by Numba, for "
-            f"one at a time ({_sentence(error)})"
-        ) from None
-    if mark not in _warned:
-        _warned.add(mark)
-        warnings.warn(
-            f"{name} runs body by body, {BODY_BY_BODY} than for many at once; {reason}",
-            ScalarFunctionWarning,
-            stacklevel=3,
-        )
-    return compiled
-
-
-def _form_of_any(
-    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
-) -> tuple[str, ...]:
-    """What the function is given, in its own order: any of the arguments, params and body."""
-    signature, known = inspect.signature(function), (*arguments, "params", "body")
-    expected = f"any of ({', '.join(known)}) by these names"
-    given: list[str] = []
-    for parameter in signature.parameters.values():
-        is_known = parameter.name in known and parameter.kind in BY_PLACE
-        if is_known and len(given) == list(signature.parameters).index(parameter.name):
-            given.append(parameter.name)
-        elif is_known or parameter.default is inspect.Parameter.empty:
-            raise ForceError(
-                f"{name} takes {signature}; expected {expected}, what else it may "
-                "take after them and with a default"
-            )
-    if has_parameters and "params" not in given:
-        raise ForceError(f"{name} takes {signature}, but has parameters; expected params as well")
-    return tuple(given)
-
-
-def _form(
-    arguments: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
-) -> tuple[str, ...]:
-    """What the function is given, in its own order: `body` wherever it stands.
-
-    Without parameters it need not take any.
-    """
-    signature = inspect.signature(function)
-    own = list(signature.parameters.values())
-    names = [p.name for p in own]
-    sees_body = "body" in names and own[names.index("body")].kind is POSITIONAL
-    place = names.index("body") if sees_body else len(names)
-    forms = [(*arguments, "params")]
-    if not has_parameters:  # first: what is left may be defaults, and no place for params
-        forms.insert(0, arguments)
-    for form in forms:
-        given = (*form[:place], "body", *form[place:]) if sees_body else form
-        try:
-            signature.bind(*given)
-        except TypeError:
-            continue
-        return given
-    expected = f"({', '.join((*arguments, 'params'))}), and body after these if wanted"
-    raise ForceError(f"{name} takes {signature}; expected the form {expected}")
-
-
-POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
-BY_PLACE = (POSITIONAL, inspect.Parameter.POSITIONAL_ONLY)
-
-
-def _told(error: Exception) -> str:
-    """What went wrong in a trace, and at which line of the user's."""
-    line, sentence = where_it_was(error), _sentence(error)
-    if isinstance(error, (AttributeError, NameError, KeyError, IndexError)):
-        sentence = f"{type(error).__name__}: {sentence}"
-    return sentence if line is None or sentence.startswith("line ") else f"{line}: {sentence}"
-
-
-# Numba's words for what has a name of its own in Python.
-_IN_PLAIN_WORDS = {
-    "yield in a closure": "it has a generator expression, such as sum(… for …), which Numba does "
-    "not compile: write a list, sum([… for …])",
-    "Can't unify return type": "it returns different kinds of things in its branches: return the "
-    "same kind everywhere, such as np.array or tuples of numbers",
-    "format spec in f-strings": TEXT,
-    "Untyped global name 'format'": TEXT,
-}
-
-
-def _sentence(error: Exception) -> str:
-    """The line of its message that says most."""
-    text = str(error)
-    for words, plain in _IN_PLAIN_WORDS.items():
-        if words in text:
-            return plain
-    lines = [line.strip(" -") for line in text.splitlines()]
-    telling = [line for line in lines if line and not line.startswith("Failed in")]
-    return telling[0] if telling else type(error).__name__
 
 
 def reject_functions(argument: str, given: Any) -> None:

@@ -42,6 +42,8 @@ BAD_TABLEAUS = {
     "text in A": ({"A": [[], ["one"]], "b": [0.5, 0.5]}, "A"),
     "A is a number": ({"A": 5, "b": [0.5, 0.5]}, "A"),
     "b is a number": ({"A": [[]], "b": 1.0}, "b"),
+    "order is a text": ({"A": [[]], "b": [1], "order": "1"}, "order='1'"),
+    "more order than stages": ({"A": [[]], "b": [1], "order": 2}, "order=2; expected"),
 }
 
 
@@ -108,7 +110,9 @@ BAD_PAIRS = {
     "error has three rows": ({"error": [[-0.5, 0.5]] * 3}, "error has 3 rows"),
     "error overflows": ({"error": [[1e308, 1e308]]}, "row 0 of error adds up to inf"),
     "error is NaN": ({"error": [[math.nan, 0.5]]}, "row 0 of error"),
-    "error without order": ({"error_order": None}, "error_order"),
+    "error without order": ({"error_order": None}, "error is given without error_order"),
+    "more order than stages": ({"error_order": 3}, "error_order=3; expected a whole number"),
+    "order of many digits": ({"dense_order": 10**5000}, "dense_order="),
     "order of no error": ({"error": None}, "error_order=1 is given without error"),
     "order is no number": ({"error_order": "one"}, "error_order='one'"),
     "order is half": ({"error_order": 1.5}, "error_order=1.5"),

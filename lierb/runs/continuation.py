@@ -15,12 +15,13 @@ import numpy as np
 from lierb.arrays import Array
 from lierb.errors import ArgumentError
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.stepping.driver import OK
 from lierb.kernels.stepping.mechanism import MechanismPlan
 from lierb.kernels.stepping.plan import AnyPlan, Plan
+from lierb.kernels.stepping.signals import states_of
+from lierb.kernels.stepping.status import EVENT, OK
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
-from lierb.runs.engine import Output
+from lierb.runs.engine import Output, Times
 from lierb.user_elements import Element
 
 NAMED = 5  # failed trajectories in a message
@@ -38,7 +39,7 @@ class Continuation:
     formulation: tuple[Any, ...]
     twist0: Any
     t0: float
-    clock: Clock
+    clock: Times
     state: Array
 
     def fits(self, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float) -> bool:
@@ -52,7 +53,7 @@ class Continuation:
 
     def origin(self, dt: float) -> tuple[float, int]:
         """Of a clock with steps of dt: with the same ones it counts on."""
-        if dt == self.clock.dt:
+        if isinstance(self.clock, Clock) and dt == self.clock.dt:
             return self.clock.origin, self.clock.first_step + self.clock.steps
         return counted(self.t0, dt)
 
@@ -66,9 +67,10 @@ def counted(t0: float, dt: float) -> tuple[float, int]:
 def formulation(plan: AnyPlan) -> tuple[Any, ...]:
     """What a state's numbers mean."""
     if isinstance(plan, MechanismPlan):
-        return plan.tree, plan.connections, plan.update, plan.stabilisation
+        held = plan.tree, plan.connections, plan.update, plan.stabilisation
+        return *held, states_of(plan)
     assert isinstance(plan, Plan)
-    return plan.cspace, plan.update, plan.solver
+    return plan.cspace, plan.update, plan.solver, states_of(plan)
 
 
 def _are_equal(a: Any, b: Any) -> bool:
@@ -165,7 +167,7 @@ class End:
     def keywords(self) -> dict[str, Any]:
         """pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
         self._require_all()
-        clock = self.output.clock
+        clock, t = self.output.clock, self._time()
         states = [self._state(link) for link in range(self.output.links)]
         twists: Any = states[0][1]
         poses: Any = states[0][0].view(EndPose)
@@ -174,9 +176,19 @@ class End:
             twists = {name: twist for name, (_, twist) in pairs.items()}
             poses = EndPoses({name: pose for name, (pose, _) in pairs.items()})
         poses.continuation = Continuation(
-            self.problem, formulation(self.plan), twists, clock.end, clock, self.output.ends
+            self.problem, formulation(self.plan), twists, t, clock, self.output.ends
         )
-        return {"pose0": poses, "twist0": twists, "t0": clock.end}
+        return {"pose0": poses, "twist0": twists, "t0": t}
+
+    def _time(self) -> float:
+        """At which all of them end, s."""
+        first, last = float(self.output.t.min()), float(self.output.t.max())
+        if first != last:
+            raise ArgumentError(
+                f"result.end: trajectories ended at times from {first!r} to {last!r} s, by events; "
+                "go on with one of them at a time, from its row of result.events"
+            )
+        return first
 
     def _state(self, link: int) -> tuple[Array, Array]:
         """Poses and twists of one link."""
@@ -191,7 +203,7 @@ class End:
         return poses, twists
 
     def _require_all(self) -> None:
-        failed = np.flatnonzero(self.output.status != OK)
+        failed = np.flatnonzero((self.output.status != OK) & (self.output.status != EVENT))
         if not failed.size:
             return
         named = ", ".join(

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from textwrap import shorten
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 import numba
@@ -34,10 +34,11 @@ from lierb.kernels.stepping.driver import (
     integrate_blocks,
     integrate_on_threads,
     job_of,
+    lane_column,
     marks_column,
     summary_columns,
 )
-from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field
+from lierb.kernels.stepping.layout import LANE_SUMMARY, POSE_AND_TWIST, Columns, Field
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.systems import system_of
@@ -60,6 +61,17 @@ MESSAGE_LENGTH = 200  # of an exception's words, in one line
 
 
 Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
+
+
+class Times(Protocol):
+    """When a run is, and which times of it are saved."""
+
+    @property
+    def saved_rows(self) -> int: ...
+    def saved_steps(self) -> NDArray[np.int64]: ...
+    def saved_times(self) -> Array: ...
+    @property
+    def end(self) -> float: ...
 
 
 class _Layout(NamedTuple):
@@ -180,9 +192,13 @@ class Output:
     multipliers : [time][body][row of any joint].   reactions : [joint, time][body][component].
     ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
     raised : what a function of the user's has raised, in words, by body: of the first such body.
+    plan : of the run.
+    events : [event][trajectory, which, t, state of every link, states and outputs], if there are
+        any; sorted by the first and third.
     """
 
-    clock: Clock
+    plan: AnyPlan
+    clock: Times
     summary: Array
     history: Array
     states: tuple[Array, ...]  # in the order of POSE_AND_TWIST
@@ -190,14 +206,17 @@ class Output:
     reactions: Array
     ends: Array
     raised: dict[int, str]
-    links: int = 1
+    events: Array | None = None
 
     @classmethod
-    def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:
+    def empty(cls, plan: AnyPlan, count: int, clock: Times, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
         summary, history, *states, multipliers, reactions, ends = map(np.empty, shapes)
-        links = system_of(plan).links
-        return cls(clock, summary, history, tuple(states), multipliers, reactions, ends, {}, links)
+        return cls(plan, clock, summary, history, tuple(states), multipliers, reactions, ends, {})
+
+    @property
+    def links(self) -> int:
+        return system_of(self.plan).links
 
     @staticmethod
     def size(plan: AnyPlan, count: int, rows: int, with_state: bool) -> int:
@@ -236,21 +255,33 @@ class Output:
     @property
     def observed(self) -> Array:
         """KEEPS of each observable: [column][body]."""
-        return self.summary[SUMMARY.count :]  # and then JOINT_KEPT of each joint
+        return self.summary[SUMMARY.count : lane_column(self.plan)]  # then JOINT_KEPT of each joint
 
     @cached_property
     def status(self) -> NDArray[np.int8]:
-        """By body."""
+        """By trajectory."""
         codes: NDArray[np.int8] = self.summary[SUMMARY.index("status")].astype(np.int8)
         return codes
 
     @cached_property
     def t(self) -> Array:
         """Of the end of each trajectory, s: [body]."""
+        if not isinstance(self.clock, Clock):
+            return self.of_lanes("t")
         t = np.full(len(self.status), self.clock.end)
         if (failed := self.status != OK).any():
             t[failed] = time_of(self.clock, self.summary[SUMMARY.index("failed_step"), failed])
         return t
+
+    def of_lanes(self, name: str) -> Array:
+        """A column of LANE_SUMMARY."""
+        found: Array = self.summary[lane_column(self.plan) + LANE_SUMMARY.index(name)]
+        return found
+
+    @property
+    def signals(self) -> Array:
+        """The user's states and outputs at the end: [number][body]."""
+        return self.summary[lane_column(self.plan) + LANE_SUMMARY.count :]
 
     def starts(self, first: int, stop: int) -> Array:
         """1 for each of these bodies that starts on its joint, else 0."""
@@ -261,21 +292,27 @@ class Output:
         """Take what functions have raised in a call of the driver, and free its memory."""
         count = chunk.stop - chunk.start
         at_end = self.summary[SUMMARY.index("raised"), chunk.start : chunk.stop]
-        marks = at_end if is_last else chunk.carried[marks_column(plan), :count]
+        self.hear_marks(
+            plan, at_end if is_last else chunk.carried[marks_column(plan), :count], chunk.start
+        )
+
+    def hear_marks(self, plan: AnyPlan, marks: Array, first: int) -> None:
+        """The same of trajectories from `first` on."""
         found = np.unique(np.abs(marks)).astype(np.int64).tolist()
         errors = {mark: calls.exception_of(mark) for mark in found if mark > calls.HEARD}
         for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
-            if chunk.start + body < min(self.raised, default=math.inf):
+            if first + body < min(self.raised, default=math.inf):
                 self.raised.clear()
                 error = errors[int(marks[body])]
-                self.raised[chunk.start + body] = exception_told(plan, error)
+                self.raised[first + body] = exception_told(plan, error)
 
 
 @lru_cache(64)
 def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tuple[int, ...], ...]:
     """Of an Output's arrays."""
     system = system_of(plan)
-    states = (rows if with_state else 1) * system.links
+    # The end is no row of the history where lanes have clocks of their own.
+    states = ((rows + plan.has_lane_clocks) if with_state else 1) * system.links
     return (
         (summary_columns(plan), count),
         (history_columns(plan), rows, count),
@@ -323,7 +360,7 @@ class Run:
         entry = entry_of(integrate_blocks, self.plan, arrays["inputs"][0], counter, jobs)
         loop = (entry, counter, self.threads, jobs)
         run = compiled(integrate_on_threads, *loop)
-        with _driver_lock, _thread_mask(self.threads), np.errstate(all="ignore"):
+        with running(self.threads):
             began = time.perf_counter()
             run(*loop)
             return max(time.perf_counter() - began, 1e-6)
@@ -346,7 +383,7 @@ def integrate(
     """
     check_threads()
     output = Output.empty(plan, inputs.count, clock, with_state)
-    used = _threads(threads, -(-inputs.count // plan.lanes))
+    used = threads_for(threads, -(-inputs.count // plan.lanes))
     run = Run(plan, inputs, clock, output, used)
     chunks = list(_chunks(run, inputs.count))
     if check is not None and len(chunks) > 1:
@@ -446,7 +483,7 @@ def threading_layer() -> str:
     return str(numba.threading_layer())
 
 
-def _threads(count: int | None, blocks: int) -> int:
+def threads_for(count: int | None, blocks: int) -> int:
     """How many threads a call uses: as many as asked for, but no more than it has blocks."""
     most = numba.config.NUMBA_NUM_THREADS
     if count is None:
@@ -456,6 +493,13 @@ def _threads(count: int | None, blocks: int) -> int:
             f"threads={told(count)}; expected 1 … {most}, the threads that Numba started with"
         )
     return min(int(count), blocks)
+
+
+@contextmanager
+def running(threads: int) -> Iterator[None]:
+    """Where compiled code runs on so many threads."""
+    with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
+        yield
 
 
 @contextmanager

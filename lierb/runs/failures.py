@@ -14,13 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.errors import FailedTrajectoryWarning
-from lierb.kernels.stepping.driver import NON_FINITE, OK, RAISED, SINGULAR
+from lierb.kernels.stepping.status import (
+    DT_MIN,
+    EVENT,
+    MAX_STEPS,
+    NON_FINITE,
+    OK,
+    RAISED,
+    SINGULAR,
+)
 from lierb.runs.columns import as_codes
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-STATUS_NAMES = {OK: "ok", SINGULAR: "singular", NON_FINITE: "non_finite", RAISED: "raised"}
+STATUS_NAMES = {
+    OK: "ok",
+    SINGULAR: "singular",
+    NON_FINITE: "non_finite",
+    RAISED: "raised",
+    MAX_STEPS: "max_steps",
+    DT_MIN: "dt_min",
+    EVENT: "event",
+}
+FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # no failures
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; a smaller dt, a c-space that keeps the "
@@ -29,15 +46,19 @@ REMEDIES = {
     "the stiffest force or the fastest turn; a smaller dt helps there",
     "raised": "raised: a function of yours that runs body by body raised an exception; return "
     "numbers there instead, or end the run before",
+    "max_steps": "max_steps: as many steps were tried as max_steps allows; a larger one, a shorter "
+    "run or a larger rtol helps",
+    "dt_min": "dt_min: the error would have asked for a shorter step than dt_min, or than rounding "
+    "of t allows; a force that jumps, a singularity ahead or rtol near rounding does that",
 }
 RAISED_KEY = b"lierb.raised"  # of a summary's metadata: what the first trajectory's function raised
 COLUMNS = ("trajectory", "status", "t")
 
 
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
-    """Row by row, whether the status is another one than ok."""
+    """Row by row, whether the status is another one than ok and event."""
     codes, names = as_codes(summary["status"])
-    found: NDArray[np.bool_] = np.array([name != STATUS_NAMES[OK] for name in names])[codes]
+    found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
     return found
 
 

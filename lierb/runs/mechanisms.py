@@ -20,7 +20,7 @@ def ready_mechanism(
     mechanism: Mechanism,
     pose0: Any,
     twist0: Any,
-    clock: Clock,
+    clock: Clock | None,
     t0: float,
     cspace: CSpace,
     stabilise: Any,
@@ -40,7 +40,7 @@ def ready_mechanism(
     known = continuation_of(pose0)
     if known is not None and not known.fits(mechanism, plan, twist0, t0):
         known = None
-    if known is not None:
+    if known is not None and clock is not None:
         clock = Clock(*clock[:4], *known.origin(clock.dt))
     state = None if known is None else known.state
     inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)

@@ -13,7 +13,7 @@ from lierb.extras import remedy
 
 Progress = bool | Callable[[int, int], None] | None
 
-STEPS = "body-steps"  # what is counted, and how fast, unless a bar is of something else
+BODY_STEPS = "body-steps"
 QUIET_SECONDS = 2.0  # without a bar, unless it is asked for
 NOTEBOOK_SECONDS = 0.2  # between two of its messages
 
@@ -32,8 +32,12 @@ def check_progress(progress: Any) -> None:
 
 
 @contextmanager
-def reporter(progress: Progress, total: int, what: str = STEPS) -> Iterator[Callable[[int], None]]:
-    """A function to be told the body-steps, or what else is counted, done so far, of `total`.
+def reporter(
+    progress: Progress, total: int, of: str = BODY_STEPS
+) -> Iterator[Callable[[int], None]]:
+    """A function to be told what is done so far, of `total`.
+
+    of : what is counted.
 
     progress : True for a bar at once, None for one after two seconds where somebody watches, False
         for none, or a function of (body-steps done, body-steps in all).
@@ -42,7 +46,7 @@ def reporter(progress: Progress, total: int, what: str = STEPS) -> Iterator[Call
         tell = progress
         yield lambda done: tell(done, total)
         return
-    bar = _bar(total, what, required=progress is True) if progress is not False else None
+    bar = _bar(total, of, required=progress is True) if progress is not False else None
     if bar is None:
         yield lambda done: None
         return
@@ -58,14 +62,14 @@ def reporter(progress: Progress, total: int, what: str = STEPS) -> Iterator[Call
         bar.close()
 
 
-def _bar(total: int, what: str, required: bool) -> Bar | None:
+def _bar(total: int, of: str, required: bool) -> Bar | None:
     """The bar that suits where the process runs."""
     if _in_notebook():
-        return NotebookBar(total, what)
+        return NotebookBar(total, of)
     if not (required or _on_terminal()):
         return None
     try:
-        return TerminalBar(total, what)
+        return TerminalBar(total, of)
     except ImportError:
         if required:
             raise ArgumentError(f"progress=True needs rich: {remedy('cli')}") from None
@@ -85,7 +89,7 @@ def _in_notebook() -> bool:
 class TerminalBar:
     """On standard error, by rich. Raises ImportError without it."""
 
-    def __init__(self, total: int, what: str = STEPS) -> None:
+    def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         from rich.console import Console
         from rich.progress import (
             BarColumn,
@@ -96,18 +100,18 @@ class TerminalBar:
         )
 
         self._bar = Progress(
-            TextColumn(what), BarColumn(), TaskProgressColumn(),
+            TextColumn(of), BarColumn(), TaskProgressColumn(),
             TextColumn("{task.fields[rate]}"), TimeRemainingColumn(),
             console=Console(stderr=True), transient=True,
         )  # fmt: skip
-        self._has_rate = what == STEPS
         self._task = self._bar.add_task("", total=total, rate="")
+        self._of = of
 
     def show(self, done: int) -> None:
         if not self._bar.live.is_started:
             self._bar.start()
         self._bar.update(self._task, completed=done)
-        if self._has_rate and (speed := self._bar.tasks[0].speed):
+        if self._of == BODY_STEPS and (speed := self._bar.tasks[0].speed):
             self._bar.update(self._task, rate=_rate(speed))
 
     def close(self) -> None:
@@ -117,8 +121,8 @@ class TerminalBar:
 class NotebookBar:
     """Below the cell, by IPython alone: rich's bar would need ipywidgets, too."""
 
-    def __init__(self, total: int, what: str = STEPS) -> None:
-        self._total, self._what = total, what
+    def __init__(self, total: int, of: str = BODY_STEPS) -> None:
+        self._total, self._of = total, of
         self._handle: Any = None
         self._first = self._last = (0.0, 0)  # when, body-steps done
 
@@ -141,11 +145,11 @@ class NotebookBar:
             self._handle.update(HTML(""))
 
     def _drawn(self, done: int, speed: float) -> str:
-        texts = [f"{self._what} {done / max(self._total, 1):.0%}"]
+        texts = [f"{self._of} {done / max(self._total, 1):.0%}"]
         if speed > 0.0:
             left = (self._total - done) / speed
-            texts += [_rate(speed)] if self._what == STEPS else []
-            texts.append(f"{left // 60:.0f}:{left % 60:02.0f} left")
+            texts += [_rate(speed)] if self._of == BODY_STEPS else []
+            texts += [f"{left // 60:.0f}:{left % 60:02.0f} left"]
         return f'<progress max="{self._total}" value="{done}"></progress> {" · ".join(texts)}'
 
 

@@ -24,7 +24,7 @@ class Ready(NamedTuple):
 
     plan: AnyPlan
     inputs: Inputs
-    clock: Clock
+    clock: Clock | None
     pose0: Any
     twist0: Any
     goes_on: bool
@@ -34,7 +34,7 @@ def ready_body(
     problem: Problem,
     pose0: Any,
     twist0: Any,
-    clock: Clock,
+    clock: Clock | None,
     t0: float,
     cspace: str,
     solver: str,
@@ -59,7 +59,7 @@ def ready_body(
     )
     if known is not None and not known.fits(problem, plan, twist0, t0):
         known = None
-    if known is not None:
+    if known is not None and clock is not None:
         clock = Clock(*clock[:4], *known.origin(clock.dt))
     state = None if known is None else known.state
     starts = {"twist": twists} | ({} if poses is None else {"pose": poses})

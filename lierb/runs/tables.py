@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +11,13 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.stepping.clock import time_of
 from lierb.kernels.stepping.driver import history_measures
+from lierb.kernels.stepping.lane_driver import EVENT_COLUMNS
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import signals_width
 from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
@@ -24,10 +26,12 @@ from lierb.runs.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.runs.failures import RAISED_KEY, STATUS_NAMES
 from lierb.user_elements import Force
 
+COUNTS = ("steps", "rejected")  # of a trajectory with a clock of its own
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 UNITS = {
     "t": "s",
+    "dt_last": "s",
     **{measure.name: measure.unit for measure in MEASURES},
     **{field.name: field.unit for field in POSE_AND_TWIST.fields},
     "reaction": "N m, N m, N m, N, N, N",
@@ -112,11 +116,15 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
 
 def summary_table(output: engine.Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
     """One row per trajectory."""
+    plan = output.plan
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
         "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
         "t": numbers(output.t),
     }
+    if plan.has_lane_clocks:
+        columns |= {name: numbers(output.of_lanes(name).astype(np.int64)) for name in COUNTS}
+        columns["dt_last"] = numbers(output.of_lanes("dt_last"))
     for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
         columns[f"{measure.name}_{how}"] = column
     observables = problem.observables
@@ -131,6 +139,8 @@ def summary_table(output: engine.Output, metadata: str, problem: Problem | Mecha
         for field, array in zip(POSE_AND_TWIST.fields, output.state_of(link), strict=True):
             columns[prefix + field.name] = vectors(array)
     columns |= zip(watched, more[: len(watched)], strict=True)
+    for name, column, unit in _signals_of(problem, output.signals):
+        columns[name], watched[name] = column, unit
     table = _table(columns, metadata, covers_of(problem), watched)
     for what in output.raised.values():
         told = {RAISED_KEY: what.encode(errors="backslashreplace")}
@@ -151,20 +161,21 @@ def history_table(
     columns = {
         "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
         "step": numbers(np.repeat(saved, count)),
-        "t": numbers(np.repeat(time_of(clock, saved), count)),
+        "t": numbers(np.repeat(clock.saved_times(), count)),
     }
     measures, observables = history_measures(plan), problem.observables
     rows = each_row(output.history)
     found = dict(zip(measures, rows[: len(measures)], strict=True))
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
-    errors = rows[len(measures) + len(observables) :]
+    before = len(output.history) - signals_width(plan)
+    errors = rows[len(measures) + len(observables) : before]
     for joint, own in zip(_joints_of(problem), _in_parts(errors, len(JOINT_ERRORS)), strict=True):
         for measure, column in zip(JOINT_ERRORS, own, strict=True):
             columns[f"{joint}.{measure.name}"] = column
     if "state" in recorded:
         for link, prefix in enumerate(_links_of(problem)):
             for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
-                part = array[output.rows * link : output.rows * (link + 1)]
+                part = array[output.rows * link : output.rows * link + len(saved)]
                 columns[prefix + field.name] = vectors(part)
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
     if "energy" in recorded and not plan.does_work:
@@ -180,6 +191,43 @@ def history_table(
             columns[f"{prefix}reaction"] = vectors(part)
     for each, values in zip(observables, rows[len(measures) :], strict=False):
         columns[each.name], units[each.name] = values, each.unit
+    for name, column, unit in _signals_of(problem, output.history[before:].reshape(-1, len(saved) * count)):
+        columns[name], units[name] = column, unit
+    return _table(columns, metadata, covers_of(problem), units)
+
+
+def _signals_of(
+    problem: Problem | Mechanism, found: NDArray
+) -> Iterator[tuple[str, pa.Array, str]]:
+    """Name, column and unit of each of the user's states and outputs.
+
+    found : [number][row].
+    """
+    first = 0
+    for name, shape, unit in problem.signals:
+        part = found[first : first + prod(shape)]
+        yield name, vectors(part.T) if shape else numbers(part[0]), unit
+        first += len(part)
+
+
+def events_table(output: engine.Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
+    """One row per event, by trajectory and time."""
+    found = output.events
+    assert found is not None
+    names = texts([event.name for event in problem.events])
+    which = numbers(found[:, 1].astype(np.int8))
+    columns = {
+        "trajectory": numbers(found[:, 0].astype(np.int64)),
+        "event": pa.DictionaryArray.from_arrays(which, names),
+        "t": numbers(found[:, 2]),
+    }
+    first, units = EVENT_COLUMNS, {}
+    for prefix in _links_of(problem):
+        for each in POSE_AND_TWIST.fields:
+            columns[prefix + each.name] = vectors(found[:, first : first + each.width])
+            first += each.width
+    for name, column, unit in _signals_of(problem, found[:, first:].T):
+        columns[name], units[name] = column, unit
     return _table(columns, metadata, covers_of(problem), units)
 
 

@@ -63,16 +63,17 @@ def _require_sum(numbers: Iterable[float], expected: float, what: str, told_expe
         raise ArgumentError(f"{what} adds up to {total!r}, not to {told_expected}")
 
 
-def _require_order(name: str, order: Any, of: str, given: Any, is_needed: bool) -> None:
-    """`order` belongs to what is `given`: a whole number above 0, or none."""
-    if order is None:
-        if is_needed and given is not None:
-            raise ArgumentError(
-                f"{of} is given without {name}; give {name}=, a whole number above 0"
-            )
-    elif not (is_whole(order) and order > 0):
-        raise ArgumentError(f"{name}={told(order)}; expected a whole number above 0")
-    elif given is None:
+def _require_order(name: str, order: Any, most: int) -> None:
+    if order is not None and not (is_whole(order) and 1 <= order <= most):
+        raise ArgumentError(
+            f"{name}={told(order)}; expected a whole number, 1 … {most}: an explicit method has at "
+            "least as many stages as its order"
+        )
+
+
+def _require_both(name: str, order: Any, of: str, given: Any) -> None:
+    """Raise for the order of something that is not given."""
+    if order is not None and given is None:
         raise ArgumentError(f"{name}={order} is given without {of}; give {of}= too")
 
 
@@ -146,14 +147,21 @@ class ButcherTableau:
                 raise ArgumentError(f"row {i} of A adds up to {total!r}, but c[{i}] = {node!r}")
         if abs(sum(b) - 1.0) > _TOLERANCE:
             raise ArgumentError(f"the weights b add up to {sum(b)!r}, not to 1")
+        _require_order("order", self.order, len(b))
         self._set("A", lower)
         self._set("b", b)
         self._set("c", c)
 
     def _check_error(self) -> None:
-        _require_order("error_order", self.error_order, "error", self.error, is_needed=True)
+        _require_order("error_order", self.error_order, self.stages)
+        _require_both("error_order", self.error_order, "error", self.error)
         if self.error is None:
             return
+        if self.error_order is None:
+            raise ArgumentError(
+                "error is given without error_order; give the order of the embedded method, by "
+                "which steps are chosen"
+            )
         rows = _rows("error", self.error)
         if not 1 <= len(rows) <= MOST_ERROR_ROWS:
             raise ArgumentError(
@@ -167,8 +175,9 @@ class ButcherTableau:
         self._set("error", rows)
 
     def _check_dense(self) -> None:
-        _require_order("dense_order", self.dense_order, "dense", self.dense, is_needed=False)
         further = _rows("dense_A", self.dense_A)
+        _require_order("dense_order", self.dense_order, self.stages + len(further))
+        _require_both("dense_order", self.dense_order, "dense", self.dense)
         if self.dense is None:
             if further:
                 raise ArgumentError("dense_A is given without dense; give dense= too")

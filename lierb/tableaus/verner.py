@@ -77,7 +77,7 @@ METHODS = (
         ),
         name="Verner65",
         order=6,
-        source="Verner, Numer. Algorithms 53 (2010), the most efficient pair of orders 6 and 5",
+        source="Verner, Numerical Algorithms 53 (2010), the most efficient pair of orders 6 and 5",
     ),
     _verner(
         A=(
@@ -132,7 +132,7 @@ METHODS = (
         ),
         name="Verner87",
         order=8,
-        source="Verner, Numer. Algorithms 53 (2010), the most efficient pair of orders 8 and 7",
+        source="Verner, Numerical Algorithms 53 (2010), the most efficient pair of orders 8 and 7",
     ),
     _verner(
         A=(
@@ -199,7 +199,7 @@ METHODS = (
         ),
         name="Verner98",
         order=9,
-        source="Verner, Numer. Algorithms 53 (2010), the most efficient pair of orders 9 and 8",
+        source="Verner, Numerical Algorithms 53 (2010), the most efficient pair of orders 9 and 8",
     ),
 )
 # fmt: on

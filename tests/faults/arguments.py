@@ -309,8 +309,9 @@ def _each_call() -> Iterator[Call]:
 
     triangle = {"A": [[], [0.5], [0, 0.5], [0, 0, 1]], "b": [1 / 6, 1 / 3, 1 / 3, 1 / 6]}
     more = {"c": [0, 0.5, 0.5, 1], "name": "mine", "order": 4, "source": ""}
-    pair = {"error": [[0.5, -0.5, 0, 0]], "error_order": 1, "dense_order": 3, "dense_A": [[0.125] * 4]}
-    pair["dense"] = [[1, -1.5, 2 / 3], *[[0, 1, -2 / 3]] * 2, [0, -0.5, 2 / 3], [0]]
+    dense = [[1, -1.5, 2 / 3], *[[0, 1, -2 / 3]] * 2, [0, -0.5, 2 / 3], [0]]
+    pair = {"error": [[0.5, -0.5, 0, 0]], "error_order": 1}
+    pair |= {"dense": dense, "dense_A": [[0.125] * 4], "dense_order": 3}
     pushed = [[], [[0.5]], [[0, 0.5]], [[0, 0, 1]], [[1 / 6, 0, 0, 0], [0, 1 / 3, 1 / 3, 1 / 6]]]
     free = triangle | {"exponentials": pushed}
     yield Call("ButcherTableau", lierb.ButcherTableau, triangle | more, 4, ("A", "b"))

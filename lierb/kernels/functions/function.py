@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from itertools import islice, repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -35,7 +35,9 @@ from lierb.kernels.functions.fingerprint import (
     members,
     references,
 )
+from lierb.kernels.functions.noise import drawing
 from lierb.kernels.functions.purity import MARK, require_pure_code, require_repeatable
+from lierb.kernels.functions.signals import NAMES, NO_SIGNALS, Noise, Signals
 from lierb.kernels.functions.user_number import REPLACEMENTS, Condition, UserNumber
 from lierb.kernels.numbers.arithmetic import flatten, plain
 from lierb.kernels.numbers.lanes import Lane
@@ -59,10 +61,14 @@ COMPILED = OPTIONS | {"boundscheck": True}
 class Function:
     """A function of the user's, as a tag is made of it.
 
-    form : names of what it takes, in its own order: arguments, "params", "body".
+    form : names of what it takes, in its own order: arguments, "params", "body", "states",
+        "controls", "memory".
     shapes : of its parameters, by name.   arguments : of the arguments, by name.
     results : of what it returns.   is_traced : or else compiled by Numba, for a body at a time.
     modules : those of lierb that it names something of.
+    states, controls : of the problem that it is bound to, by name.   memory : its own, by name.
+    outputs : of the dictionaries that it returns, in place of `results`, by name.
+    draws : whether it may draw random numbers.
     """
 
     name: str
@@ -75,28 +81,77 @@ class Function:
     python: Callable[..., Any] = field(compare=False, repr=False)
     references: tuple[Reference, ...] = field(compare=False, repr=False, default=())
     modules: tuple[str, ...] = field(compare=False, repr=False, default=())
+    states: Shapes = ()
+    controls: Shapes = ()
+    memory: Shapes = ()
+    outputs: tuple[Shapes, ...] = ()
+    draws: bool = False
 
-    def __call__(self, parameters: tuple[Any, ...], *arguments: Any) -> Any:
-        """Its results; numbers and vectors as formulas have them, matrices row by row.
+    def __call__(
+        self,
+        parameters: tuple[Any, ...],
+        *arguments: Any,
+        signals: Signals = NO_SIGNALS,
+        noise: Noise | None = None,
+    ) -> Any:
+        """Its results; numbers and vectors as formulas have them, matrices row by row. Of a
+        dictionary all numbers side by side, in the order of its names in `outputs`.
 
         parameters : its own, and then, of an element that sees it, the body's: `BODY`.
+        noise : what it may draw random numbers of.
         """
-        own = parameters if self.sees_body else parameters[: len(self.shapes)]
-        members = [plain(x) for x in flatten((*arguments, *own))]
         if not self.is_traced:
-            return self._of_one_body(members)
+            return self._of_one_body(self._members(parameters, arguments, signals))
+        return self._taken_apart(self.returned(parameters, arguments, signals, noise))
+
+    def returned(
+        self,
+        parameters: tuple[Any, ...],
+        arguments: tuple[Any, ...],
+        signals: Signals,
+        noise: Noise | None,
+    ) -> Any:
+        """What the traced function itself gives back."""
+        members = self._members(parameters, arguments, signals)
         duals = (x if isinstance(x, UserNumber) else UserNumber(x) for x in members)
-        return self._taken_apart(self.python(*self._bundled(duals, numbers)))
+        with drawing(noise):
+            return self.python(*self._bundled(duals, numbers))
+
+    def _members(
+        self, parameters: tuple[Any, ...], arguments: tuple[Any, ...], signals: Signals
+    ) -> list[Any]:
+        """All numbers that it is given, in the order of `given_shapes`."""
+        own = parameters if self.sees_body else parameters[: len(self.shapes)]
+        seen = tuple(getattr(signals, name) for name, _ in self.namespaces)
+        for (name, shapes), found in zip(self.namespaces, seen, strict=True):
+            if len(found) != size_of(shapes):
+                raise ValueError(
+                    f"{self.name} sees {size_of(shapes)} numbers of {name}, got {len(found)}"
+                )
+        return [plain(x) for x in flatten((*arguments, *own, *seen))]
 
     @property
     def sees_body(self) -> bool:
         return "body" in self.form
 
     @property
+    def sees_others(self) -> bool:
+        """Whether it has to be bound to the states and controllers of a problem."""
+        return "states" in self.form or "controls" in self.form
+
+    @property
+    def namespaces(self) -> tuple[tuple[str, Shapes], ...]:
+        """Of the signals, those that it sees."""
+        return tuple((name, getattr(self, name)) for name in NAMES if name in self.form)
+
+    @property
     def given_shapes(self) -> tuple[Shape, ...]:
-        """Of the arguments, of the parameters after them, and of what is known of the body."""
+        """Of the arguments, of the parameters after them, of what is known of the body, and of the
+        signals.
+        """
         body = BODY if self.sees_body else ()
-        return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body))
+        seen = (pair for _, shapes in self.namespaces for pair in shapes)
+        return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *seen))
 
     def samples(self) -> list[Any]:
         """Arguments such as the function takes, all zero."""
@@ -117,10 +172,14 @@ class Function:
         made["params"] = _bundle_type("params", self.shapes)(*taken(self.shapes))
         if self.sees_body:
             made["body"] = _bundle_type("body", BODY)(*taken(BODY))
+        for name, shapes in self.namespaces:
+            made[name] = _bundle_type(name, shapes)(*taken(shapes))
         return [made[name] for name in self.form]
 
     def _taken_apart(self, found: Any) -> Any:
         """Checked and taken apart: plain numbers out of duals."""
+        if self.outputs:
+            return self._by_name(found)
         if len(self.results) == 1:
             return _as_result(self.name, found, self.results[0])
         if not isinstance(found, (tuple, list, np.ndarray)) or len(found) != len(self.results):
@@ -129,6 +188,29 @@ class Function:
             )
         pairs = zip(found, self.results, strict=True)
         return tuple(_as_result(self.name, x, shape) for x, shape in pairs)
+
+    def _by_name(self, found: Any) -> Any:
+        """The numbers of the dictionaries that it has returned."""
+        parts = []
+        for given, shapes in zip(self.dictionaries(found), self.outputs, strict=True):
+            if given.keys() != dict(shapes).keys():
+                raise UnfitFunctionError(
+                    f"{self.name} must return {_named(dict(shapes))}, not {_named(given)}"
+                )
+            taken = (_as_result(f"{self.name}'s {n}", given[n], shape) for n, shape in shapes)
+            parts.append(tuple(flatten(tuple(taken))))
+        return parts[0] if len(parts) == 1 else tuple(parts)
+
+    def dictionaries(self, found: Any) -> tuple[dict[str, Any], ...]:
+        """What it has returned, as often as it has `outputs`."""
+        given = (found,) if len(self.outputs) == 1 else found
+        is_right = isinstance(given, tuple) and len(given) == len(self.outputs)
+        if not (is_right and all(isinstance(each, dict) for each in given)):
+            expected = "a dictionary" if len(self.outputs) == 1 else "two dictionaries"
+            got = f"{_brief(found)}" if not isinstance(found, dict) else "one alone"
+            hint = "" if len(self.outputs) == 1 else ", of outputs and of its memory"
+            raise UnfitFunctionError(f"{self.name} must return {expected}{hint}, not {got}")
+        return tuple(given)
 
     def _of_one_body(self, members: list[Any]) -> Any:
         compiled, count = _dispatcher(self), sum(math.prod(shape) for shape in self.results)
@@ -156,7 +238,18 @@ def _bundle_type(name: str, shapes: Shapes) -> Any:
 
 def _unchangeable(bundle: Any) -> Any:
     bundle.__setattr__ = bundle.__delattr__ = _refuses_attribute
+    bundle.__getattr__ = _lacks_attribute
     return bundle
+
+
+def _lacks_attribute(self: Any, name: str) -> Any:
+    what, there = type(self).__name__, ", ".join(self._fields) or "nothing"
+    raise AttributeError(f"{what} has no {name}; it has {there}", name=name, obj=self)
+
+
+def size_of(shapes: Shapes) -> int:
+    """How many numbers there are."""
+    return sum(math.prod(shape) for _, shape in shapes)
 
 
 def _refuses_attribute(_: Any, name: str, *__: Any) -> None:
@@ -208,6 +301,10 @@ def _brief(x: Any) -> str:
     return text if len(text) < 60 and "object at" not in text else f"a {type(x).__name__}"
 
 
+def _named(given: Iterable[Any]) -> str:
+    return f"a dictionary of {', '.join(map(str, given)) or 'nothing'}"
+
+
 def _kind(x: Any) -> str:
     return f"{type(x).__name__} of {len(x)}" if isinstance(x, (tuple, list)) else type(x).__name__
 
@@ -241,22 +338,66 @@ def trial(function: Function) -> int:
     Raises whatever a function of the user's may raise when it is given packs of numbers, and
     UnfitFunctionError for one that is not a function of its arguments alone.
     """
-    size = sum(math.prod(shape) for shape in function.given_shapes)
     sizes = []
 
-    def call(*numbers: Any) -> Any:
-        count = sum(math.prod(shape) for _, shape in function.arguments)
-        rest = iter(numbers[count:])
-        own = tuple(
-            tuple(islice(rest, math.prod(s))) if s else next(rest)
-            for s in function.given_shapes[len(function.arguments) :]
-        )
-        results = function(own, *numbers[:count])
+    def call(given: Given) -> Any:
+        results = function(given.own, *given.arguments, signals=given.signals, noise=given.noise)
         sizes.append(len(flatten(results)))
         return results
 
-    require_repeatable(lambda: trace.trial(call, size)[1])
+    _traced_twice(function, call)
     return sizes[-1]
+
+
+@lru_cache(256)
+def outputs_of(function: Function) -> Shapes:
+    """Names and shapes of the first dictionary that the function returns, by tracing it.
+
+    Raises as `trial` does.
+    """
+    found: list[Shapes] = []
+
+    def call(given: Given) -> Any:
+        returned = function.returned(given.own, given.arguments, given.signals, given.noise)
+        first = function.dictionaries(returned)[0]
+        found.append(tuple((name, np.shape(_as_array(x))) for name, x in first.items()))
+        return ()
+
+    _traced_twice(function, call)
+    return found[-1]
+
+
+def _as_array(x: Any) -> Any:
+    return numbers(x) if has_traced(x) and isinstance(x, (tuple, list)) else x
+
+
+class Given(NamedTuple):
+    """What a function is called with in a trial."""
+
+    own: tuple[Any, ...]
+    arguments: tuple[Any, ...]
+    signals: Signals
+    noise: Noise | None
+
+
+def _traced_twice(function: Function, call: Callable[[Given], Any]) -> None:
+    """Trace `call`, which gets packs of numbers such as the function takes, twice."""
+    size = sum(math.prod(shape) for shape in function.given_shapes)
+    draws = len(Noise._fields) if function.draws else 0
+
+    def traced(*members: Any) -> Any:
+        rest = iter(members)
+        body = BODY if function.sees_body else ()
+        arguments = tuple(islice(rest, size_of(function.arguments)))
+        own = tuple(
+            tuple(islice(rest, math.prod(shape))) if shape else next(rest)
+            for _, shape in (*function.shapes, *body)
+        )
+        seen = {name: tuple(islice(rest, size_of(shapes))) for name, shapes in function.namespaces}
+        noise = Noise(*rest) if draws else None
+        return call(Given(own, arguments, Signals(**seen), noise))
+
+    require_repeatable(lambda: trace.trial(traced, size + draws)[1])
 
 
 def compile_alone(function: Function) -> None:

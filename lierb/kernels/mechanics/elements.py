@@ -4,7 +4,8 @@ Each kind of element is a tag with formulas: those of `lierb.forces`, and functi
 here. `placed` takes its parameters from the user's frames to joint axes, once a run. A force has
 its `wrench`, evaluated in every stage, its `energy`, where it has a potential, and its `power`,
 where it does work beyond that; a constraint has rows, which the saddle point solves for with the
-joint's own.
+joint's own. What only watches the motion, or has states and outputs of its own, is passive: it acts
+by what forces see of its `Signals`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
-from lierb.kernels.functions.function import BODY, Function
+from lierb.kernels.functions.function import BODY, Function, Shapes
+from lierb.kernels.functions.signals import Noise
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
@@ -29,7 +31,7 @@ from lierb.kernels.mechanics.newton_euler import (
     inertia_about_com,
 )
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
-from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.arithmetic import flatten, plain
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -58,6 +60,7 @@ class Element:
     needs_axis: whether it acts about or along e₃ of the joint, which must then be the body's and
     the ground's at once.   needs_slide: whether along it.   rows: how many constraints it adds.
     does_work: whether it can change E = T + U, U being the `energy` of all elements.
+    is_passive: whether it does nothing to the motion by itself.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -65,6 +68,7 @@ class Element:
     is_conservative: ClassVar[bool] = False  # but for what is `working`
     is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
     does_work: ClassVar[bool] = True
+    is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters that do work beside its potential
     rows: int = 0
 
@@ -122,7 +126,8 @@ class UserWrench(Element):
         frame, parameters = UserFrame(*placed[0]), placed[1]
         r, place = frame.pose(x.q, x.place)
         omega, v = frame.twist(x.omega, x.v)
-        return frame.to_joint_axes(*self.function(parameters, x.time, r, place, omega, v))
+        found = self.function(parameters, x.time, r, place, omega, v, signals=x.signals)
+        return frame.to_joint_axes(*found)
 
     def energy(self, placed: Any, x: Motion) -> Any:
         if self.potential is None:
@@ -246,14 +251,14 @@ def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
-# ---- observables -------------------------------------------------------------------------------
+# ---- what does nothing to the motion -----------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class UserObservable(Element):
-    """A number that the user wants to know of a motion, and that does nothing to it."""
+class Passive(Element):
+    """A function of the user's that is asked about a motion, and does nothing to it."""
 
     does_work: ClassVar = False
+    is_passive: ClassVar = True
     function: Function
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
@@ -262,11 +267,112 @@ class UserObservable(Element):
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
         return ZERO
 
-    def value(self, placed: Any, x: Motion) -> Any:
+    def asked(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
+        """What the function gives."""
         frame = UserFrame(*placed[0])
         r, place = frame.pose(x.q, x.place)
         omega, v = frame.twist(x.omega, x.v)
-        return self.function(placed[1], x.time, r, place, omega, v)
+        arguments = x.time, r, place, omega, v
+        return self.function(placed[1], *arguments, signals=x.signals, noise=noise)
+
+
+@dataclass(frozen=True)
+class UserObservable(Passive):
+    """A number that the user wants to know of a motion."""
+
+    function: Function
+
+    def value(self, placed: Any, x: Motion) -> Any:
+        return self.asked(placed, x)
+
+
+@dataclass(frozen=True)
+class UserEvent(Passive):
+    """A number that is zero when something happens."""
+
+    function: Function
+
+    def value(self, placed: Any, x: Motion) -> Any:
+        return self.asked(placed, x)
+
+
+INITIAL = "initial."  # before the names of initial values among the parameters
+
+
+class _Starting(Passive):
+    """With numbers of its own that have initial values, which are parameters."""
+
+    @property
+    def own(self) -> Shapes:
+        """Of what has initial values, by name."""
+        raise NotImplementedError
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        initial = {f"{INITIAL}{name}": shape for name, shape in self.own}
+        return super().shapes | initial
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        """The frame, the function's parameters, and the initial values side by side."""
+        initial = flatten(tuple(given[f"{INITIAL}{name}"] for name, _ in self.own))
+        rest = tuple(x for name, x in given.items() if not name.startswith(INITIAL))
+        return UserFrame.of(frames), rest, tuple(initial)
+
+    def initial(self, placed: Any) -> Vec:
+        """Initial values, side by side."""
+        found: Vec = placed[2]
+        return found
+
+
+@dataclass(frozen=True)
+class UserStates(_Starting):
+    """States beside the body's, by their derivatives."""
+
+    function: Function
+    states: Shapes
+
+    @property
+    def own(self) -> Shapes:
+        return self.states
+
+    def rates(self, placed: Any, x: Motion) -> Vec:
+        """All derivatives, side by side."""
+        found: Vec = self.asked(placed, x)
+        return found
+
+
+@dataclass(frozen=True)
+class UserController(_Starting):
+    """What is called at the multiples of a period, and whose outputs are held until the next one.
+
+    outputs : by name; known once it is bound to a problem.   memory : by name.
+    """
+
+    function: Function
+    memory: Shapes = ()
+    outputs: Shapes = ()
+
+    @property
+    def own(self) -> Shapes:
+        return self.memory
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        return {"every": (), **super().shapes}
+
+    def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        """As of `_Starting`, and the period."""
+        rest = {name: x for name, x in given.items() if name != "every"}
+        return *super().placed(rest, frames), given["every"]
+
+    def every(self, placed: Any) -> Any:
+        """The period, s."""
+        return placed[3]
+
+    def called(self, placed: Any, x: Motion, noise: Noise) -> tuple[Vec, Vec]:
+        """Outputs and memory, each side by side.   x.signals.memory : its own alone."""
+        found = self.asked(placed, x, noise)
+        return found if self.memory else (found, ())
 
 
 # ---- all elements of a body -------------------------------------------------------------------
@@ -314,6 +420,7 @@ class Applied(NamedTuple):
 def applied_to(body: BodyConstants, elements: tuple[Element, ...], x: Motion) -> Applied:
     """Both at once: a function of the user's is called once."""
     total, power = ZERO6, ZERO
+    x = x._replace(signals=body.signals)
     for element, placed in zip(elements, body.elements, strict=True):
         wrench = element.wrench(placed, x)
         total = add(total, wrench[0] + wrench[1])

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.vec import (
@@ -96,6 +97,7 @@ class BodyConstants(NamedTuple):
     differences: Vec = ()
     dropped: Any = ZERO  # how many of the rows depended on others at the start
     elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
+    signals: Signals = NO_SIGNALS  # of the time that the body is asked about
 
     def momentum(self, velocity: Vec) -> Vec:
         """M V about the body frame's origin, on SE(3)."""
@@ -169,6 +171,7 @@ class Motion(NamedTuple):
     place: Vec  # the joint's point in the ground's joint frame
     omega: Vec
     v: Vec  # of the joint's point, in body axes
+    signals: Signals = NO_SIGNALS
 
     def place_of(self, point: Vec) -> Vec:
         """In the ground's joint frame."""

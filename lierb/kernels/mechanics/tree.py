@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Rows
@@ -142,6 +143,7 @@ class TreeConstants(NamedTuple):
 
     ends : of the plan's connections.   elements : what each is made of.
     dropped : how many rows depended on others at the start.
+    signals : of the time that the mechanism is asked about.
     """
 
     nodes: tuple[NodeConstants, ...]
@@ -149,6 +151,7 @@ class TreeConstants(NamedTuple):
     gravity: Vec
     elements: tuple[Any, ...] = ()
     dropped: Any = ZERO
+    signals: Signals = NO_SIGNALS
 
     @property
     def mass(self) -> Any:

@@ -246,6 +246,9 @@ class Lane(Traced):
         trace = _trace_of_any((a, b, c))
         return a * b + c if trace.rounds_twice else trace.intrinsic("fma", (a, b, c))
 
+    def real(self) -> Lane:
+        return self
+
     def __neg__(self) -> Lane:
         return Lane(self.trace, self.builder.fneg(self.value))
 

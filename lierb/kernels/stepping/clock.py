@@ -33,6 +33,11 @@ class Clock(NamedTuple):
     def saved_steps(self) -> NDArray[np.int64]:
         return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
 
+    def saved_times(self) -> NDArray[np.float64]:
+        """s."""
+        found: NDArray[np.float64] = time_of(self, self.saved_steps())
+        return found
+
     @property
     def end(self) -> float:
         """s."""

@@ -42,7 +42,7 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
 from lierb.kernels.stepping.formulations import LARGEST
-from lierb.kernels.stepping.layout import POSE_AND_TWIST
+from lierb.kernels.stepping.layout import LANE_SUMMARY, POSE_AND_TWIST
 from lierb.kernels.stepping.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -63,11 +63,12 @@ from lierb.kernels.stepping.observables import (
     with_value,
 )
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import signals_width
 from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.status import NON_FINITE, OK, RAISED, SINGULAR
 from lierb.kernels.stepping.stepper import step
 from lierb.kernels.stepping.systems import system_of
 
-OK, SINGULAR, NON_FINITE, RAISED = 0, 1, 2, 3  # status codes
 # In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
 UNSEEN, RESUMED = -1, -2
 NAN = float("nan")
@@ -159,13 +160,20 @@ def joint_columns(plan: AnyPlan) -> int:
 
 
 def summary_columns(plan: AnyPlan) -> int:
+    return lane_column(plan) + (LANE_SUMMARY.count + signals_width(plan)) * plan.has_lane_clocks
+
+
+def lane_column(plan: AnyPlan) -> int:
+    """Of a summary: the first of LANE_SUMMARY, where lanes have clocks of their own."""
     return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
 
 
 def history_columns(plan: AnyPlan) -> int:
-    """Measures, observables, and the errors of every joint of a mechanism."""
+    """Measures, observables, the errors of every joint of a mechanism, the user's states and
+    outputs.
+    """
     own = len(history_measures(plan)) + len(observables_of(plan))
-    return own + len(JOINT_ERRORS) * len(system_of(plan).joints)
+    return own + len(JOINT_ERRORS) * len(system_of(plan).joints) + signals_width(plan)
 
 
 # ---- formulas on one block ---------------------------------------------------------------------
@@ -294,7 +302,7 @@ def _advanced(
     # An angle that is not finite spoils all of Q.
     turns, places = system_of(plan).told_by(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
-    fine = _are_finite(*numbers) & (singular <= 0.5)
+    fine = are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
         fine = fine & (calls.marks(record.status) == calls.CLEAR)
 
@@ -359,7 +367,7 @@ def _stepped(
     return moved._replace(v_or_mu=after), singular
 
 
-def _are_finite(*numbers: Any) -> Any:
+def are_finite(*numbers: Any) -> Any:
     """Whether all of them are, and so is their sum."""
     return absolute(sum(numbers, start=ZERO)) <= LARGEST  # false for NaN
 
@@ -399,7 +407,7 @@ def advance_gently(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) ->
     with assumptions(h) as conditions:
         moved, singular = _stepped(plan, body, state, time, h, plan.formulation.still)
     _, places = system_of(plan).told_by(moved.chart)
-    fine = _are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
+    fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # which no angle meets that is not finite
         fine = fine & condition
     return moved, all_lanes(fine)
@@ -417,9 +425,11 @@ def observe(
     k: Any,
     time: Any,
     share: Any = ZERO,
+    by_halves: bool = False,
 ) -> tuple[tuple[Any, ...], Record]:
     """The measures and observables of a history at step k, and the record with what is kept of
-    them.   share : of the run's time, that the step counts for in means.
+    them.   share : of the run's time, that the step counts for in means; `by_halves`, half the time
+    since the last one, which both count for.
 
     Where they are not finite they tell nothing, and the body has failed, though its state may be
     finite: squares and energies overflow long before it.
@@ -431,7 +441,7 @@ def observe(
         record = heard(plan, record, k)
     now, joints = system.measured(body, state, seen, time, record.first_energy)
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
-    fine = _are_finite(*(sizes[name] for name in MUST_BE_FINITE))
+    fine = are_finite(*(sizes[name] for name in MUST_BE_FINITE))
     so_far = (record.status, record.failed_step)
     alive = (record.status == OK) & fine
 
@@ -456,7 +466,7 @@ def observe(
         kept=tuple(kept),
         status=status,
         failed_step=failed_step,
-        observed=tuple(with_value(old, value, share, alive) for old, value in pairs),
+        observed=tuple(with_value(old, value, share, alive, by_halves) for old, value in pairs),
         joints=_joints_kept(record, joints, alive),
     )
 

@@ -97,6 +97,10 @@ class OnOneChart:
     def recharted(self, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
         return recharted(self.plan.space.charts, chart, x)
 
+    def places(self, chart: Chart) -> Vec:
+        """Where the body is."""
+        return chart[1]
+
     def stabilised(self, body: BodyConstants, state: Any, time: Any) -> tuple[Any, Any]:
         """The state, put back on its constraints, and the mark of one that cannot be."""
         return state, ZERO

@@ -98,12 +98,18 @@ POSE_AND_TWIST = Columns(
 )
 
 
+LANE_SUMMARY = Columns(
+    Field("t", (), "s"), Field("steps"), Field("rejected"), Field("dt_last", (), "s")
+)
+"""What a summary has of a lane's own clock, behind all else; then the user's states and outputs."""
+
+
 @lru_cache(64)
-def inputs_of(elements: tuple[Element, ...]) -> Columns:
-    """INPUTS, then the elements' parameters, then a state to go on from."""
+def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
+    """INPUTS, then the elements' parameters, then the numbers of a state to go on from."""
     parameters = (
         Field(f"{number}.{name}", shape)
         for number, element in enumerate(elements)
         for name, shape in element.shapes.items()
     )
-    return Columns(*INPUTS.fields, *parameters, Field("state", (STATE.count,)))
+    return Columns(*INPUTS.fields, *parameters, Field("state", (numbers,)))

@@ -6,11 +6,12 @@ by side. On reduced coordinates they have the structural zeros of the joint's su
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import quaternion, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
@@ -20,8 +21,8 @@ from lierb.kernels.mechanics.constraints import (
     residuals,
     rotation_error_squared,
 )
-from lierb.kernels.mechanics.elements import Element, UserObservable
-from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.spatial import twist_at
@@ -83,7 +84,8 @@ from lierb.kernels.stepping.mechanism_inputs import (
     placed_element,
     sixes,
 )
-from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.plan import AnyPlan, Embedded, Extension, Stages
+from lierb.kernels.stepping.signals import Watching, states_of
 from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
@@ -126,6 +128,11 @@ class MechanismPlan(AnyPlan):
     reaction: bool = False
     elements: tuple[Element, ...] = ()
     stabilisation: Stabilisation = UNSTABILISED
+    exponentials: tuple[Stages, ...] = ()
+    clock: str = "steps"
+    embedded: Embedded | None = None
+    extension: Extension | None = None
+    looks: bool = False
 
     @property
     def links(self) -> int:
@@ -149,7 +156,7 @@ class MechanismPlan(AnyPlan):
 
 
 @dataclass(frozen=True)
-class TreeFormulation:
+class TreeFormulation(Watching):
     """Of a plan: what the stepper asks of a formulation, and the driver of a system."""
 
     plan: MechanismPlan
@@ -169,7 +176,7 @@ class TreeFormulation:
         count = len(self.plan.tree)
         return Columns(
             Field("charts", (7 * count,)), Field("x", (6 * count,)), Field("v", (6 * count,)),
-            Field("work"),
+            Field("work"), Field("states", (size_of(states_of(self.plan)),)),
         )  # fmt: skip
 
     def body(self, numbers: list[Any]) -> TreeConstants:
@@ -225,7 +232,8 @@ class TreeFormulation:
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         """From its numbers side by side, as the driver carries them."""
         parts = self.state.parts(numbers)
-        found = State(charts_side_by_side(parts["charts"]), parts["x"], parts["v"], *parts["work"])
+        charts = charts_side_by_side(parts["charts"])
+        found = State(charts, parts["x"], parts["v"], *parts["work"], parts["states"])
         return self.structured(found, body)
 
     def structured(self, state: State, body: TreeConstants | None = None) -> State:
@@ -246,7 +254,7 @@ class TreeFormulation:
             xs += ZERO6 if plan.is_local else x
             velocities += v
         work = state.work if plan.does_work else ZERO
-        return State(tuple(charts), tuple(xs), tuple(velocities), work)
+        return State(tuple(charts), tuple(xs), tuple(velocities), work, state.states)
 
     # ---- what is seen ----
 
@@ -328,20 +336,14 @@ class TreeFormulation:
         first = len(self.plan.joints)
         pairs = zip(self.plan.elements, body.elements, strict=True)
         for number, (element, placed) in enumerate(pairs, first):
-            if not (isinstance(element, UserObservable) or element.rows):
+            if not (element.is_passive or element.rows):
                 still = relatives[number].x._replace(time=ZERO)  # potentials do not depend on it
                 total = total + element.energy(placed, still.motion)
         return total
 
-    def observed(self, body: TreeConstants, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each observable's value."""
-        relatives = _Relatives(self.plan.connections, body.ends, seen)
-        pairs = zip(self.plan.elements, body.elements, strict=True)
-        return tuple(
-            element.value(placed, relatives[number].x.motion)
-            for number, (element, placed) in enumerate(pairs, len(self.plan.joints))
-            if isinstance(element, UserObservable)
-        )
+    def motions(self, body: TreeConstants, seen: Any, time: Any) -> Callable[[int], Motion]:
+        relatives, first = _Relatives(self.plan.connections, body.ends, seen), len(self.plan.joints)
+        return lambda i: relatives[first + i].x.motion._replace(signals=body.signals)
 
     def in_user_frames(self, body: TreeConstants, numbers: list[Any], state: State) -> list[Vec]:
         """R (row by row), r, ω, v, of every link."""
@@ -407,6 +409,14 @@ class TreeFormulation:
 
     def before_step(self, body: TreeConstants, chart: tuple[Chart, ...]) -> None:
         return None
+
+    def velocity(self, body: TreeConstants, velocity: Vec) -> Vec:
+        """The nodes' twists, side by side."""
+        return velocity
+
+    def places(self, chart: tuple[Chart, ...]) -> Vec:
+        """Where the nodes are, side by side."""
+        return self.told_by(chart)[1]
 
     def moved(self, chart: tuple[Chart, ...], x: Vec) -> tuple[Chart, ...]:
         """C₀ exp X, node by node."""
@@ -526,9 +536,9 @@ class TreeFormulation:
         for number, (element, placed) in enumerate(
             zip(self.plan.elements, body.elements, strict=True), first
         ):
-            if isinstance(element, UserObservable) or element.rows:
+            if element.is_passive or element.rows:
                 continue
-            x = relatives[number].x.motion
+            x = relatives[number].x.motion._replace(signals=body.signals)
             wrench = element.wrench(placed, x)
             power = power + element.power(placed, x, wrench)
             for i, load in relatives.asked(number, wrench[0] + wrench[1], ZERO).loads().items():

@@ -52,17 +52,21 @@ def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
     return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
 
 
-def with_value(kept: Kept, value: Any, share: Any, alive: Any) -> Kept:
+def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool = False) -> Kept:
     """With one value more; a NaN stays, in the extremes as in the mean.
 
     value : NaN after a failure, from when there is neither mean nor end.
-    share : of the run's time, which the value counts for in the mean.
+    share : of the run's time, which the value counts for in the mean; `by_halves`, for which it and
+        the one before it do.
     alive : whether the body has not failed.
     """
     is_number = value == value
     least = where(is_number, where(value < kept.least, value, kept.least), value)
     largest = where(is_number, where(value > kept.largest, value, kept.largest), value)
-    added = fma(share, value, -kept.lost)
+    counted = value
+    if by_halves:
+        counted = where(kept.last == kept.last, value + kept.last, where(is_number, 0.0, value))
+    added = fma(share, counted, -kept.lost)
     total = kept.total + added
     lost = (total - kept.total) - added
     return Kept(

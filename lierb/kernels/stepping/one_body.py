@@ -5,16 +5,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.quaternion import Chart
-from lierb.kernels.mechanics.elements import Element, UserObservable, body_with
+from lierb.kernels.mechanics.elements import Element, body_with
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
     BodyConstants,
+    Motion,
     Parameters,
     Pose,
     SO3xR3,
@@ -36,8 +38,9 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.formulations import LARGEST, accelerate
-from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, inputs_of, pose_of
+from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, Field, inputs_of, pose_of
 from lierb.kernels.stepping.measures import Observed, measured
+from lierb.kernels.stepping.signals import Watching, states_of
 from lierb.kernels.stepping.state import State
 
 if TYPE_CHECKING:
@@ -95,7 +98,7 @@ def body_of(
 
 
 @dataclass(frozen=True)
-class OneBody:
+class OneBody(Watching):
     """Of a plan: what the driver asks of a system."""
 
     plan: Plan
@@ -104,11 +107,12 @@ class OneBody:
 
     @property
     def inputs(self) -> Columns:
-        return inputs_of(self.plan.elements)
+        return inputs_of(self.plan.elements, self.state.count)
 
     @property
     def state(self) -> Columns:
-        return STATE
+        states = size_of(states_of(self.plan))
+        return Columns(*STATE.fields, Field("states", (states,))) if states else STATE
 
     def body(self, numbers: list[Any]) -> BodyConstants:
         plan = self.plan
@@ -143,7 +147,8 @@ class OneBody:
     def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
         """From its numbers side by side."""
         found = STATE.parts(numbers)
-        state = State((found["p"], found["d"]), found["x"], found["v_or_mu"], *found["work"])
+        chart, own = (found["p"], found["d"]), found.get("states", ())
+        state = State(chart, found["x"], found["v_or_mu"], *found["work"], own)
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def structured(self, state: State, pitch: Any) -> State:
@@ -151,7 +156,7 @@ class OneBody:
         plan = self.plan
         chart, x, v_or_mu = plan.formulation.structured(state.chart, state.x, state.v_or_mu, pitch)
         work = state.work if plan.does_work else ZERO
-        return State(chart, ZERO6 if plan.is_local else x, v_or_mu, work)
+        return State(chart, ZERO6 if plan.is_local else x, v_or_mu, work, state.states)
 
     def seen(self, body: BodyConstants, state: State, time: Any) -> Seen:
         formulation = self.plan.formulation
@@ -183,13 +188,10 @@ class OneBody:
         )  # fmt: skip
         return Observed(found)
 
-    def observed(self, body: BodyConstants, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each observable's value."""
-        if not any(isinstance(element, UserObservable) for element in self.plan.elements):
-            return ()
+    def motions(self, body: BodyConstants, seen: Any, time: Any) -> Callable[[int], Motion]:
         x = self.plan.space.kinematics(body, *seen)._replace(time=time)
-        pairs = zip(self.plan.elements, body.elements, strict=True)
-        return tuple(e.value(own, x.motion) for e, own in pairs if isinstance(e, UserObservable))
+        motion = x.motion._replace(signals=body.signals)
+        return lambda _: motion
 
     def in_user_frames(self, body: BodyConstants, numbers: list[Any], state: State) -> list[Vec]:
         """R (row by row), r, ω, v, of every link."""

@@ -8,10 +8,34 @@ from typing import Any
 
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
-from lierb.kernels.mechanics.elements import Element, UserObservable
+from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
+
+
+Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """What a step's error is estimated by.
+
+    weights : b − b̂, a row of it; or two rows, E₅ and E₃ of DOP853.   order : of b̂.
+    """
+
+    weights: Stages
+    order: int
+
+
+@dataclass(frozen=True)
+class Extension:
+    """A continuous extension: further stages, and each stage's weight as a polynomial in θ,
+    Σ weights[i][k] θᵏ⁺¹.
+    """
+
+    stages: Stages
+    weights: Stages
 
 
 class AnyPlan(Tag):
@@ -19,8 +43,13 @@ class AnyPlan(Tag):
 
     lanes: int
     update: str
-    stages: tuple[tuple[float, ...], ...]
+    stages: Stages
     weights: tuple[float, ...]
+    exponentials: tuple[Stages, ...]  # of a commutator-free method: of each stage, then of the end
+    clock: str  # "steps", the same in all lanes, or "lanes", each with its own
+    embedded: Embedded | None  # of adaptive steps
+    extension: Extension | None
+    looks: bool  # between steps, too: for output and events
     elements: tuple[Element, ...]
     multipliers: bool
     reaction: bool
@@ -43,6 +72,16 @@ class AnyPlan(Tag):
         """c of the Butcher tableau: when each stage is."""
         return tuple(sum(weights) for weights in self.stages)
 
+    @cached_property
+    def last_stage(self) -> int:
+        """How many stages a step needs that nobody looks into."""
+        asked = [i for i, weight in enumerate(self.weights) if weight != 0.0]
+        return asked[-1] + 1
+
+    @property
+    def has_lane_clocks(self) -> bool:
+        return self.clock == "lanes"
+
     @property
     def is_local(self) -> bool:
         return self.update == "local"
@@ -55,7 +94,7 @@ class AnyPlan(Tag):
     @cached_property
     def acting(self) -> tuple[Element, ...]:
         """The elements that do something to the motion."""
-        return tuple(e for e in self.elements if not isinstance(e, UserObservable))
+        return tuple(e for e in self.elements if not e.is_passive)
 
     @cached_property
     def calls_functions(self) -> bool:
@@ -79,7 +118,7 @@ class Plan(AnyPlan):
     rows: Rows
     cspace: str
     update: str
-    stages: tuple[tuple[float, ...], ...]  # A of the Butcher tableau, strictly lower triangle
+    stages: Stages  # A of the Butcher tableau, strictly lower triangle
     weights: tuple[float, ...]  # b
     multipliers: bool  # whether λ is recorded
     reaction: bool = False  # whether the joint's wrench is
@@ -88,6 +127,11 @@ class Plan(AnyPlan):
     # Where accelerations come from: "saddle", the saddle point in every stage, or "subgroup", a
     # subgroup joint's constant gain, by which poses stay in the subgroup.
     solver: str = "saddle"
+    exponentials: tuple[Stages, ...] = ()
+    clock: str = "steps"
+    embedded: Embedded | None = None
+    extension: Extension | None = None
+    looks: bool = False
 
     __hash__ = AnyPlan.__hash__
 

@@ -13,3 +13,4 @@ class State(NamedTuple):
     x: Vec  # X/2, as quaternions take it; structurally zero in a local update
     v_or_mu: Vec  # V; on a subgroup its momentum μ; of a mechanism all nodes', side by side
     work: Any = ZERO  # J, of what has no potential; structurally zero where nothing does any
+    states: Vec = ()  # the user's own, side by side

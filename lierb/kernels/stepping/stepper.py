@@ -1,57 +1,213 @@
-"""One step of an explicit Runge–Kutta method on (X, V, W), for any Butcher tableau.
+"""One step of an explicit Runge–Kutta method on (X, V, W, s), for any Butcher tableau.
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
 (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X carries on, and
 C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18). W, the work of what has no potential,
-is the same method's quadrature of its power.
+is the same method's quadrature of its power; s are the user's own states.
+
+A commutator-free method (Celledoni, Marthinsen and Owren 2003; Crouch and Grossman 1993) makes each
+pose of several exponentials, C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and so needs no dexp⁻¹.
 """
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.arithmetic import fma, maximum
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.held import rates_of_states, with_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+class Slopes(NamedTuple):
+    """What the stages of a step have found, one entry each."""
+
+    x: tuple[Vec, ...]  # Ẋ; of a commutator-free method V
+    v_or_mu: tuple[Vec, ...]
+    work: tuple[Vec, ...]
+    states: tuple[Vec, ...]
+
+
+class Step(NamedTuple):
+    """What a step comes to.   singular : the mark of a singular configuration on the way."""
+
+    state: State
+    slopes: Slopes
+    singular: Any
 
 
 def step(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """The state h seconds after `time`, and the mark of a singular configuration on the way."""
+    made = trial_step(plan, body, state, time, h)
+    return made.state, made.singular
+
+
+def trial_step(
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, all_stages: bool = False
+) -> Step:
+    """The same with the stages' slopes.
+
+    all_stages : also those that only the error estimate or the continuous extension asks for.
+    """
+    stages = plan.stages if all_stages else plan.stages[: plan.last_stage]
+    products = plan.exponentials[: len(stages)]
+    slopes, singular = _stages(
+        plan, body, state, time, h, Slopes((), (), (), ()), stages, products or (None,) * len(stages)
+    )
+    end = plan.exponentials[-1] if plan.exponentials else None
+    stepped = _combined(plan, body, state, h, slopes, plan.weights, end)
+    kept, off = plan.formulation.stabilised(body, stepped, time + h)
+    return Step(kept, slopes, singular if is_zero(off) else maximum(singular, off))
+
+
+def extended(
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes
+) -> Slopes:
+    """With the further stages of the continuous extension."""
+    assert plan.extension is not None
+    rows = plan.extension.stages
+    found, _ = _stages(plan, body, state, time, h, slopes, rows, (None,) * len(rows))
+    return found
+
+
+def between(
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Any, theta: Any
+) -> State:
+    """The state θ h after `time`, 0 ≤ θ ≤ 1: by the method's continuous extension, or, where it
+    has none, by a step of its own to there.
+
+    The pose is C₀ exp X(θ): on the group, and for a subgroup joint on its subgroup.
+    slopes : of all stages and of those of the extension.
+    """
+    extension = plan.extension
+    if extension is None:
+        return step(plan, body, state, time, theta * h)[0]
+    weights = tuple(_polynomial(theta, terms) for terms in extension.weights)
+    found = _combined(plan, body, state, h, slopes, weights, None)
+    kept: State = plan.formulation.stabilised(body, found, fma(theta, h, time))[0]
+    return kept
+
+
+def _polynomial(theta: Any, terms: tuple[float, ...]) -> Any:
+    """Σ terms[k] θᵏ⁺¹; 0.0 where there are none."""
+    if not any(terms):
+        return 0.0
+    *lower, total = terms
+    total = theta * total
+    for term in reversed(lower):
+        total = theta * (total + term)
+    return total
+
+
+def _stages(
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    time: Any,
+    h: Any,
+    known: Slopes,
+    rows: Rows,
+    products: tuple[Rows | None, ...],
+) -> tuple[Slopes, Any]:
+    """The slopes of further stages behind those `known`, and the mark of a singular one."""
     formulation = plan.formulation
     before = formulation.before_step(body, state.chart)
-    stage = partial(formulation.rates, body, state.chart, before)
-    x_rates: list[Vec] = []
-    rates: list[Vec] = []  # of V or μ
-    powers: list[Vec] = []
+    x_rates, rates, powers, more = map(list, known)
     singular: Any = ZERO
-    for weights, node in zip(plan.stages, plan.nodes, strict=True):
+    for weights, factors in zip(rows, products, strict=True):
         x = formulation.in_algebra(body, _advanced(state.x, 0.5 * h, weights, x_rates))
         v_or_mu = _advanced(state.v_or_mu, h, weights, rates)
-        found = stage(x, v_or_mu, fma(h, node, time))
+        states = _advanced(state.states, h, weights, more)
+        at = fma(h, sum(weights), time)
+        chart, falling = state.chart, before
+        if factors is not None:
+            chart, x = _product(plan, body, chart, h, factors, x_rates), (ZERO,) * len(x)
+            falling = formulation.before_step(body, chart)
+        found = rates_at(plan, body, chart, falling, x, v_or_mu, states, at)
         x_rates.append(found.x)
         rates.append(found.v_or_mu)
         powers.append((found.power,))
+        more.append(found.states)
         singular = maximum(singular, found.singular)
-    x = formulation.in_algebra(body, _advanced(state.x, 0.5 * h, plan.weights, x_rates))
-    v_or_mu = _advanced(state.v_or_mu, h, plan.weights, rates)
-    (work,) = _advanced((state.work,), h, plan.weights, powers)
-    if plan.is_local:
-        chart, x = formulation.moved(state.chart, x), (ZERO,) * len(x)
+    return Slopes(tuple(x_rates), tuple(rates), tuple(powers), tuple(more)), singular
+
+
+def _combined(
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    h: Any,
+    slopes: Slopes,
+    weights: tuple[Any, ...],
+    factors: Rows | None,
+) -> State:
+    """The state with h Σ weights · slopes, its pose by so many exponentials, or by one."""
+    formulation = plan.formulation
+    v_or_mu = _advanced(state.v_or_mu, h, weights, slopes.v_or_mu)
+    (work,) = _advanced((state.work,), h, weights, slopes.work)
+    states = _advanced(state.states, h, weights, slopes.states)
+    still = (ZERO,) * len(state.x)
+    if factors is not None:
+        chart, x = _product(plan, body, state.chart, h, factors, slopes.x), still
     else:
-        chart, x = formulation.recharted(state.chart, x)
-    stepped = State(chart, x, v_or_mu, work)
-    kept, off = formulation.stabilised(body, stepped, time + h)
-    return kept, singular if is_zero(off) else maximum(singular, off)
+        x = formulation.in_algebra(body, _advanced(state.x, 0.5 * h, weights, slopes.x))
+        if plan.is_local:
+            chart, x = formulation.moved(state.chart, x), still
+        else:
+            chart, x = formulation.recharted(state.chart, x)
+    return State(chart, x, v_or_mu, work, states)
 
 
-def _advanced(base: Vec, h: Any, weights: tuple[float, ...], rates: list[Vec]) -> Vec:
+def _product(plan: AnyPlan, body: Any, chart: Any, h: Any, factors: Rows, slopes: Any) -> Any:
+    """C₀ exp(h Σ a¹ V) exp(h Σ a² V) …"""
+    formulation = plan.formulation
+    for weights in factors:
+        if any(weights):
+            still = tuple(0.0 * x for x in slopes[0])
+            x = formulation.in_algebra(body, _advanced(still, 0.5 * h, weights, slopes))
+            chart = formulation.moved(chart, x)
+    return chart
+
+
+class StageRates(NamedTuple):
+    """At one state: Ẋ, of V or μ, of the user's states; power, and the mark of a singular one."""
+
+    x: Vec
+    v_or_mu: Vec
+    states: Vec
+    power: Any
+    singular: Any
+
+
+def rates_at(
+    plan: AnyPlan,
+    body: Any,
+    chart: Any,
+    falling: Any,
+    x: Vec,
+    v_or_mu: Vec,
+    states: Vec,
+    time: Any,
+) -> StageRates:
+    """At C₀ exp X.   chart : C₀.   falling : the formulation's `before_step` of it."""
+    formulation, own = plan.formulation, states
+    if states:
+        body = with_states(body, states)
+        there = State(formulation.moved(chart, x), (ZERO,) * len(x), v_or_mu, ZERO, states)
+        own = rates_of_states(plan, body, there, time)
+    found = formulation.rates(body, chart, falling, x, v_or_mu, time)
+    return StageRates(found.x, found.v_or_mu, own, found.power, found.singular)
+
+
+def _advanced(base: Vec, h: Any, weights: tuple[Any, ...], rates: Any) -> Vec:
     """base + h Σ wⱼ kⱼ; zero weights cost nothing, and h wⱼ does not depend on the step."""
     total = base
     for weight, rate in zip(weights, rates, strict=False):
-        if weight != 0.0:
+        if not (isinstance(weight, float) and weight == 0.0):
             hw = h * weight
             total = tuple(fma(hw, k, x) for k, x in zip(rate, total, strict=True))
     return total

@@ -1,0 +1,224 @@
+"""Random numbers of controllers: those of a place in a stream, and of nothing else.
+
+A draw is a function of (seed, trajectory, name, tick, component) by a counter-based generator,
+Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"). It
+does not matter who asks, in which order, or for how many others. From whole numbers to the normal
+distribution everything is + − × ÷ √ without fused operations: the same bits on every CPU, in
+compiled code, with NumPy and in plain Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any
+
+from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.signals import Noise
+from lierb.kernels.functions.user_number import UserNumber
+from lierb.kernels.numbers.arithmetic import minimum, sqrt, where
+from lierb.kernels.numbers.object_arrays import numbers
+from lierb.kernels.numbers.words import LOW, real_of, words_of
+
+MOST = 4096  # numbers of one draw: what the counter has room for
+BLOCK_BITS = 11  # of the number of a block of two of them
+MULTIPLIERS = 0xD2511F53, 0xCD9E8D57
+WEYL = 0x9E3779B9, 0xBB67AE85
+ROUNDS = 10
+
+
+# ---- drawn by functions of the user's ------------------------------------------------------------
+
+
+class _Draws:
+    """What one call of a controller draws of."""
+
+    def __init__(self, noise: Noise) -> None:
+        self.noise = noise
+        self.names: set[str] = set()
+
+
+_drawing: ContextVar[_Draws | None] = ContextVar("lierb_noise", default=None)
+
+
+@contextmanager
+def drawing(noise: Noise | None) -> Iterator[None]:
+    """Where `normal` draws of `noise`; of None, nothing."""
+    token = _drawing.set(None if noise is None else _Draws(noise))
+    try:
+        yield
+    finally:
+        _drawing.reset(token)
+
+
+def normal(name: str, size: int | tuple[()] = ()) -> Any:
+    """Standard normal numbers of a controller's tick: independent, mean 0, variance 1.
+
+    name : of the noise. Each has a stream of its own; one name gives the same numbers to all
+        controllers that draw it at the same tick number.
+    size : how many, an array of them; () is one number.
+
+    They depend on the run's `seed`, the trajectory's number, the name, the tick and the component
+    alone, and are the same bits on every machine. Inside functions of `@lierb.controller` only:
+    what is integrated between ticks must be smooth.
+
+    Raises TypeError anywhere else, and where a controller draws one name twice.
+
+    >>> import lierb
+    >>> @lierb.controller(every=0.1, gain=0.5, sigma=1e-3)
+    ... def damping(omega, params):
+    ...     rate = omega + params.sigma * lierb.noise.normal("gyro", 3)
+    ...     return {"torque": -params.gain * rate}
+    >>> damping()
+    <damping: every, gain, sigma>
+    """
+    count = _checked(name, size)
+    draws = _drawing.get()
+    if draws is None:
+        raise UnfitFunctionError(
+            f"lierb.noise.normal({name!r}) is drawn outside of a controller; draw it in a function "
+            "of @lierb.controller, which puts it out for others, or take lierb.noise.sample for a "
+            "look at its numbers"
+        )
+    if name in draws.names:
+        raise UnfitFunctionError(
+            f"it draws the noise {name!r} twice, which would be the same numbers; give each a name "
+            "of its own, or draw all at once by a count"
+        )
+    draws.names.add(name)
+    found = [UserNumber(x) for x in normals(draws.noise, name, count)]
+    return found[0] if size == () else numbers(found)
+
+
+def _checked(name: Any, size: Any) -> int:
+    """How many numbers."""
+    if not (isinstance(name, str) and name):
+        raise UnfitFunctionError(
+            f"the name of a noise is {type(name).__name__}, not text: write it out, such as "
+            'lierb.noise.normal("gyro", 3)'
+        )
+    if size == ():
+        return 1
+    if isinstance(size, int) and not isinstance(size, bool) and 1 <= size <= MOST:
+        return size
+    raise UnfitFunctionError(
+        f"lierb.noise.normal({name!r}, {size!r}): expected how many numbers, 1 to {MOST}, or ()"
+    )
+
+
+# ---- the numbers themselves ----------------------------------------------------------------------
+
+
+def normals(noise: Noise, name: str, count: int) -> list[Any]:
+    """`count` standard normal numbers."""
+    seed, trajectory, tick = (words_of(x) for x in noise)
+    mark = digest(name)
+    key = (seed & LOW) ^ mark[0], (seed >> 32) ^ mark[1]
+    late = ((tick >> 32) & (2 ** (32 - BLOCK_BITS) - 1)) * 2**BLOCK_BITS
+    found: list[Any] = []
+    for block in range((count + 1) // 2):
+        counter = tick & LOW, late + block, trajectory & LOW, trajectory >> 32
+        words = philox(counter, key)
+        found += [normal_of(uniform(*words[:2])), normal_of(uniform(*words[2:]))]
+    return found[:count]
+
+
+@cache
+def digest(name: str) -> tuple[int, int]:
+    """Of a noise's name, two words of 32 bits."""
+    mark = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    return mark & LOW, mark >> 32
+
+
+def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
+    """Philox-4x32-10.   counter : four words of 32 bits.   key : two.   Returns four."""
+    a, b, c, d = counter
+    first, second = key
+    for _ in range(ROUNDS):
+        left, right = a * MULTIPLIERS[0], c * MULTIPLIERS[1]
+        a, b = (right >> 32) ^ b ^ first, right & LOW
+        c, d = (left >> 32) ^ d ^ second, left & LOW
+        first, second = (first + WEYL[0]) & LOW, (second + WEYL[1]) & LOW
+    return a, b, c, d
+
+
+def uniform(high: Any, low: Any) -> Any:
+    """(k + ½)/2⁵², exactly, of the upper 26 bits of two words: inside of (0, 1)."""
+    return (real_of(high >> 6) * 2.0**26 + real_of(low >> 6) + 0.5) * 2.0**-52
+
+
+CENTRE = (
+    (3.3871328727963666080e0, 1.3314166789178437745e2, 1.9715909503065514427e3,
+     1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
+     3.3430575583588128105e4, 2.5090809287301226727e3),
+    (1.0, 4.2313330701600911252e1, 6.8718700749205790830e2, 5.3941960214247511077e3,
+     2.1213794301586595867e4, 3.9307895800092710610e4, 2.8729085735721942674e4,
+     5.2264952788528545610e3),
+)  # fmt: skip
+NEAR = (
+    (1.42343711074968357734e0, 4.63033784615654529590e0, 5.76949722146069140550e0,
+     3.64784832476320460504e0, 1.27045825245236838258e0, 2.41780725177450611770e-1,
+     2.27238449892691845833e-2, 7.74545014278341407640e-4),
+    (1.0, 2.05319162663775882187e0, 1.67638483018380384940e0, 6.89767334985100004550e-1,
+     1.48103976427480074590e-1, 1.51986665636164571966e-2, 5.47593808499534494600e-4,
+     1.05075007164441684324e-9),
+)  # fmt: skip
+FAR = (
+    (6.65790464350110377720e0, 5.46378491116411436990e0, 1.78482653991729133580e0,
+     2.96560571828504891230e-1, 2.65321895265761230930e-2, 1.24266094738807843860e-3,
+     2.71155556874348757815e-5, 2.01033439929228813265e-7),
+    (1.0, 5.99832206555887937690e-1, 1.36929880922735805310e-1, 1.48753612908506148525e-2,
+     7.86869131145613259100e-4, 1.84631831751005468180e-5, 1.42151175831644588870e-7,
+     2.04426310338993978564e-15),
+)  # fmt: skip
+
+
+def normal_of(p: Any) -> Any:
+    """z with Φ(z) = p, 2⁻⁵³ ≤ p ≤ 1 − 2⁻⁵³  (Wichura 1988, algorithm AS 241, PPND16).
+
+    Error ≤ 2e-15 of ‖z‖ (test_normal_of_is_the_inverse_of_the_distribution).
+    """
+    q = p - 0.5
+    central = q * _ratio(CENTRE, 0.180625 - q * q)
+    tail = minimum(p, 1.0 - p)
+    root = sqrt(-logarithm(tail))
+    outer = where(root <= 5.0, _ratio(NEAR, root - 1.6), _ratio(FAR, root - 5.0))
+    return where(q * q <= 0.425 * 0.425, central, where(q < 0.0, -outer, outer))
+
+
+def _ratio(polynomials: tuple[Sequence[float], Sequence[float]], x: Any) -> Any:
+    above, below = (_polynomial(terms, x) for terms in polynomials)
+    return above / below
+
+
+def _polynomial(terms: Sequence[float], x: Any) -> Any:
+    """Σ terms[k] xᵏ, every operation rounded: `horner` is fused where the CPU can."""
+    total: Any = terms[-1]
+    for term in terms[-2::-1]:
+        total = total * x + term
+    return total
+
+
+LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first one's tail is zero
+ODD = (6.666666666666735130e-01, 2.857142874366239149e-01, 1.818357216161805012e-01,
+       1.479819860511658591e-01)  # fmt: skip
+EVEN = 3.999999999940941908e-01, 2.222219843214978396e-01, 1.531383769920937332e-01
+
+
+def logarithm(x: Any) -> Any:
+    """log x for 2⁻⁶³ < x < √2, by fdlibm's series: a C library has bits of its own."""
+    mantissa, exponent = x, 0.0 * x
+    for shift in (32, 16, 8, 4, 2, 1):
+        small = mantissa < 2.0 ** (0.5 - shift)
+        exponent = where(small, exponent - float(shift), exponent)
+        mantissa = where(small, mantissa * 2.0**shift, mantissa)
+    f = mantissa - 1.0  # between √½ − 1 and √2 − 1
+    s = f / (2.0 + f)
+    z = s * s
+    w = z * z
+    series = z * _polynomial(ODD, w) + w * _polynomial(EVEN, w)
+    half = 0.5 * f * f
+    return exponent * LN2[0] - ((half - (s * (half + series) + exponent * LN2[1])) - f)

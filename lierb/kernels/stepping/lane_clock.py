@@ -1,0 +1,192 @@
+"""A clock for each lane: when its trajectory is, how long the next step is, when it ends.
+
+Fixed steps end at t = anchor + dt·k, the same doubles as if all lanes had one clock; adaptive ones
+where the step-size control says. Both end where a controller ticks, and at the end of the run.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.compiler import calls
+from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.clock import TIDY_EVERY
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.status import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
+from lierb.kernels.stepping.step_size import (
+    EPS,
+    LEAST_ULPS,
+    Tolerances,
+    after_accepted,
+    after_rejected,
+    first_step,
+)
+
+INF = float("inf")
+NEARLY = 1e-9  # of a step: what is left of a run, less than that, belongs to the step
+
+
+class Span(NamedTuple):
+    """Of a run, s.
+
+    origin, counted : of fixed steps, the start is so many steps after that time.
+    every : how many steps between two measurements.
+    """
+
+    start: float
+    end: float
+    origin: float
+    counted: float
+    every: float
+
+
+class LaneClock(NamedTuple):
+    """t : now, s.   h : the next step, as far as nothing cuts it short, s.
+
+    anchor, counted : fixed steps are counted from there.   before : of the step-size control.
+    steps, rejected : so far.   seen : when the observables were looked at last, s.
+    due : when the next row of the history is, s.
+    """
+
+    t: Any
+    h: Any
+    anchor: Any
+    counted: Any
+    before: Any
+    steps: Any
+    rejected: Any
+    seen: Any
+    due: Any
+
+
+class Trial(NamedTuple):
+    """A step to be tried: from `start` on, h long, to `end`, s.   lands : 1 where something ends
+    it.
+    """
+
+    start: Any
+    h: Any
+    end: Any
+    lands: Any
+
+
+class Verdict(NamedTuple):
+    """accepted : 1 where the step is taken.   failed : a status, or OK."""
+
+    accepted: Any
+    failed: Any
+    clock: LaneClock
+
+
+def first_clock(
+    plan: AnyPlan, body: Any, state: State, span: Span, limits: Tolerances, zero: Any
+) -> LaneClock:
+    """Before anything is due.   zero : of each lane."""
+    start, length = zero + span.start, zero + (span.end - span.start)
+    h = zero + limits.dt
+    if plan.embedded is not None:
+        chosen = first_step(plan, body, state, start, length, limits)
+        chosen = where(h > 0.0, h, chosen)
+        h = maximum(minimum(chosen, limits.dt_max), limits.dt_min)
+    return LaneClock(
+        start, h, zero + span.origin, zero + span.counted, zero + 1.0, zero, zero, start,
+        zero + INF,
+    )
+
+
+def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
+    """stop : where the step ends at the latest, s.   active : 0 where nothing is to be tried."""
+    left = stop - clock.t
+    lands = clock.h * (1.0 + NEARLY) >= left
+    if plan.embedded is None:
+        reached = clock.anchor + clock.h * (clock.counted + 1.0)
+        end = where(lands, stop, reached)
+        is_whole = absolute(left - clock.h) <= NEARLY * clock.h
+        h = where(lands & ~is_whole, left, clock.h)
+    else:  # no sliver is left for the last one
+        half = clock.t + 0.5 * left
+        ahead = where(clock.h > 0.5 * left, half, clock.t + clock.h)
+        end = where(lands, stop, ahead)
+        h = end - clock.t
+    going = active > 0.5
+    return Trial(
+        clock.t, where(going, h, 0.0), where(going, end, clock.t), where(lands, 1.0, 0.0 * left)
+    )
+
+
+def judged(
+    plan: AnyPlan,
+    clock: LaneClock,
+    trial: Trial,
+    fine: Any,
+    singular: Any,
+    square: Any,
+    limits: Tolerances,
+    active: Any,
+) -> Verdict:
+    """fine : a mask, of what is finite and no singular configuration.   square : of the error."""
+    going = active > 0.5
+    worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
+    raised = going & ~going
+    if plan.calls_functions:
+        raised = going & (calls.marks(clock.t) > calls.SILENT)
+    steps = clock.steps
+    if plan.embedded is None:
+        accepted = going & fine & ~raised
+        failed = where(going & ~accepted, worse, float(OK))
+        counted = clock._replace(steps=where(accepted, steps + 1.0, steps))
+        cut = accepted & (trial.lands > 0.5)
+        moved = counted._replace(
+            t=where(accepted, trial.end, clock.t),
+            anchor=where(cut, trial.end, clock.anchor),
+            counted=where(cut, 0.0, where(accepted, clock.counted + 1.0, clock.counted)),
+        )
+        return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
+    meets = fine & (square <= 1.0)  # false for NaN
+    accepted = going & meets & ~raised
+    refused = going & ~meets & ~raised
+    factor, before = after_accepted(plan, square, clock.before)
+    grown = trial.h * factor
+    # A step that was cut short says little about a long one.
+    longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
+    shorter = trial.h * after_rejected(plan, where(fine, square, INF))
+    h = where(accepted, longer, where(refused, shorter, clock.h))
+    h = maximum(minimum(h, limits.dt_max), limits.dt_min)
+    least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
+    too_small = refused & (trial.h <= least)
+    failed = where(too_small, where(fine, float(DT_MIN), worse), float(OK))
+    moved = clock._replace(
+        t=where(accepted, trial.end, clock.t),
+        h=h,
+        before=where(accepted, before, where(refused, 1.0, clock.before)),
+        steps=where(accepted, steps + 1.0, steps),
+        rejected=where(refused, clock.rejected + 1.0, clock.rejected),
+    )
+    return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
+
+
+def to_tidy(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
+    """Where rounding is to be taken off: every so many steps, those before a break included."""
+    counted = clock.steps + span.counted
+    turn = counted - TIDY_EVERY * floor(counted / TIDY_EVERY)
+    return (fresh > 0.5) & (fate == 0.0) & (turn == 0.0) & (counted > 0.0)
+
+
+def to_measure(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
+    """Where a trajectory is measured: every so many steps, and at its end."""
+    turn = clock.steps - span.every * floor(clock.steps / span.every)
+    return (fresh > 0.5) & ((turn == 0.0) | (fate > 0.0))
+
+
+def fate_of(
+    clock: LaneClock, span: Span, limits: Tolerances, status: Any, fresh: Any, fate: Any
+) -> Any:
+    """0 where a trajectory goes on; elsewhere its status and 1."""
+    fresh = (fresh > 0.5) & (fate == 0.0)
+    many = clock.steps + clock.rejected >= limits.max_steps
+    found = where(many, float(MAX_STEPS + 1), ZERO)
+    found = where(clock.t >= span.end, float(OK + 1), found)
+    found = where(status > 0.0, status + 1.0, found)
+    return where(fresh, found, fate)

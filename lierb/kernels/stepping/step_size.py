@@ -1,0 +1,253 @@
+"""How long a lane's next step is: the error of the last one against what is allowed.
+
+Errors are those of an embedded method, in the Lie algebra, in blocks: rotation, position, ω, v, and
+each of the user's own states. A block's error e is held against atol² + rtol² ‖y‖², where ‖y‖ is
+the block's own size, that of a rotation 1 rad; the largest block counts. Control is PI, as in
+Hairer, Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by squares: no root is taken but for the
+powers.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
+from lierb.kernels.numbers.vec import Vec, dot
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.held import in_states
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.stepper import Slopes, rates_at
+
+EPS = 2.0**-52
+SAFETY = 0.9
+SHRINKS, GROWS = 0.2, 6.0  # at most, from one step to the next
+DAMPING = 0.2  # of the PI controller: β = 0.2 / k, α = 1 / k − 0.75 β (Hairer's, for any k)
+ROOTS = 7  # powers are products of x^(1/2), x^(1/4), … x^(1/128)
+SMALLEST = 1e-20  # of a squared error: what is less lets a step grow no more
+LEAST_ULPS = 16.0  # of the time, in a step
+DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
+
+
+class Tolerances(NamedTuple):
+    """rtol, and atol of each block: rad, m, rad/s, m/s, and the units of the user's states.
+
+    dt : the first step, s, or 0 to choose it; of fixed steps all of them.
+    dt_min, dt_max : s.   max_steps : accepted and rejected ones.
+    """
+
+    dt: float
+    rtol: float
+    rotation_atol: float
+    position_atol: float
+    omega_atol: float
+    v_atol: float
+    states_atol: float
+    dt_min: float
+    dt_max: float
+    max_steps: float
+
+
+def squared_error(
+    plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any, limits: Any
+) -> Any:
+    """The square of a step's error, against 1."""
+    assert plan.embedded is not None
+    scales = _scales(plan, body, state, moved, limits)
+    found = [
+        _largest(plan, body, _defect(plan, body, slopes, h, weights), scales)
+        for weights in plan.embedded.weights
+    ]
+    if len(found) == 1:
+        return found[0]
+    fine, coarse = found  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
+    total = fma(DOP853_MIX, coarse, fine)
+    return where(total > 0.0, fine * fine / where(total > 0.0, total, 1.0), fine)
+
+
+class _Defect(NamedTuple):
+    """In the algebra, in twists, and in the user's states."""
+
+    x: Vec
+    twist: Vec
+    states: Vec
+
+
+def _defect(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]) -> _Defect:
+    """h Σ weights · slopes."""
+    x, v_or_mu, states = (
+        tuple(h * total for total in _weighted(weights, rates))
+        for rates in (slopes.x, slopes.v_or_mu, slopes.states)
+    )
+    formulation = plan.formulation
+    return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
+
+
+def _weighted(weights: tuple[float, ...], rates: tuple[Vec, ...]) -> Vec:
+    total: Vec = (ZERO,) * len(rates[0])
+    for weight, rate in zip(weights, rates, strict=False):
+        if weight != 0.0:
+            total = tuple(fma(weight, k, x) for k, x in zip(rate, total, strict=True))
+    return total
+
+
+class _Scales(NamedTuple):
+    """Squares of what is allowed, of each block; `states` has one for each of them."""
+
+    rotation: Any
+    position: Any
+    omega: Any
+    v: Any
+    states: tuple[Any, ...]
+
+
+def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolerances) -> _Scales:
+    """By the larger of a block's sizes at both ends of the step."""
+    ends = [_sizes(plan, body, each) for each in (state, moved)]
+    rtol = limits.rtol * limits.rtol
+
+    def allowed(atol: Any, *sizes: Any) -> Any:
+        largest = sizes[0]
+        for size in sizes[1:]:
+            largest = maximum(largest, size)
+        return fma(atol, atol, rtol * largest)
+
+    places, turning, moving = (
+        allowed(atol, *(end[i] for end in ends))
+        for i, atol in enumerate((limits.position_atol, limits.omega_atol, limits.v_atol))
+    )
+    states = tuple(allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True))
+    return _Scales(allowed(limits.rotation_atol, 1.0), places, turning, moving, states)
+
+
+def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:
+    """‖y‖² of position, ω, v, and of each of the user's states."""
+    formulation = plan.formulation
+    place = formulation.places(state.chart)
+    twist = formulation.velocity(body, state.v_or_mu)
+    states = tuple(dot(part, part) for part in in_states(plan, state.states))
+    return dot(place, place), _squares(twist, 0), _squares(twist, 3), states
+
+
+def _squares(sixes: Vec, first: int) -> Any:
+    """‖·‖² of the angular (first = 0) or the linear parts (3) of twists side by side."""
+    parts = tuple(x for i in range(first, len(sixes), 6) for x in sixes[i : i + 3])
+    return dot(parts, parts)
+
+
+def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
+    """Over all blocks, ‖e‖² / scale². NaN where any of them is."""
+    pairs = [
+        (_squares(defect.x, 0), scales.rotation),
+        (_squares(defect.x, 3), scales.position),
+        (_squares(defect.twist, 0), scales.omega),
+        (_squares(defect.twist, 3), scales.v),
+    ]
+    parts = in_states(plan, defect.states)
+    pairs += [(dot(part, part), scale) for part, scale in zip(parts, scales.states, strict=True)]
+    found: Any = ZERO
+    for square, scale in pairs:
+        if not is_zero(square):
+            # 0 / 0 is no error; 1 / 0, with atol = 0, is one beyond all bounds.
+            ratio = where(square == 0.0, 0.0, square / scale)
+            found = ratio if is_zero(found) else where(ratio <= found, found, ratio)
+    return 0.0 * body.mass if is_zero(found) else found
+
+
+# ---- the next step -----------------------------------------------------------------------------
+
+
+def power(square: Any, exponent: float) -> Any:
+    """(x²)^(exponent/2) to within a factor of x^(2⁻ᴿᴼᴼᵀˢ), by square roots: the same bits on every
+    CPU, and no call of a library.
+    """
+    steps = round(abs(exponent) * 2 ** (ROOTS - 1))
+    total: Any = None
+    root = square
+    for place in range(ROOTS - 1, -1, -1):
+        root = sqrt(root)
+        if steps >> place & 1:
+            total = root if total is None else total * root
+    assert total is not None
+    return total if exponent > 0 else 1.0 / total
+
+
+def after_accepted(plan: AnyPlan, square: Any, before: Any) -> tuple[Any, Any]:
+    """By how much the next step is longer, and what the controller remembers.
+
+    square : of the error.   before : what it remembered.
+    """
+    k = _power_of(plan)
+    beta = DAMPING / k
+    error = maximum(square, SMALLEST)
+    factor = SAFETY * before / power(error, 1.0 / k - 0.75 * beta)
+    return minimum(maximum(factor, SHRINKS), GROWS), power(maximum(error, 1e-8), beta)
+
+
+def after_rejected(plan: AnyPlan, square: Any) -> Any:
+    """By how much the next attempt is shorter; as short as it may where the error is no number."""
+    factor = SAFETY / power(maximum(square, 1.0), 1.0 / _power_of(plan))
+    return where((square == square) & (factor > SHRINKS), minimum(factor, SAFETY), SHRINKS)
+
+
+def _power_of(plan: AnyPlan) -> int:
+    """Of the step in the error."""
+    assert plan.embedded is not None
+    return plan.embedded.order + 1
+
+
+def first_step(
+    plan: AnyPlan, body: Any, state: State, time: Any, length: Any, limits: Tolerances
+) -> Any:
+    """Hairer's choice (Solving ODEs I, II.4): a hundredth of the block's own size by its rate, then
+    an Euler step to see how fast that rate changes.
+
+    length : of the run, s.
+    """
+    scales = _scales(plan, body, state, state, limits)
+    falling = plan.formulation.before_step(body, state.chart)
+    at = partial(rates_at, plan, body, state.chart, falling)
+    start = at(*_parts(state), time)
+    size = _size_against(plan, body, state, scales)
+    speed = _rate_against(plan, body, _parts(start), scales)
+    tiny = (size < 1e-10) | (speed < 1e-10)
+    guess = where(tiny, 1e-6 * length, 0.01 * sqrt(size / where(tiny, 1.0, speed)))
+    guess = minimum(guess, length)
+    pairs = zip(_parts(state), (0.5 * guess, guess, guess), _parts(start), strict=True)
+    x, *rest = (tuple(fma(h, k, y) for k, y in zip(rate, x, strict=True)) for x, h, rate in pairs)
+    there = at(plan.formulation.in_algebra(body, x), *rest, time + guess)
+    change = tuple(
+        tuple(after - before for before, after in zip(*pair, strict=True))
+        for pair in zip(_parts(start), _parts(there), strict=True)
+    )
+    bend = _rate_against(plan, body, change, scales) / (guess * guess)
+    largest = maximum(speed, bend)
+    still = largest < 1e-30
+    wanted = power(0.01 * 0.01 / where(still, 1.0, largest), 1.0 / _power_of(plan))
+    wanted = where(still, maximum(1e-6 * length, guess * 1e-3), wanted)
+    wanted = minimum(100.0 * guess, wanted)
+    return where(absolute(wanted) < length, wanted, length)  # NaN: a trial will tell
+
+
+def _parts(of: Any) -> tuple[Vec, Vec, Vec]:
+    """Of a state or its rates."""
+    return of.x, of.v_or_mu, of.states
+
+
+def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> Any:
+    """‖y‖² / scale² of the largest block; a rotation's is 1 rad."""
+    place, turning, moving, states = _sizes(plan, body, state)
+    found: Any = 1.0 / scales.rotation
+    for square, scale in zip(
+        (place, turning, moving, *states), (*scales[1:4], *scales.states), strict=True
+    ):
+        if not is_zero(square):
+            found = maximum(found, where(square == 0.0, 0.0, square / scale))
+    return found
+
+
+def _rate_against(plan: AnyPlan, body: Any, rates: Any, scales: _Scales) -> Any:
+    x, v_or_mu, states = rates
+    twist = plan.formulation.velocity(body, v_or_mu)
+    return _largest(plan, body, _Defect(x, twist, states), scales)

@@ -1,0 +1,67 @@
+"""Random numbers for controllers, by place in a stream: seed, trajectory, name, tick, component.
+
+`normal` draws inside of functions of `@lierb.controller`; `sample` gives the same bits anywhere
+else. Nothing is drawn one after the other: a trajectory's noise is the same alone and in a batch of
+a million, on one lane or eight, when it is resumed and on another machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import Array, as_floats
+from lierb.errors import ArgumentError, told
+from lierb.kernels.functions.noise import MOST, normal, normals
+from lierb.kernels.functions.signals import Noise
+
+LARGEST = 2**53  # up to which doubles are exact integers
+
+__all__ = ["normal", "sample"]
+
+
+def sample(
+    seed: int, trajectory: ArrayLike, name: str, tick: ArrayLike, size: int | tuple[()] = ()
+) -> Array:
+    """What `normal(name, size)` gives in a controller, to the bit.
+
+    seed, trajectory : of the run: `lierb.integrate(seed=…, trajectories=…)`. Whole numbers, 0 to
+        2⁵³, trajectory an array of them if wanted.
+    tick : number of the call: it is at tick·T, T being the controller's period. An array if wanted.
+    Returns trajectory's and tick's shapes broadcast, and then (size,) where it is a count.
+
+    >>> import lierb
+    >>> lierb.noise.sample(0, trajectory=[0, 1, 2], name="gyro", tick=5, size=3).round(3).tolist()
+    [[1.334, 0.184, -0.075], [1.292, -0.763, 0.197], [2.011, 1.632, 0.737]]
+    """
+    if not (isinstance(name, str) and name):
+        raise ArgumentError(f"name={told(name)}; expected the noise's name, as text")
+    count = 1 if size == () else size
+    if not (isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= MOST):
+        raise ArgumentError(f"size={told(size)}; expected () or how many numbers, 1 to {MOST}")
+    seeds = _whole("seed", seed, least=0)
+    if seeds.ndim:
+        raise ArgumentError(f"seed has shape {seeds.shape}; expected one number")
+    numbers = _whole("trajectory", trajectory, least=0), _whole("tick", tick, least=-LARGEST)
+    try:
+        trajectories, ticks = np.broadcast_arrays(*numbers)
+    except ValueError:
+        raise ArgumentError(
+            f"trajectory has shape {numbers[0].shape}, tick {numbers[1].shape}; expected shapes "
+            "that broadcast"
+        ) from None
+    noise = Noise(float(seeds), trajectories.ravel(), ticks.ravel())
+    found = np.stack(normals(noise, name, count), axis=-1)
+    return found.reshape(*ticks.shape, *(() if size == () else (count,)))
+
+
+def _whole(argument: str, value: Any, least: int) -> Array:
+    """Whole numbers that doubles have."""
+    given = as_floats(argument, value)
+    if np.any((given != np.floor(given)) | ~(given >= least) | ~(given <= LARGEST)):
+        raise ArgumentError(
+            f"{argument}={told(value)}; expected whole numbers, {least} to {LARGEST}"
+        )
+    return given

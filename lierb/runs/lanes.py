@@ -1,0 +1,279 @@
+"""Running a batch whose lanes have clocks of their own: adaptive steps, output, events, controls."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from struct import Struct
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.arrays import Array
+from lierb.compiler import calls
+from lierb.compiler.code import compiled
+from lierb.compiler.entries import entry_of
+from lierb.kernels.stepping.driver import (
+    ARRAYS,
+    RESUMED,
+    UNSEEN,
+    carried_columns,
+    lane_column,
+)
+from lierb.kernels.stepping.lane_clock import Span
+from lierb.kernels.stepping.lane_driver import (
+    ACTIVE,
+    EVENT_COLUMNS,
+    FATE,
+    LANE_JOB,
+    LOOKS,
+    OWN_ARRAYS,
+    desk_of,
+    integrate_lanes,
+    integrate_lanes_on_threads,
+)
+from lierb.kernels.stepping.layout import POSE_AND_TWIST
+from lierb.kernels.stepping.measures import SUMMARY
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import events_of, signals_width
+from lierb.kernels.stepping.step_size import Tolerances
+from lierb.runs import engine
+from lierb.runs.engine import CALL_SECONDS, Inputs, Output
+from lierb.runs.progress import Progress, reporter
+
+FIRST_TURNS = 200  # of a thread's first call, to find out how fast a plan runs
+EVENT_ROOM = 4096  # on a desk, at the least, between two calls
+SHARES = 1000  # of a trajectory's time, for the progress
+IDLE = 1.0  # the fate of a lane that nobody has been in
+_CODES = {"i": "q", "f": "d", "V": "4q"}
+_PACKED = Struct("=" + "".join(_CODES[LANE_JOB[name].kind] for name in LANE_JOB.names or ()))
+
+
+@dataclass(frozen=True)
+class LaneTime:
+    """When a run is, how its steps are chosen, and what is looked at.
+
+    save_at : s, of the rows of its history.   kinds : [direction, is terminal][event].
+    seed, numbers : of the noise, and each trajectory's own.
+    """
+
+    span: Span
+    tolerances: Tolerances
+    save_at: Array
+    kinds: Array
+    seed: int = 0
+    numbers: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def saved_rows(self) -> int:
+        return len(self.save_at)
+
+    def saved_steps(self) -> NDArray[np.int64]:
+        """Their numbers."""
+        return np.arange(self.saved_rows)
+
+    def saved_times(self) -> Array:
+        return self.save_at
+
+    @property
+    def end(self) -> float:
+        return self.span.end
+
+
+class _OneTime(NamedTuple):
+    """What a desk's arrays are as large as."""
+
+    saved_rows: int = 1
+    end: float = 0.0
+
+    def saved_steps(self) -> NDArray[np.int64]:
+        return np.zeros(1, np.int64)
+
+    def saved_times(self) -> Array:
+        return np.zeros(1)
+
+
+class Desk(NamedTuple):
+    """A thread's: one time of as many trajectories as it has lanes, and what they carry."""
+
+    output: Output
+    arrays: dict[str, NDArray]
+
+
+class Events(NamedTuple):
+    """Of a run, in the order in which they were found: [event][EVENT_COLUMNS, state, signals]."""
+
+    rows: list[Array]
+
+    @property
+    def table(self) -> Array:
+        """Sorted by trajectory and time; those that come after an end are left out."""
+        found = np.concatenate(self.rows) if self.rows else np.zeros((0, EVENT_COLUMNS))
+        found = found[found[:, 0] >= 0]
+        order = np.lexsort((found[:, 1], found[:, 2], found[:, 0]))
+        return np.ascontiguousarray(found[order])
+
+
+@dataclass(frozen=True)
+class LaneRun:
+    """What all calls of the driver have in common."""
+
+    plan: AnyPlan
+    inputs: Inputs
+    times: LaneTime
+    output: Output
+    threads: int
+    events: Events
+
+    @cached_property
+    def _arrays(self) -> dict[str, NDArray]:
+        """Of the batch."""
+        places = self.inputs.places(self.plan)
+        nothing = np.empty((1, 1))
+        return {
+            "places": places,
+            "varying": np.flatnonzero(places[:, 1])[None],
+            "inputs": np.zeros((self.threads, len(places), self.plan.lanes)),
+            "carried": nothing,
+            "desk": nothing,
+            "save_at": self.times.save_at[None],
+            "numbers": np.ascontiguousarray(self.times.numbers[None]),
+            "events": nothing,
+            "kinds": self.times.kinds,
+            **self.output.arrays,
+        }
+
+    @cached_property
+    def _desks(self) -> list[Desk]:
+        return [self._desk() for _ in range(self.threads)]
+
+    def _desk(self) -> Desk:
+        plan, lanes = self.plan, self.plan.lanes
+        output = Output.empty(plan, lanes, _OneTime(), with_state=False)
+        rows = np.zeros((desk_of(plan).count, lanes))
+        rows[FATE] = IDLE
+        watched = len(events_of(plan))
+        room = max(EVENT_ROOM, 4 * watched * LOOKS * lanes) if watched else 0
+        width = EVENT_COLUMNS + output.links * POSE_AND_TWIST.count + signals_width(plan)
+        arrays = {
+            "carried": np.zeros((carried_columns(plan), lanes)),
+            "desk": rows,
+            "events": np.zeros((1 + room, width)),
+        }
+        return Desk(output, arrays | output.arrays)
+
+    @cached_property
+    def _counter(self) -> NDArray[np.int64]:
+        return np.zeros(2, dtype=np.int64)
+
+    def call(self, begin: int, turns: int, is_first: bool) -> float:
+        """So many iterations of every thread's lanes; the seconds they took, compilation apart."""
+        records = []
+        for desk in self._desks:
+            records.append(self._record(self._arrays, begin, turns, is_first))
+            records.append(self._record(self._arrays | desk.arrays, 0 if is_first else 1, 0, False))
+        jobs = np.frombuffer(bytearray(b"".join(records)), LANE_JOB).reshape(self.threads, 2)
+        counter = self._counter
+        entry = entry_of(integrate_lanes, self.plan, self._arrays["inputs"][0], counter, jobs[0])
+        loop = (entry, counter, self.threads, jobs)
+        run = compiled(integrate_lanes_on_threads, *loop)
+        with engine.running(self.threads):
+            began = time.perf_counter()
+            run(*loop)
+            return max(time.perf_counter() - began, 1e-6)
+
+    def _record(self, arrays: dict[str, NDArray], begin: int, turns: int, is_first: bool) -> bytes:
+        numbers: list[int] = []
+        for name in (*ARRAYS, *OWN_ARRAYS):
+            array = arrays[name]
+            extents = array.shape + (1,) * (3 - array.ndim)
+            numbers += (array.__array_interface__["data"][0], *extents)
+        plan, columns = self.plan, desk_of(self.plan)
+        looks = LOOKS if plan.extension is not None else 1
+        sizes = (
+            0, self.inputs.count, begin, turns, self.inputs.differ, self.output.rows,
+            len(events_of(plan)), looks, columns["sides"].start, columns["values"].start,
+            columns["signals"].start, lane_column(plan),
+        )  # fmt: skip
+        times = self.times
+        return _PACKED.pack(*numbers, *sizes, times.seed, *times.span, *times.tolerances)
+
+    def look_at_starts(self) -> None:
+        """Whether trajectories start on their joints, all of them."""
+        self.call(UNSEEN, 0, True)
+        self._counter[0] = 0
+
+    def take_events(self) -> None:
+        """Off the desks."""
+        for desk in self._desks:
+            rows = desk.arrays["events"]
+            count = int(rows[0, 0])
+            if count:
+                self.events.rows.append(rows[1 : 1 + count].copy())
+                rows[0, 0] = 0.0
+
+    def hear(self) -> None:
+        """Take what functions have raised in trajectories that have ended, once of each."""
+        marks = self.output.summary[SUMMARY.index("raised")]
+        self.output.hear_marks(self.plan, np.nan_to_num(marks), 0)
+        marks[marks > calls.HEARD] = calls.HEARD
+
+    def to_do(self) -> bool:
+        """Whether a trajectory is on its way."""
+        return any((desk.arrays["desk"][ACTIVE] > 0.0).any() for desk in self._desks)
+
+    def done(self) -> float:
+        """Trajectories so far, those on their way by their time."""
+        going, share = 0, 0.0
+        first = desk_of(self.plan)["clock"].start
+        span = self.times.span
+        for desk in self._desks:
+            rows = desk.arrays["desk"]
+            on_way = rows[ACTIVE] > 0.0
+            going += int(np.count_nonzero(on_way))
+            share += float(((rows[first, on_way] - span.start) / (span.end - span.start)).sum())
+        return min(int(self._counter[0]), self.inputs.count) - going + share
+
+
+def integrate(
+    plan: AnyPlan,
+    inputs: Inputs,
+    times: LaneTime,
+    with_state: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    check: Callable[[Array, int], bool] | None = None,
+) -> Output:
+    """Run every trajectory to its end; arguments as of `lierb.runs.engine.integrate`."""
+    output = Output.empty(plan, inputs.count, times, with_state)
+    used = engine.threads_for(threads, -(-inputs.count // plan.lanes))
+    if len(output.history):
+        output.history.fill(np.nan)  # of what comes after an end
+    for array in (*output.states, output.multipliers, output.reactions):
+        array.fill(np.nan)
+    run = LaneRun(plan, inputs, times, output, used, Events([]))
+    if check is not None:
+        run.look_at_starts()
+        check(output.starts(0, inputs.count), 0)
+    begin = RESUMED if inputs.state is not None else 0
+    with reporter(progress, inputs.count * SHARES, "trajectories") as report:
+        for done in _run(run, begin):
+            report(int(done * SHARES))
+    return replace(output, events=run.events.table)
+
+
+def _run(run: LaneRun, begin: int) -> Iterator[float]:
+    turns, is_first = FIRST_TURNS, True
+    while is_first or run.to_do():
+        seconds = run.call(begin, turns, is_first)
+        is_first = False
+        run.take_events()
+        if run.plan.calls_functions:
+            run.hear()
+        turns = max(int(turns * CALL_SECONDS / seconds), 1) if seconds > 0.0 else turns
+        turns = min(turns, 1 << 30)
+        yield run.done()
+

@@ -1,0 +1,370 @@
+"""When a run is: its arguments, checked, as the clock of all lanes or of each."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.arrays import Array, are_finite, as_floats, is_whole
+from lierb.errors import ArgumentError, TimeGridError, told, unknown_name
+from lierb.kernels.stepping.clock import Clock, time_of
+from lierb.kernels.stepping.lane_clock import Span
+from lierb.kernels.stepping.plan import Embedded, Extension
+from lierb.kernels.stepping.step_size import Tolerances
+from lierb.runs.continuation import counted
+from lierb.runs.lanes import LaneTime
+from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
+from lierb.user_signals import Event
+
+MOST_STEPS = 2.0**53  # beyond, not every step has a number
+BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
+RTOL = 1e-6  # where only atol is given
+ATOL = 1e-3  # of rtol, where only that is given, in SI units of each block
+LEAST_RTOL = 1e-15
+MOST_SEED = 2**53
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The arguments of `lierb.integrate` that say when: checked, in plain numbers.
+
+    steps : of a grid of fixed steps; 0 with adaptive ones.   dt : of adaptive steps the first, or 0
+        to choose it.   atol : of each of BLOCKS.
+    save_every : 0 for none.   save_at : s, or None.
+    is_of_lanes : whether each lane has a clock of its own.
+    """
+
+    tableau: ButcherTableau
+    dt: float
+    t0: float
+    t_end: float
+    steps: int
+    measure_every: int
+    save_every: int
+    rtol: float | None = None
+    atol: tuple[float, ...] = ()
+    dt_min: float = 0.0
+    dt_max: float = math.inf
+    max_steps: float = math.inf
+    save_at: Array | None = None
+    is_of_lanes: bool = False
+
+    @property
+    def is_adaptive(self) -> bool:
+        return self.rtol is not None
+
+    @property
+    def saves(self) -> bool:
+        return bool(self.save_every) or self.save_at is not None
+
+    def described(self, looks: bool) -> dict[str, Any]:
+        """What of the plan depends on it.   looks : whether there are events."""
+        tableau = self.tableau
+        found = {
+            "stages": tableau.A,
+            "weights": tableau.b,
+            "exponentials": tableau.exponentials or (),
+        }
+        if not self.is_of_lanes:
+            return found
+        looks = looks or self.saves
+        embedded = None
+        if self.is_adaptive:
+            assert tableau.error is not None and tableau.error_order is not None
+            embedded = Embedded(tableau.error, tableau.error_order)
+        extension = None
+        if looks and tableau.dense is not None:
+            extension = Extension(tableau.dense_A, tableau.dense)
+        return found | {
+            "clock": "lanes", "embedded": embedded, "extension": extension, "looks": looks,
+        }  # fmt: skip
+
+    def clock(self) -> Clock:
+        """Of fixed steps, the same in all lanes."""
+        return Clock(
+            self.dt, self.steps, self.measure_every, self.save_every, *counted(self.t0, self.dt)
+        )
+
+    def lane_time(
+        self, clock: Clock | None, events: Iterable[Event], seed: int, numbers: Array
+    ) -> LaneTime:
+        """clock : of fixed steps, as a run goes on with it.   numbers : of the trajectories."""
+        save_at = np.zeros(0) if self.save_at is None else self.save_at
+        if clock is None:
+            span = Span(self.t0, self.t_end, 0.0, 0.0, float(self.measure_every))
+        else:
+            start = float(time_of(clock, 0))
+            span = Span(start, clock.end, clock.origin, clock.first_step, float(self.measure_every))
+            if self.save_every:
+                save_at = clock.saved_times()
+            else:
+                save_at = np.clip(save_at, span.start, span.end)
+        atol = self.atol or (0.0,) * len(BLOCKS)
+        tolerances = Tolerances(
+            self.dt, self.rtol or 0.0, *atol, self.dt_min, self.dt_max, self.max_steps
+        )
+        pairs = [(float(each.direction), float(each.terminal)) for each in events]
+        kinds = np.array(pairs or [(0.0, 0.0)]).T.copy()
+        return LaneTime(span, tolerances, np.ascontiguousarray(save_at), kinds, seed, numbers)
+
+    def options(self) -> dict[str, Any]:
+        """As metadata have them, beside those of every run."""
+        if not self.is_of_lanes:
+            return {}
+        found: dict[str, Any] = {}
+        if self.is_adaptive:
+            found["rtol"] = self.rtol
+            found["atol"] = ", ".join(
+                f"{name}: {x:g}" for name, x in zip(BLOCKS, self.atol, strict=True)
+            )
+            found["dt_min"], found["dt_max"] = self.dt_min, _or_none(self.dt_max)
+        found["max_steps"] = _or_none(self.max_steps)
+        if self.save_at is not None:
+            found["save_at"] = _told_times(self.save_at)
+        return found
+
+
+def _or_none(x: float) -> float | None:
+    return None if x == math.inf else x
+
+
+def _told_times(times: Array) -> str:
+    if not len(times):
+        return "none"
+    return f"{len(times)} times from {times[0]:g} to {times[-1]:g} s"
+
+
+def timing_of(
+    *,
+    dt: float | None,
+    t_end: float,
+    t0: float,
+    method: str | ButcherTableau | None,
+    update: str,
+    save_every: int | None,
+    measure_every: int,
+    rtol: float | None,
+    atol: float | Mapping[str, float] | None,
+    dt_min: float | None,
+    dt_max: float | None,
+    max_steps: int | None,
+    save_at: ArrayLike | None,
+    has_own_time: bool,
+) -> Timing:
+    """Raise what `lierb.integrate` would.
+
+    has_own_time : whether the problem has something that happens along a trajectory's own time:
+        events, states, controllers.
+    """
+    start = checked_time("t0", t0, after=-math.inf)
+    end = checked_time("t_end", t_end, after=start)
+    is_adaptive = rtol is not None or atol is not None
+    given = ("DOP853" if is_adaptive else "RK4") if method is None else method
+    tableau = tableau_of(given)
+    if tableau.exponentials and update == "global":
+        raise ArgumentError(
+            f'{tableau.name} makes each pose of several exponentials and needs update="local"; '
+            'update="global" keeps one chart'
+        )
+    _check_counts(save_every, measure_every)
+    times = None if save_at is None else _checked_save_at(save_at, start, end)
+    if times is not None and save_every is not None:
+        raise ArgumentError("save_every and save_at are both given; choose one of them")
+    most = math.inf if max_steps is None else _checked_max_steps(max_steps)
+    is_of_lanes = is_adaptive or times is not None or has_own_time or most < math.inf
+    if is_adaptive:
+        return _adaptive(
+            tableau, dt, start, end, save_every, int(measure_every), rtol, atol, dt_min, dt_max,
+            most, times,
+        )  # fmt: skip
+    for name, got in (("dt_min", dt_min), ("dt_max", dt_max)):
+        if got is not None:
+            raise ArgumentError(
+                f"{name}={told(got)} is for adaptive steps; give rtol= (or atol=) as well"
+            )
+    if dt is None:
+        raise TimeGridError("integrate needs dt=, the step in s, or rtol= for adaptive steps")
+    steps = checked_steps(dt, end, start)
+    measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
+    return Timing(
+        tableau, float(dt), start, end, steps, measured, saved,
+        max_steps=most, save_at=times, is_of_lanes=is_of_lanes,
+    )  # fmt: skip
+
+
+def _adaptive(
+    tableau: ButcherTableau,
+    dt: float | None,
+    start: float,
+    end: float,
+    save_every: int | None,
+    measure_every: int,
+    rtol: float | None,
+    atol: float | Mapping[str, float] | None,
+    dt_min: float | None,
+    dt_max: float | None,
+    most: float,
+    times: Array | None,
+) -> Timing:
+    if tableau.error is None:
+        able = ", ".join(name for name, each in TABLEAUS.items() if each.error is not None)
+        raise ArgumentError(
+            f"rtol= and atol= need a method with an embedded one to tell errors by ({able}), not "
+            f"{tableau.name}; give another method=, or dt= for fixed steps"
+        )
+    if save_every is not None:
+        raise ArgumentError(
+            f"save_every={told(save_every)} counts steps, of which each trajectory has its own "
+            "with rtol=; give save_at=, times in s"
+        )
+    relative = RTOL if rtol is None else _checked_rtol(rtol)
+    first = 0.0 if dt is None else checked_time("dt", dt)
+    least = 0.0 if dt_min is None else _checked_length("dt_min", dt_min, zero=True)
+    longest = math.inf if dt_max is None else _checked_length("dt_max", dt_max)
+    if least > longest:
+        raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
+    return Timing(
+        tableau, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
+        least, longest, most, times, is_of_lanes=True,
+    )  # fmt: skip
+
+
+def _checked_rtol(rtol: Any) -> float:
+    given = _real(rtol)
+    if not LEAST_RTOL <= given < 1.0:
+        raise ArgumentError(
+            f"rtol={told(rtol)}; expected a number from {LEAST_RTOL:g}, near rounding, to less "
+            "than 1"
+        )
+    return given
+
+
+def _checked_atol(atol: Any, rtol: float) -> tuple[float, ...]:
+    """Of each block."""
+    default = ATOL * rtol
+    if atol is None:
+        return (default,) * len(BLOCKS)
+    if isinstance(atol, Mapping):
+        for name in atol:
+            if name not in BLOCKS:
+                raise unknown_name("atol", str(name), BLOCKS)
+        return tuple(
+            _checked_tolerance(f"atol[{name!r}]", atol[name]) if name in atol else default
+            for name in BLOCKS
+        )
+    return (_checked_tolerance("atol", atol),) * len(BLOCKS)
+
+
+def _checked_tolerance(name: str, given: Any) -> float:
+    number = _real(given)
+    if not 0.0 <= number < math.inf:
+        raise ArgumentError(
+            f"{name}={told(given)}; expected a number, zero or positive, in the unit of its block "
+            "(rad, m, rad/s, m/s), or a dictionary of such by block"
+        )
+    return number
+
+
+def _checked_length(name: str, given: Any, zero: bool = False) -> float:
+    number = _real(given)
+    if not (0.0 < number <= math.inf or (zero and number == 0.0)):
+        raise ArgumentError(f"{name}={told(given)}; expected a positive time in s")
+    return number
+
+
+def _checked_max_steps(given: Any) -> float:
+    if not (is_whole(given) and given >= 1):
+        raise ArgumentError(f"max_steps={told(given)}; expected a whole number, at least 1")
+    return float(given)
+
+
+def _real(given: Any) -> float:
+    """NaN for what is no number."""
+    is_real = is_whole(given) or isinstance(given, (float, np.floating))
+    try:
+        return float(given) if is_real else math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _checked_save_at(given: Any, start: float, end: float) -> Array:
+    times = as_floats("save_at", given)
+    if times.ndim != 1 or not times.size or not are_finite(times):
+        raise TimeGridError(f"save_at={told(given)}; expected a row of finite times in s")
+    if not (np.diff(times) > 0.0).all():
+        raise TimeGridError("save_at has times that do not ascend; sort them, each once")
+    rounding = 4 * sys.float_info.epsilon * max(abs(start), abs(end))
+    for time in (times[0], times[-1]):
+        if not start - rounding <= time <= end + rounding:
+            raise TimeGridError(
+                f"save_at has {float(time)!r} s, which is not within t0={start!r} s and "
+                f"t_end={end!r} s"
+            )
+    return np.clip(times, start, end)
+
+
+def _check_counts(save_every: Any, measure_every: Any) -> None:
+    for name, every in (("save_every", save_every), ("measure_every", measure_every)):
+        is_left_out = every is None and name == "save_every"
+        if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
+            raise TimeGridError(
+                f"{name}={told(every)}; expected a whole number of steps, at least 1"
+            )
+
+
+def checked_seed(seed: Any) -> int:
+    if not (is_whole(seed) and 0 <= seed < MOST_SEED):
+        raise ArgumentError(f"seed={told(seed)}; expected a whole number from 0 to 2**53 - 1")
+    return int(seed)
+
+
+def checked_numbers(trajectories: Any, count: int) -> Array:
+    """Of the members of the batch, by which noise is drawn."""
+    if trajectories is None:
+        return np.arange(count, dtype=np.float64)
+    numbers = as_floats("trajectories", trajectories)
+    is_fit = numbers.shape == (count,) and (numbers == np.floor(numbers)).all()
+    if not (is_fit and (numbers >= 0).all() and (numbers < MOST_SEED).all()):
+        raise ArgumentError(
+            f"trajectories={told(trajectories)}; expected the number of each of the {count} "
+            "trajectories, whole and not negative"
+        )
+    return np.ascontiguousarray(numbers)
+
+
+def checked_steps(dt: float, t_end: float, t0: float) -> int:
+    """How many fixed steps lead from t0 to t_end. Raises TimeGridError unless they do."""
+    dt = checked_time("dt", dt)
+    largest = max(abs(t0), abs(t_end))
+    if largest / dt > MOST_STEPS:
+        name = "t_end" if largest == abs(t_end) else "t0"
+        raise TimeGridError(f"{name} is more than {MOST_STEPS:g} steps of dt={dt!r} s from 0 s")
+    length = t_end - t0
+    if length == math.inf:
+        raise TimeGridError(f"from t0={t0!r} s to t_end={t_end!r} s is beyond all numbers")
+    steps = round(length / dt)
+    rounding = 4 * sys.float_info.epsilon * largest  # of the times and of N·dt themselves
+    if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
+        below = max(int(length / dt), 1)
+        misfit = "no multiple" if t0 == 0.0 else f"after t0={t0!r} s no whole number of steps"
+        raise TimeGridError(
+            f"t_end={t_end!r} s is {misfit} of dt={dt!r} s; the nearest are "
+            f"{t0 + below * dt:.15g} and {t0 + (below + 1) * dt:.15g}"
+        )
+    return steps
+
+
+def checked_time(name: str, given: Any, after: float = 0.0) -> float:
+    """A time in s, later than `after`."""
+    seconds = _real(given)
+    if not after < seconds < math.inf:
+        late = "positive time in s" if after == 0.0 else f"time in s later than t0={after!r}"
+        expected = "finite time in s" if after == -math.inf else late
+        raise TimeGridError(f"{name}={told(given)}; expected a {expected}")
+    return seconds
