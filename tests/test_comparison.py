@@ -16,7 +16,13 @@ from reference_numbers import BOX_INERTIA, BOX_MASS, BOX_POINT
 from scipy.integrate import solve_ivp
 
 import lierb
-from lierb.errors import ArgumentError, FailedTrajectoryWarning, TimeGridError, UnknownNameError
+from lierb.errors import (
+    ArgumentError,
+    FailedTrajectoryWarning,
+    LierbError,
+    TimeGridError,
+    UnknownNameError,
+)
 from lierb.studies import comparing, reference
 from lierb.studies.comparison import ESCAPED
 from lierb.tableaus import TABLEAUS
@@ -299,6 +305,23 @@ def test_tolerances_make_adaptive_runs(monkeypatch, exact):
     assert "mean step" in found.to_markdown()
 
 
+@pytest.mark.slow
+def test_errors_follow_the_tolerance(exact):
+    found = lierb.convergence(
+        box_top(), "DP54", rtols=[1e-4, 1e-6, 1e-8], twist0=twists(), t_end=T_END,
+        reference=exact, repeats=0,
+    )  # fmt: skip
+    for quantity in ("error.rotation", "error.position"):
+        ratios = column(found.table, quantity) / column(found.table, "rtol")
+        # a tolerance is of a step, and steps add up: within a factor of 30
+        assert (ratios < 30.0).all()
+        assert (ratios > 1.0 / 30.0).all()
+    # p = 5; the largest errors are of one trajectory, mean steps of three
+    assert found.order("DP54", quantity="error.rotation") == pytest.approx(5.0, rel=0.1)
+    steps, rejected = (column(found.table, name) for name in ("steps", "rejected"))
+    assert_allclose(column(found.table, "evaluations"), 6 * (steps + rejected))
+
+
 # ---- arguments ---------------------------------------------------------------------------------
 
 
@@ -318,6 +341,7 @@ def test_tolerances_make_adaptive_runs(monkeypatch, exact):
         ({"cspaces": ["SE3", "SO3"]}, UnknownNameError, "cspace='SO3' is unknown"),
         ({"norm": "mean"}, UnknownNameError, "norm='mean'"),
         ({"repeats": -1}, ArgumentError, "repeats=-1"),
+        ({"methods": "DP54", "rtols": 1e-6, "atol": {"spin": 1e-9}}, LierbError, "spin"),
         ({"atol": 1e-9}, ArgumentError, "atol goes with rtols"),
         ({"progress": 3}, ArgumentError, "progress=3"),
         ({"reference": 3}, ArgumentError, "reference=3; expected the lierb.Result"),

@@ -150,7 +150,7 @@ def convergence(
     runs = _runs(tableaus, spaces, steps, tolerances)
     kept = {"update": update, "solver": solver, "stabilise": stabilise}
     for run in runs:
-        _check(problem, run, t0, t_end, measure_every, kept)
+        _check(problem, run, t0, t_end, atol, measure_every, kept)
     start = {"twist0": twist0, "pose0": pose0, "t_end": t_end, "t0": t0, "progress": False}
     options = kept | {"measure_every": measure_every} | start
     length = float(t_end) - float(t0)
@@ -272,23 +272,26 @@ def _check(
     run: Run,
     t0: float,
     t_end: float,
+    atol: Any,
     measure_every: int,
     kept: dict[str, Any],
 ) -> None:
     """Raise what `integrate` would, and of a step that does not fit which ones do."""
     length = _length(t0, t_end)
 
-    def check(dt: float) -> None:
+    def check(**control: Any) -> None:
         check_options(
-            problem, dt=dt, t_end=t_end, t0=t0, method=run.tableau, cspace=run.cspace,
-            save_every=None, measure_every=measure_every, record=(), **kept,
+            problem, t_end=t_end, t0=t0, method=run.tableau, cspace=run.cspace, save_every=None,
+            measure_every=measure_every, record=(), **control, **kept,
         )  # fmt: skip
 
-    is_time = 0.0 < length < math.inf
-    check(length if is_time else run.dt or 1.0)  # all but the step, of which we have more to say
-    if run.dt is not None:
-        _require_part(run.dt, length)
-        check(run.dt)
+    if run.dt is None:
+        check(rtol=run.rtol, atol=atol)
+        return
+    # all but the step, of which we have more to say
+    check(dt=length if 0.0 < length < math.inf else run.dt)
+    _require_part(run.dt, length)
+    check(dt=run.dt)
 
 
 def _length(t0: Any, t_end: Any) -> float:
@@ -380,10 +383,11 @@ def _row(
             f"expected {count}"
         )
     missing = ends.failed | reference.ends.failed
-    if run.dt is not None:
-        steps, rejected = np.full(count, float(round(length / run.dt))), np.zeros(count)
-    else:
+    if "steps" in summary.column_names:  # of adaptive ones, and of those that a controller ends
         steps, rejected = (as_array(summary[c]).astype(float) for c in ("steps", "rejected"))
+    else:
+        assert run.dt is not None
+        steps, rejected = np.full(count, float(round(length / run.dt))), np.zeros(count)
     mean = float(np.mean(steps[~failed])) if not failed.all() else math.nan
     refused = float(np.mean(rejected[~failed])) if not failed.all() else math.nan
     errors = normed(ends.errors(reference.ends), norm)
@@ -436,7 +440,8 @@ def _notes(
 ) -> Iterator[str]:  # fmt: skip
     of_all = f", over the {count} trajectories the {norm} each" if count > 1 else ""
     links = ", of the farthest link" if isinstance(problem, Mechanism) else ""
-    yield f"Errors are those at t = {times[1]:g} s, from t = {times[0]:g} s{links}{of_all}."
+    ended = ", or where an event has ended a trajectory" if problem.events else ""
+    yield f"Errors are those at t = {times[1]:g} s{ended}, from t = {times[0]:g} s{links}{of_all}."
     if reference.errors and any(reference.errors.values()):
         each = ", ".join(
             f"{rounded(reference.errors[name])} {unit} ({name})" for name, unit in ERRORS.items()

@@ -110,7 +110,7 @@ class Comparison(Shown):
     ) -> float:
         """An observed order; NaN where there is none to be seen.
 
-        cspace : may be left out where there is one.
+        cspace : may be left out where there is one.   Of a method with dts and rtols, over dt.
 
         Raises UnknownNameError, ArgumentError where there is none to choose.
         """
@@ -125,7 +125,7 @@ class Comparison(Shown):
         if cspace is not None:
             require_name("cspace", cspace, dict.fromkeys(each.cspace for each in self.orders))
         if len({each.cspace for each in found}) > 1:
-            names = ", ".join(each.cspace for each in found)
+            names = ", ".join(dict.fromkeys(each.cspace for each in found))
             raise ArgumentError(f"{method} was run on {names}; give cspace= as well")
         order = found[0].order
         return math.nan if order is None else order.slope
@@ -240,11 +240,14 @@ class Comparison(Shown):
 
     def _shown(self) -> tuple[str, Lines]:
         title = f"lierb.Comparison: {counted(self.table.num_rows, 'run')}"
-        rows = []
+        rows: list[tuple[str, str]] = []
         header, orders = self._orders()
         for row in orders:
-            seen = [f"{q} {told}" for q, told in zip(header[3:], row[3:]) if told != "–"]
-            rows.append((f"{row[0]}, {row[1]}", f"order of {', '.join(seen)}" if seen else "–"))
+            seen = [f"{q} {order}" for q, order in zip(header[3:], row[3:]) if order != "–"]
+            adaptive = "" if row[2] == "dt" else ", adaptive"
+            rows.append(
+                (f"{row[0]}, {row[1]}{adaptive}", f"order of {', '.join(seen)}" if seen else "–")
+            )
         return title, [*rows, ("notes", "\n".join(self.notes))]
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lierb.api import check_options
@@ -194,10 +195,11 @@ def given_reference(given: Any, problem: Model, t_end: float) -> Reference:
         if given.links != tuple(links):
             raise ArgumentError(f"reference has the links {given.links}; expected {tuple(links)}")
         ends = Ends.of(given.summary, given.links)
-        times = as_array(given.summary["t"])[~ends.failed]
         if ends.failed.all():
             raise ArgumentError(f"reference: {Failures.of(given.summary)}; none is left to compare")
-        _require_time(float(times[np.argmax(np.abs(times - t_end))]), t_end)
+        went_on = pc.equal(given.summary["status"].cast(pa.string()), "ok").to_numpy()
+        for t in as_array(given.summary["t"])[went_on][:1].tolist():
+            _require_time(t, t_end)
         return Reference(ends, dict.fromkeys(ERRORS, 0.0), GIVEN)
     if isinstance(given, Mapping) and {"pose0", "twist0"} <= given.keys():
         _require_time(given.get("t0", t_end), t_end)
