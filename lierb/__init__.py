@@ -17,6 +17,7 @@ from lierb.prediction import predict
 from lierb.result import Result
 from lierb.runs.mechanisms import baumgarte
 from lierb.runs.provenance import package_version
+from lierb.studies.comparing import convergence
 from lierb.tableaus import ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
 from lierb.user_signals import controller, event, states
@@ -43,6 +44,7 @@ __all__ = [
     "clip",
     "constraint",
     "controller",
+    "convergence",
     "errors",
     "event",
     "forces",

@@ -57,6 +57,13 @@ def counted(count: int, what: str, several: str = "") -> str:
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
+def rounded(error: float) -> str:
+    """With two digits; a dash where there is none."""
+    if np.isnan(error):
+        return "–"
+    return f"{error:.1e}" if error else "0"
+
+
 def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:
     """An argument's value; of a batch the range of its numbers, or that each has its own."""
     tail = f" {unit}" if unit else ""

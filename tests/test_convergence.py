@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from lierb.studies.convergence import ROUNDING_FLOOR, observed_order, verdict
+from lierb.errors import ArgumentError
+from lierb.studies.convergence import ROUNDING_FLOOR, fitted_order, observed_order, verdict
 
 DTS = (1e-2, 1e-3, 1e-4)
 
@@ -58,6 +59,51 @@ def test_order_is_never_minus_zero():
 def test_observed_order_of_the_finest_error_alone_is_unknown(errors):
     assert math.isnan(observed_order(DTS[: len(errors)], errors).slope)
     assert verdict(errors, observed_order(DTS[: len(errors)], errors)) == "violated"
+
+
+# ---- through several ---------------------------------------------------------------------------
+
+HALVED = (0.4, 0.2, 0.1, 0.05)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4, 8])
+def test_fitted_order_takes_all_in_the_asymptotic_range(order):
+    # of C hᵖ (1 + a h): the slopes differ by less than 5 % from a h = 0.1 on
+    errors = [3.0 * dt**order * (1.0 + 0.1 * order * dt) for dt in HALVED]
+    found = fitted_order(HALVED, errors)
+    assert found.slope == pytest.approx(order, rel=0.02)
+    assert found.steps == HALVED
+    assert found.is_asymptotic
+
+
+def test_fitted_order_leaves_out_steps_that_do_not_resolve_the_motion():
+    found = fitted_order(HALVED, [0.9, 2e-3, 1.25e-4, 7.8125e-6])
+    assert found.slope == pytest.approx(4.0, abs=1e-12)
+    assert found.steps == (0.2, 0.1, 0.05)
+
+
+def test_fitted_order_of_two_is_observed_and_not_asymptotic():
+    errors = [0.9, 0.1, 1.6e-3, 1e-4]
+    found = fitted_order(HALVED, errors)
+    assert found.slope == pytest.approx(observed_order(HALVED, errors).slope, abs=1e-12)
+    assert found.steps == (0.1, 0.05)
+    assert not found.is_asymptotic
+
+
+def test_fitted_order_believes_what_is_above_the_floor_of_its_own_row():
+    errors = [1e-4, 6.25e-6, 1.6e-6, 1.5e-6]  # beside a reference that is off by 1.5e-6
+    found = fitted_order(HALVED, errors, floor=[1e-6, 1e-6, 1.5e-5, 1.5e-5])
+    assert found.slope == pytest.approx(4.0, abs=1e-12)
+    assert found.steps == (0.4, 0.2)
+    assert fitted_order(HALVED, errors, floor=[1e-3] * 4) is None
+    with pytest.raises(ArgumentError, match="floor has shape"):
+        fitted_order(HALVED, errors, floor=[1e-3] * 3)
+
+
+def test_fitted_order_is_a_bound_where_observed_order_is():
+    found = fitted_order(DTS, [5.1e-8, 5.1e-12, 6.7e-13])
+    assert str(found) == ">=4.00"
+    assert not found.is_asymptotic
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from lierb.cli import studies as study_cli
+from lierb.cli.comparing import compare
 from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
 from lierb.errors import LierbError
 from lierb.extras import MissingExtraError, require
@@ -48,7 +49,7 @@ def cli() -> None:
     """Constrained rigid bodies on Lie groups, many at once."""
 
 
-for command in study_cli.COMMANDS:
+for command in (*study_cli.COMMANDS, compare):
     cli.add_command(command)
 
 

@@ -32,7 +32,7 @@ FILE = "study.toml"  # lierb.studies.dataset.STUDY, without what that imports
 COPIED = "lierb.copied"  # in a context: the study is from a pipe
 
 
-class _Path(click.Path):
+class UserPath(click.Path):
     """A path whose `~` is expanded, as in `--out=~/top`, which a shell leaves alone."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -40,7 +40,7 @@ class _Path(click.Path):
         return super().convert(os.path.expanduser(value), param, ctx)  # noqa: PTH111
 
 
-FOLDER = click.argument("folder", type=_Path(exists=True, file_okay=False, path_type=Path))
+FOLDER = click.argument("folder", type=UserPath(exists=True, file_okay=False, path_type=Path))
 
 
 def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
@@ -52,7 +52,7 @@ def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
 
 STUDY = click.argument(
     "study", callback=_readable,
-    type=_Path(exists=True, dir_okay=False, allow_dash=True, path_type=Path),
+    type=UserPath(exists=True, dir_okay=False, allow_dash=True, path_type=Path),
 )  # fmt: skip
 
 
@@ -92,7 +92,7 @@ SET = click.option(
     help='Once "width of 95% of COLUMN < 2%" or the like: as --set sample.stop_when=RULE.',
 )
 @click.option(
-    "--out", type=_Path(file_okay=False),
+    "--out", type=UserPath(file_okay=False),
     help="Folder for the results.  [default: results/NAME]",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
@@ -237,7 +237,7 @@ def plot(folder: Path) -> None:
 @click.command("report")
 @FOLDER
 @click.option(
-    "--out", type=_Path(dir_okay=False, path_type=Path),
+    "--out", type=UserPath(dir_okay=False, path_type=Path),
     help="The file to write.  [default: FOLDER/report.html]",
 )  # fmt: skip
 def report_page(folder: Path, out: Path | None) -> None:

@@ -41,6 +41,7 @@ from lierb.studies.panels import (
     label_lines,
     log_axes,
     looks,
+    order_lines,
     positive,
     ridges,
 )
@@ -318,13 +319,7 @@ def _draw_orders(
         median, size = drawn[-1, 0], of[-1].sizes[kind]
         if (order := tableau_of(method).order) and median > ROUNDING_FLOOR * size:
             lines[order] = min(lines.get(order, np.inf), median)
-    for order, start in lines.items():
-        panel.plot(dts, 0.25 * start * (dts / dts[-1]) ** order, color="#999999", linewidth=1.0)
-        middle = dts[len(dts) // 2]
-        panel.annotate(
-            f"order {order}", (middle, 0.25 * start * (middle / dts[-1]) ** order),
-            xytext=(4, -10), textcoords="offset points", color="#666666", fontsize=8,
-        )  # fmt: skip
+    order_lines(panel, lines, dts)
     panel.set_xlabel("Δt [s]")
     panel.set_ylabel(AXES[kind])
     log_axes(panel, "xy", zeros)

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 
 from lierb.arrays import Array
 from lierb.errors import StudyError
-from lierb.mechanism import Mechanism
-from lierb.model import Problem
+from lierb.magnitudes import kinds_of
+from lierb.shown import rounded
 from lierb.studies.convergence import Order, observed_order
 from lierb.studies.dataset import Dataset
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
@@ -75,12 +75,6 @@ def findings(dataset: Dataset) -> list[Found]:
     study = study_of(dataset)
     kinds = (*kinds_of(study.batch(0, 1).problem), "energy")
     return [_found(dataset, study, setting, kinds) for setting in study.settings]
-
-
-def kinds_of(problem: Problem | Mechanism) -> set[str]:
-    """The kinds of errors that its joints have rows for."""
-    held = (problem,) if isinstance(problem, Problem) else problem.held
-    return {kind for each in held for kind in each.joint.error_kinds}
 
 
 def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
@@ -174,14 +168,7 @@ def least_drawn(dataset: Dataset, study: Study) -> dict[str, float]:
 # ---- for a terminal ----------------------------------------------------------------------------
 
 
-def shown(error: float) -> str:
-    """With two digits; a dash where there is none."""
-    if np.isnan(error):
-        return "–"
-    return f"{error:.1e}" if error else "0"
-
-
-def _empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
+def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
     """One with these columns and no rows."""
     from rich import box
     from rich.table import Table
@@ -197,7 +184,7 @@ def _empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
 def table_of(found: list[Found]) -> Table:
     """For a terminal."""
     words = ("c-space", "method", "dt/s", "bodies", "failed", "largest error of")
-    table = _empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
+    table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
     for each in found:
         seen, setting = orders(found, each), each.setting
         heads = [
@@ -208,7 +195,7 @@ def table_of(found: list[Found]) -> Table:
             str(each.failed),
         ]
         for kind, label in LABELS.items():
-            quantiles = [shown(x) for x in each.quantiles[kind]]
+            quantiles = [rounded(x) for x in each.quantiles[kind]]
             order = "" if seen[kind] is None else str(seen[kind])
             table.add_row(*heads, label, *quantiles, order)
             heads = [""] * len(heads)
@@ -233,7 +220,7 @@ def with_unit(spread: Spread) -> str:
 def table_of_quantities(found: list[Spread]) -> Table:
     """For a terminal."""
     words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
-    table = _empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
+    table = empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
     before = None
     for each in found:
         if each.setting != before:
@@ -256,7 +243,7 @@ def table_of_indices(found: list[Sensitivity]) -> Table:
     """For a terminal."""
     interval = f"{CONFIDENCE:.0%} interval"
     words = ("share of the variance due to",)
-    table = _empty_table(words, ("alone", interval, "in all", interval))
+    table = empty_table(words, ("alone", interval, "in all", interval))
     before = None
     for each in found:
         if (each.setting, each.column) != before:

@@ -6,16 +6,15 @@ puts them into one figure, `panels_of` makes one of each, for a page that arrang
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from lierb.arrays import Array
 from lierb.extras import require
-from lierb.studies.study import Setting, Study
 
 require("plot")
 import matplotlib  # noqa: E402
@@ -26,6 +25,9 @@ from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullFormatter
 
 from lierb.colours import CSPACE_NAMES, colours_of  # noqa: E402
 from lierb.plots import MATH_NAMES, MOST, STYLE, ShownFigure  # noqa: E402
+
+if TYPE_CHECKING:
+    from lierb.studies.study import Setting, Study
 
 DASHES = ("-", "--", ":", "-.")
 MOST_TITLE = 60  # characters of a study's name in a title
@@ -68,7 +70,14 @@ class Sheet:
     height: float = 3.2
 
 
-def figure_of(sheet: Sheet, study: Study) -> Figure:
+class Named(Protocol):
+    """A study, or what else a figure is of."""
+
+    @property
+    def name(self) -> str: ...
+
+
+def figure_of(sheet: Sheet, study: Named) -> Figure:
     """All panels side by side, titled and with a legend."""
     with matplotlib.rc_context(STYLE):
         across = min(sheet.across, len(sheet.panels))
@@ -193,6 +202,17 @@ def few_ticks(panel: Axes, axis: str) -> None:
 def has_data(panel: Axes) -> bool:
     drawn = (np.asarray(line.get_ydata(), dtype=float) for line in panel.lines)
     return bool(panel.patches) or any(np.isfinite(each).any() for each in drawn)
+
+
+def order_lines(panel: Axes, lines: Mapping[int, float], dts: Array) -> None:
+    """A grey line of each order below the errors: `lines` has where it begins, at the last dt."""
+    for order, start in lines.items():
+        panel.plot(dts, 0.25 * start * (dts / dts[-1]) ** order, color="#999999", linewidth=1.0)
+        middle = dts[len(dts) // 2]
+        panel.annotate(
+            f"order {order}", (middle, 0.25 * start * (middle / dts[-1]) ** order),
+            xytext=(4, -10), textcoords="offset points", color="#666666", fontsize=8,
+        )  # fmt: skip
 
 
 def label_lines(panel: Axes, labels: Sequence[tuple[str, str, float, float]]) -> None:

@@ -15,6 +15,7 @@ from lierb.arrays import Array
 from lierb.errors import LierbError
 from lierb.extras import require
 from lierb.prediction import Prediction, joint_by_joint, predict
+from lierb.shown import rounded
 from lierb.studies.dataset import Dataset
 from lierb.studies.files import write_whole
 from lierb.studies.findings import (
@@ -31,7 +32,6 @@ from lierb.studies.findings import (
     orders,
     quantile_told,
     quantities,
-    shown,
     some_rows,
     study_of,
     with_unit,
@@ -141,7 +141,7 @@ def _error_rows(found: list[Found], each: Found) -> tuple[Found, dict[str, list[
     """A setting, and for each error its quantiles and its observed order."""
     seen = orders(found, each)
     return each, {
-        label: [*map(shown, each.quantiles[kind]), str(seen[kind] or "–")]
+        label: [*map(rounded, each.quantiles[kind]), str(seen[kind] or "–")]
         for kind, label in LABELS.items()
     }
 
@@ -184,7 +184,7 @@ def _worst(dataset: Dataset, study: Study, seen: dict[str, str]) -> list[dict[st
                 largest.append((error, setting, trajectory, draws))
         largest.sort(key=lambda each: -each[0])
         listed += [
-            {"kind": LABELS[kind], "error": shown(error), "setting": setting.label,
+            {"kind": LABELS[kind], "error": rounded(error), "setting": setting.label,
              "trajectory": trajectory, "draws": draws}
             for error, setting, trajectory, draws in largest[:WORST]
         ]  # fmt: skip

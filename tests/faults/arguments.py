@@ -326,6 +326,7 @@ def _each_call() -> Iterator[Call]:
 
     steps = {"dts": (1e-2, 1e-3, 1e-4), "errors": (1e-2, 1e-6, 1e-10), "size": 1.0}
     yield Call("observed_order", convergence.observed_order, steps, 2, ("dts", "errors"))
+    yield Call("fitted_order", convergence.fitted_order, steps, 1, ("dts", "errors"))
     order = {"errors": (1e-2, 1e-6), "order": convergence.Order(4.0)}
     yield Call("verdict", convergence.verdict, order, 1, ("errors", "order"))
     yield Call("info", lierb.info, {}, 0.02)
@@ -402,6 +403,13 @@ def _of_runs(body: Any, ball: Any, hinge: Any) -> Iterator[Call]:
     yield Call("integrate", _run_of(top), run | options, 8, tuple(run))
     yield Call("integrate", _integrate, {"problem": free} | run, 0.5, ("problem", *run))
     result = lierb.integrate(top, **run, progress=False)
+    compared = {"methods": "RK4", "dts": (0.1, 0.05), "twist0": run["twist0"], "t_end": 0.2}
+    compared |= {"reference": result.end}
+    more = {
+        "pose0": ball.closed_pose, "t0": 0.0, "rtols": None, "atol": None, "cspaces": ("SE3",),
+        "measure_every": 1, "norm": "largest", "repeats": 1, "name": "tops", "progress": False,
+    }  # fmt: skip
+    yield Call("convergence", _compared(top), compared | more, 2, tuple(compared))
     going_on = run | result.end | {"t_end": 0.4, "progress": False}
     yield Call("integrate(**end)", _run_of(top), going_on, 2, ("pose0", *run))
     with warnings.catch_warnings():
@@ -531,6 +539,24 @@ def _integrate(**given: Any) -> Any:
     if 1e17 > _steps(given) > MOST_STEPS or _is_of_another_plan(given):
         return None  # it would run for long, or be compiled
     return lierb.integrate(**given)
+
+
+def _compared(problem: Any) -> Any:
+    def compare(**given: Any) -> Any:
+        times = {name: given.get(name, 0.0) for name in ("t_end", "t0")}
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            try:
+                least = float(np.min(np.abs(np.asarray(given.get("dts"), dtype=float))))
+            except Exception:
+                least = np.inf
+        repeats = given.get("repeats", 0)
+        is_long = isinstance(repeats, (int, np.integer)) and repeats > 5
+        if given.get("reference") is None or is_long or _steps(times | {"dt": least}) > 1e3:
+            return None  # it would run for long, or be compiled
+        return lierb.convergence(problem, **given)
+
+    return compare
 
 
 def _steps(given: dict[str, Any]) -> float:

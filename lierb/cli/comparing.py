@@ -1,0 +1,155 @@
+"""`lierb compare`: methods, c-spaces and steps side by side, on a study's problem."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from lierb.cli.studies import SET, STUDY, Changes, UserPath
+from lierb.cli.terminal import print_whole, progress_of_cases, wrapped
+from lierb.extras import require
+from lierb.studies.files import folder_of
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lierb.studies.study import Study
+
+MOST_BODIES = 64  # of a study, unless --n says another number
+
+
+def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:
+    """Callback of options that take names: several, or one with commas in it."""
+    return [word.strip() for each in given for word in each.split(",") if word.strip()]
+
+
+def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> list[float]:
+    """The same of numbers."""
+    try:
+        return [float(word) for word in _words(ctx, param, given)]
+    except ValueError as error:
+        raise click.BadParameter(f"{error}; expected numbers, as 1e-2,5e-3") from None
+
+
+def _several(name: str, callback: Any, metavar: str, told: str) -> Any:
+    """An option for several values: with commas, or given more than once."""
+    return click.option(name, multiple=True, callback=callback, metavar=metavar, help=told)
+
+
+@click.command()
+@STUDY
+@SET
+@_several("--methods", _words, "NAME,…", "As RK4,DOP853.  [default: the study's]")
+@_several(
+    "--dts", _numbers, "S,…",
+    "Fixed steps, as 1e-2,5e-3.  [default: the study's; of one that, its half and its quarter]",
+)  # fmt: skip
+@_several(
+    "--rtols", _numbers, "TOL,…",
+    "Tolerances of adaptive steps, as 1e-6,1e-9; without --dts there are no fixed steps.",
+)  # fmt: skip
+@_several("--cspaces", _words, "NAME,…", "Of SE3, SO3xR3, reduced.  [default: the study's]")
+@click.option(
+    "--n", type=click.IntRange(min=1), metavar="N",
+    help=f"Trajectories, the first of the study's.  [default: all, but at most {MOST_BODIES}]",
+)  # fmt: skip
+@click.option(
+    "--norm", type=click.Choice(["largest", "median"]), default="largest", show_default=True,
+    help="Of the errors over the trajectories.",
+)  # fmt: skip
+@click.option(
+    "--repeats", type=click.IntRange(min=0), default=3, show_default=True,
+    help="Timed repetitions of each run, of which the best counts; 0 for none.",
+)  # fmt: skip
+@click.option(
+    "-o",
+    "--out",
+    type=UserPath(file_okay=False),
+    help="Folder for the files.  [default: results/NAME-compared]",
+)
+@click.option("--markdown", "form", flag_value="markdown", help="Print the tables as Markdown.")
+@click.option("--latex", "form", flag_value="latex", help="Print the tables as LaTeX.")
+def compare(
+    study: Path,
+    changes: Changes,
+    methods: list[str],
+    dts: list[float],
+    rtols: list[float],
+    cspaces: list[str],
+    n: int | None,
+    norm: str,
+    repeats: int,
+    out: str | None,
+    form: str | None,
+) -> None:
+    """Compare methods, c-spaces and steps on the problem of a STUDY, a TOML file (- for stdin).
+
+    Each is run to the end of the study's time: errors against a reference with an error estimate of
+    its own, CPU time on one thread, right-hand sides, drifts of joints and energy, observed orders.
+    The folder has them as Parquet, Markdown, LaTeX and figures.
+
+    \b
+    lierb example heavy_top > heavy_top.toml
+    lierb compare heavy_top.toml --methods Heun,RK4,DOP853 --dts 4e-3,2e-3,1e-3
+    """
+    require("study")
+    from lierb.studies.comparing import convergence
+    from lierb.studies.study import Study
+
+    loaded = Study.load(study, changes)
+    name = loaded.name
+    folder = folder_of(Path("results") / f"{name}-compared" if out is None else out)
+    run, count = loaded.integrate, len(loaded.design)
+    taken = min(count, MOST_BODIES) if n is None else n
+    if taken > count:
+        raise click.BadParameter(f"{n}; the study has {count}", param_hint="--n")
+    if n is None and taken < count:
+        click.echo(f"The first {taken} of {count} trajectories; --n takes others.", err=True)
+    batch = loaded.batch(0, taken)
+    kept = loaded.options(loaded.settings[0])
+    with progress_of_cases() as progress:
+        found = convergence(
+            batch.problem, methods or run.method, (dts or (None if rtols else _steps(loaded))),
+            rtols=rtols or None, cspaces=cspaces or run.cspace, twist0=batch.twist0,
+            pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update, solver=run.solver,
+            stabilise=kept["stabilise"], measure_every=run.measure_every, norm=norm,
+            repeats=repeats, name=name, progress=progress,
+        )  # fmt: skip
+        progress(0, 1, "files")
+        files = found.save(folder)
+    if form is not None:
+        click.echo(found.to_markdown() if form == "markdown" else found.to_latex(), nl=False)
+    else:
+        for header, rows in found.told():
+            print_whole(_table(header, rows))
+            click.echo()
+        for note in found.notes:
+            click.echo(wrapped(note))
+    click.echo(
+        f"Written to {folder}: {', '.join(path.name for path in files)}", err=form is not None
+    )
+
+
+def _steps(study: Study) -> list[float]:
+    """Those of the study; of one its half and its quarter as well, else there would be no order."""
+    dts = study.integrate.dt
+    return [dts[0], dts[0] / 2, dts[0] / 4] if len(dts) == 1 else dts
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """For a terminal."""
+    from lierb.studies.findings import empty_table
+
+    words = [name for name in header if name in ("method", "c-space", "over")]
+    table = empty_table(words, header[len(words) :])
+    before = None
+    for row in rows:
+        key = list(row[: len(words)])
+        if before is not None and key[:2] != before[:2] and len(words) < 3:
+            table.add_section()
+        table.add_row(*row)
+        before = key
+    return table
