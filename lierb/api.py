@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,15 +32,14 @@ from lierb.model import Problem
 from lierb.result import Result
 from lierb.runs import checks, engine, lanes
 from lierb.runs.continuation import End
-from lierb.runs.engine import Times
 from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
+from lierb.runs.lanes import LaneTime
 from lierb.runs.mechanisms import (
     check_mechanism_options,
     ready_mechanism,
     told_cspace,
     told_stabilisation,
 )
-from lierb.runs.lanes import LaneTime
 from lierb.runs.memory import available, is_free, too_large
 from lierb.runs.progress import Progress, check_progress
 from lierb.runs.provenance import provenance
@@ -132,8 +132,8 @@ def integrate(
     stabilise : what keeps a mechanism's loops, and its joints on "SE3" and "SO3xR3", that drift
         otherwise: "project", after each step pose and velocity are put back on them, by the least
         kinetic energy; or `lierb.baumgarte(alpha, beta)`. Default: nothing.
-    seed : of `lierb.noise`.   trajectories : numbers of the batch's members, (n,), to draw noise by.
-        Default: 0 … n−1.
+    seed : of `lierb.noise`.   trajectories : numbers of the batch's members, (n,), to draw noise
+        by. Default: 0 … n−1.
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
         False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
@@ -220,9 +220,12 @@ def integrate(
         if checked and isinstance(problem, Mechanism):
             error = violation(problem, ready.pose0, ready.twist0, float(t0))
             _report(error, on_violation, stacklevel=3)
-        run = (plan, inputs, times, "state" in recorded, threads, progress,
-               check_start if is_seen else None)  # fmt: skip
-        output = lanes.integrate(*run) if timing.is_of_lanes else engine.integrate(*run)
+        checked_start = check_start if is_seen else None
+        run = partial(
+            lanes.integrate if isinstance(times, LaneTime) else engine.integrate,
+            with_state="state" in recorded, threads=threads, progress=progress, check=checked_start,
+        )  # fmt: skip
+        output = run(plan, inputs, times)
         result = Result(
             summary_table(output, metadata, problem),
             history_table(output, recorded, plan, metadata, problem) if timing.saves else None,
@@ -338,14 +341,16 @@ def _checked_record(record: Iterable[str], saves: bool) -> tuple[str, ...]:
     return tuple(name for name in RECORDS if name in names)
 
 
-def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
+def _require_memory(
+    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
+) -> None:
     """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
     if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
         raise _no_room(plan, clock, count, recorded)
 
 
 def _no_room(
-    plan: AnyPlan, clock: Times, count: int, recorded: tuple[str, ...]
+    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
 ) -> MemoryLimitError:
     free = available()
     whole = size_of_tables(plan, count, clock.saved_rows, recorded)

@@ -25,7 +25,6 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.driver import (
-    OK,
     RESUMED,
     UNSEEN,
     carried_columns,
@@ -41,6 +40,7 @@ from lierb.kernels.stepping.driver import (
 from lierb.kernels.stepping.layout import LANE_SUMMARY, POSE_AND_TWIST, Columns, Field
 from lierb.kernels.stepping.measures import KEPT, SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.status import OK
 from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem

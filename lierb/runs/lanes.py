@@ -1,4 +1,4 @@
-"""Running a batch whose lanes have clocks of their own: adaptive steps, output, events, controls."""
+"""Running a batch whose lanes have a clock each: adaptive steps, output, events, controls."""
 
 from __future__ import annotations
 
@@ -276,4 +276,3 @@ def _run(run: LaneRun, begin: int) -> Iterator[float]:
         turns = max(int(turns * CALL_SECONDS / seconds), 1) if seconds > 0.0 else turns
         turns = min(turns, 1 << 30)
         yield run.done()
-

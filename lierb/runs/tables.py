@@ -191,7 +191,9 @@ def history_table(
             columns[f"{prefix}reaction"] = vectors(part)
     for each, values in zip(observables, rows[len(measures) :], strict=False):
         columns[each.name], units[each.name] = values, each.unit
-    for name, column, unit in _signals_of(problem, output.history[before:].reshape(-1, len(saved) * count)):
+    for name, column, unit in _signals_of(
+        problem, output.history[before:].reshape(-1, len(saved) * count)
+    ):
         columns[name], units[name] = column, unit
     return _table(columns, metadata, covers_of(problem), units)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,11 +76,12 @@ class Timing:
         looks = looks or self.saves
         embedded = None
         if self.is_adaptive:
-            assert tableau.error is not None and tableau.error_order is not None
-            embedded = Embedded(tableau.error, tableau.error_order)
+            assert tableau.error is not None
+            assert tableau.error_order is not None
+            embedded = Embedded(_rows(tableau.error), tableau.error_order)
         extension = None
         if looks and tableau.dense is not None:
-            extension = Extension(tableau.dense_A, tableau.dense)
+            extension = Extension(_rows(tableau.dense_A), _rows(tableau.dense))
         return found | {
             "clock": "lanes", "embedded": embedded, "extension": extension, "looks": looks,
         }  # fmt: skip
@@ -106,9 +107,11 @@ class Timing:
             else:
                 save_at = np.clip(save_at, span.start, span.end)
         atol = self.atol or (0.0,) * len(BLOCKS)
+        rotation, position, omega, v, states = atol
         tolerances = Tolerances(
-            self.dt, self.rtol or 0.0, *atol, self.dt_min, self.dt_max, self.max_steps
-        )
+            self.dt, self.rtol or 0.0, rotation, position, omega, v, states,
+            self.dt_min, self.dt_max, self.max_steps,
+        )  # fmt: skip
         pairs = [(float(each.direction), float(each.terminal)) for each in events]
         kinds = np.array(pairs or [(0.0, 0.0)]).T.copy()
         return LaneTime(span, tolerances, np.ascontiguousarray(save_at), kinds, seed, numbers)
@@ -128,6 +131,10 @@ class Timing:
         if self.save_at is not None:
             found["save_at"] = _told_times(self.save_at)
         return found
+
+
+def _rows(weights: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(row) for row in weights)
 
 
 def _or_none(x: float) -> float | None:

@@ -90,7 +90,14 @@ def first_clock(
         chosen = where(h > 0.0, h, chosen)
         h = maximum(minimum(chosen, limits.dt_max), limits.dt_min)
     return LaneClock(
-        start, h, zero + span.origin, zero + span.counted, zero + 1.0, zero, zero, start,
+        start,
+        h,
+        zero + span.origin,
+        zero + span.counted,
+        zero + 1.0,
+        zero,
+        zero,
+        start,
         zero + INF,
     )
 
@@ -142,7 +149,9 @@ def judged(
             anchor=where(cut, trial.end, clock.anchor),
             counted=where(cut, 0.0, where(accepted, clock.counted + 1.0, clock.counted)),
         )
-        return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
+        return Verdict(
+            where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved
+        )
     meets = fine & (square <= 1.0)  # false for NaN
     accepted = going & meets & ~raised
     refused = going & ~meets & ~raised

@@ -12,14 +12,12 @@ handed over to its place in the results. Between two calls all that the lanes ca
 
 from __future__ import annotations
 
-from itertools import islice
 from typing import Any, NamedTuple, get_type_hints
 
 import numba
 import numpy as np
 from numba import prange
 
-from lierb.compiler import calls
 from lierb.compiler.code import OPTIONS, cached
 from lierb.compiler.entries import call, raise_again, take_turn
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
@@ -43,11 +41,10 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.driver import (
     ARRAYS,
-    JOB,
+    NAN,
     RESUMED,
     UNSEEN,
     Record,
-    NAN,
     are_finite,
     heard,
     initial_record,
@@ -129,8 +126,8 @@ EVENT_COLUMNS = 3  # trajectory, event, t
 
 OWN_ARRAYS = ("desk", "save_at", "numbers", "events", "kinds")
 _SIZES = (
-    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values", "signals",
-    "own_summary",
+    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
+    "signals", "own_summary",
 )  # fmt: skip
 LANE_JOB = np.dtype(
     (
@@ -149,9 +146,11 @@ LANE_JOB = np.dtype(
 desk : [row][lane], of `desk_of`.   save_at : [1][row of the history], s.   numbers : [1][n].
 events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
 kinds : [direction, is terminal][event].
-first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how often each is asked in a step.
+first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how
+often each is asked in a step.
 sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
 """
+
 
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
@@ -544,8 +543,8 @@ for _formula in (
     any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, is_tick,
     ticked, fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended,
     next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
-    slopes_between, state_between, time_between, mark_due_between, shown_between, put_values, put_signals, put_trial,
-    ended_between, with_signals,
+    slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
+    put_signals, put_trial, ended_between, with_signals,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -555,7 +554,7 @@ for _formula in (
 
 @shared
 def hand_over_row(desk, own, job, lanes):
-    """A row of the history, where MARK says, from the desk to its place; then the next one is due."""
+    """A row of the history, where MARK says, from the desk to its place; the next one is due."""
     history, shown = histories_at(job.history), histories_at(own.history)
     multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
     reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)

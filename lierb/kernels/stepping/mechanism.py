@@ -233,7 +233,8 @@ class TreeFormulation(Watching):
         """From its numbers side by side, as the driver carries them."""
         parts = self.state.parts(numbers)
         charts = charts_side_by_side(parts["charts"])
-        found = State(charts, parts["x"], parts["v"], *parts["work"], parts["states"])
+        (work,) = parts["work"]
+        found = State(charts, parts["x"], parts["v"], work, parts["states"])
         return self.structured(found, body)
 
     def structured(self, state: State, body: TreeConstants | None = None) -> State:

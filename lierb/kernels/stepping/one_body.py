@@ -148,7 +148,8 @@ class OneBody(Watching):
         """From its numbers side by side."""
         found = STATE.parts(numbers)
         chart, own = (found["p"], found["d"]), found.get("states", ())
-        state = State(chart, found["x"], found["v_or_mu"], *found["work"], own)
+        (work,) = found["work"]
+        state = State(chart, found["x"], found["v_or_mu"], work, own)
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def structured(self, state: State, pitch: Any) -> State:

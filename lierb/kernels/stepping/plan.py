@@ -13,7 +13,6 @@ from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.stepping.formulations import FORMULATIONS, Formulation
 
-
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
 

@@ -9,7 +9,6 @@ powers.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
@@ -75,7 +74,9 @@ class _Defect(NamedTuple):
     states: Vec
 
 
-def _defect(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]) -> _Defect:
+def _defect(
+    plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]
+) -> _Defect:
     """h Σ weights · slopes."""
     x, v_or_mu, states = (
         tuple(h * total for total in _weighted(weights, rates))
@@ -118,7 +119,9 @@ def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolera
         allowed(atol, *(end[i] for end in ends))
         for i, atol in enumerate((limits.position_atol, limits.omega_atol, limits.v_atol))
     )
-    states = tuple(allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True))
+    states = tuple(
+        allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True)
+    )
     return _Scales(allowed(limits.rotation_atol, 1.0), places, turning, moving, states)
 
 
@@ -220,7 +223,10 @@ def first_step(
     """
     scales = _scales(plan, body, state, state, limits)
     falling = plan.formulation.before_step(body, state.chart)
-    at = partial(rates_at, plan, body, state.chart, falling)
+
+    def at(x: Vec, v_or_mu: Vec, states: Vec, time: Any) -> Any:
+        return rates_at(plan, body, state.chart, falling, x, v_or_mu, states, time)
+
     start = at(*_parts(state), time)
     size = _size_against(plan, body, state, scales)
     speed = _rate_against(plan, body, _parts(start), scales)

@@ -56,7 +56,14 @@ def trial_step(
     stages = plan.stages if all_stages else plan.stages[: plan.last_stage]
     products = plan.exponentials[: len(stages)]
     slopes, singular = _stages(
-        plan, body, state, time, h, Slopes((), (), (), ()), stages, products or (None,) * len(stages)
+        plan,
+        body,
+        state,
+        time,
+        h,
+        Slopes((), (), (), ()),
+        stages,
+        products or (None,) * len(stages),
     )
     end = plan.exponentials[-1] if plan.exponentials else None
     stepped = _combined(plan, body, state, h, slopes, plan.weights, end)
@@ -64,9 +71,7 @@ def trial_step(
     return Step(kept, slopes, singular if is_zero(off) else maximum(singular, off))
 
 
-def extended(
-    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes
-) -> Slopes:
+def extended(plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes) -> Slopes:
     """With the further stages of the continuous extension."""
     assert plan.extension is not None
     rows = plan.extension.stages
