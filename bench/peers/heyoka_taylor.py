@@ -1,7 +1,7 @@
 """heyoka: Taylor's method of high order on lanes, on the reduced equations.
 
 All lanes of a batch step until the slowest is done: tops are brought together that turn about
-equally fast, which makes a batch with velocities of all sizes more than twice as fast. Measured beside it and
+equally fast, which makes velocities of all sizes up to twice as fast. Measured beside it and
 slower: 4 and 16 lanes, one top at a time, and heyoka's own ensembles, which copy the integrator.
 """
 

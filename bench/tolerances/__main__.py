@@ -1,8 +1,8 @@
 """`make bench-peers`: every tool at the same error, on velocities of all sizes.
 
-    python -m tolerances                     all, from bench/
-    python -m tolerances --only lierb        some peers
-    python -m tolerances --report FILE       the tables of a stored run
+python -m tolerances                     all, from bench/
+python -m tolerances --only lierb        some peers
+python -m tolerances --report FILE       the tables of a stored run
 """
 
 from __future__ import annotations

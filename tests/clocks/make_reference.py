@@ -179,7 +179,9 @@ def by_jacobi(data: Data) -> list[dict]:
     momentum = [J[i] * w[i] for i in range(3)]
     M2 = sum(x**2 for x in momentum)
     M = mp.sqrt(M2)
-    assert J[0] < J[1] < J[2] and twice_energy * J[1] < M2 and w[2] > 0
+    assert J[0] < J[1] < J[2]
+    assert twice_energy * J[1] < M2
+    assert w[2] > 0
     low, high = M2 - twice_energy * J[0], twice_energy * J[2] - M2
     a = mp.sqrt(high / (J[0] * (J[2] - J[0])))
     b = mp.sqrt(high / (J[1] * (J[2] - J[1])))

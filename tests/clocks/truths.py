@@ -106,7 +106,8 @@ def problem_of(name: str):
         held, omega = lierb.joints.spherical(body_point=point), np.array(data.omega0)
     else:
         ground, own = np.eye(4), np.eye(4)
-        ground[:3, :3], own[:3, :3], own[:3, 3] = turned(data.ground_turn), turned(data.body_turn), point
+        ground[:3, :3], own[:3, :3] = turned(data.ground_turn), turned(data.body_turn)
+        own[:3, 3] = point
         held = lierb.joints.universal(ground_frame=ground, body_frame=own)
         omega = own[:3, :3] @ (0.0, data.rates0[1], data.rates0[0])
     made = lierb.Problem(body, held, gravity=data.gravity)
@@ -127,5 +128,6 @@ def distance(found: State, true: State) -> float:
 
 def states_of(table, row: int) -> State:
     """The state in a row of a summary or a history."""
-    return State(*(np.array(table[field][row].as_py(), float).reshape(shape)
-                   for field, shape in zip(State._fields, ((3, 3), 3, 3, 3), strict=True)))  # fmt: skip
+    shapes = ((3, 3), 3, 3, 3)
+    pairs = zip(State._fields, shapes, strict=True)
+    return State(*(np.array(table[f][row].as_py(), float).reshape(shape) for f, shape in pairs))
