@@ -62,7 +62,7 @@ def controlled(count: int, which=slice(None)):
         return {"torque": -(params.kp * error + params.kd * rate)}
 
     @lierb.wrench
-    def thrusters(controls):
+    def thrusters(t, R, r, omega, v, params, controls):
         return controls.torque, (0.0, 0.0, 0.0)
 
     given = {name: array[which] for name, array in fleet(count).items()}

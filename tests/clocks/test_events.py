@@ -10,8 +10,8 @@ from clocks.shared import G, rows_of, spinning, table_bits, thrown
 EXACT = 1e-12  # s
 
 
-@lierb.event
-def height(r, params, level=0.0):
+@lierb.event(level=0.0)
+def height(r, params):
     return r[2] - params.level
 
 
@@ -20,18 +20,18 @@ def landing(r):
     return r[2]
 
 
-@lierb.event(direction=+1)
-def rising(r, params, level=1.0):
+@lierb.event(direction=+1, level=1.0)
+def rising(r, params):
     return r[2] - params.level
 
 
-@lierb.event
-def turned(R, params, sine=0.0):
+@lierb.event(sine=0.0)
+def turned(R, params):
     return R[1, 0] - params.sine
 
 
-@lierb.event
-def rate(omega, params, value=0.0):
+@lierb.event(value=0.0)
+def rate(omega, params):
     return omega[1] - params.value
 
 

@@ -11,7 +11,7 @@ CLOCKS = [{"rtol": 1e-9, "method": "DP54"}, {"dt": 5e-3, "method": "RK4"}]
 
 
 @lierb.states(filtered=0.0)
-def low_pass(omega, states, params, tau=0.5):
+def low_pass(omega, states, params):
     return {"filtered": (omega[2] - states.filtered) / params.tau}
 
 
@@ -41,7 +41,7 @@ def test_a_states_error_is_within_thirty_times_rtol(rtol):
 
 
 def test_initial_values_are_those_of_the_decorator_unless_given():
-    problem, start = spinning([4.0], states=[low_pass()])
+    problem, start = spinning([4.0], states=[low_pass(tau=0.5)])
     result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.0,))
     assert column(result.history, "filtered").tolist() == [0.0]
 
@@ -49,14 +49,17 @@ def test_initial_values_are_those_of_the_decorator_unless_given():
 # ---- a wheel: what the body gets, the wheel gives ----------------------------------------------
 
 
+TORQUE = (0.02, -0.01, 0.03)  # N m
+
+
 @lierb.states(wheel=(0.0, 0.0, 0.1), unit={"wheel": "N m s"})
-def reaction_wheels(t, params, torque=(0.02, -0.01, 0.03)):
-    return {"wheel": -params.torque * np.cos(3.0 * t)}
+def reaction_wheels(t):
+    return {"wheel": -np.array(TORQUE) * np.cos(3.0 * t)}
 
 
 @lierb.wrench
-def from_wheels(t, omega, states, params, torque=(0.02, -0.01, 0.03)):
-    torque = params.torque * np.cos(3.0 * t)
+def from_wheels(t, R, r, omega, v, params, states):
+    torque = np.array(TORQUE) * np.cos(3.0 * t)
     return torque - np.cross(omega, states.wheel), (0.0, 0.0, 0.0)
 
 
@@ -97,7 +100,7 @@ def test_observables_and_events_see_states():
         return states.filtered - 0.5
 
     @lierb.observable(unit="rad/s")
-    def lag(omega, states):
+    def lag(t, R, r, omega, v, params, states):
         return omega[2] - states.filtered
 
     problem, start = spinning([1.0], states=[low_pass(tau=0.5)], events=[half()],
@@ -128,9 +131,9 @@ def test_a_state_ends_with_its_trajectory():
 
 
 @pytest.mark.parametrize(("made", "match"), [
-    (lambda: [low_pass(), low_pass()], "filtered"),
+    (lambda: [low_pass(tau=0.5), low_pass(tau=0.5)], "filtered"),
     (lambda: [low_pass(tua=1.0)], "tau"),
-    (lambda: [low_pass(filtered=(1.0, 2.0))], "filtered"),
+    (lambda: [low_pass(tau=0.5, filtered=((1.0, 2.0),))], "filtered"),
 ])  # fmt: skip
 def test_wrong_states_are_told(made, match):
     with pytest.raises(lierb.errors.LierbError, match=match):

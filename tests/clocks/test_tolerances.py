@@ -14,7 +14,7 @@ import lierb
 from clocks.truths import DATA, distance, problem_of, reference, states_of
 
 FACTOR = 30.0
-END = {"heavy_top": "1", "free_body": "5", "fast_top": "0.2", "universal": "1"}
+END = {"heavy_top": "0.5", "free_body": "2", "fast_top": "0.05", "universal": "0.5"}  # about a turn
 RTOLS = tuple(10.0**-k for k in range(4, 13))
 # The steps of low orders are a million at 1e-12, and their rounding adds up.
 LEAST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}
