@@ -68,6 +68,7 @@ bench: $(VENV)/.dev  ## run the benchmarks, store them in bench/results, compare
 
 bench-peers: $(VENV)/.peers  ## run lierb and its peers side by side, store the tables
 	cd bench && $(abspath $(BIN))/python -m peers $(ARGS)
+	cd bench && $(abspath $(BIN))/python -m tolerances
 	cd bench && $(abspath $(BIN))/python -m linkages $(MECHANISMS)
 
 clean:  ## remove what make made: the environment, results, caches, builds

@@ -17,6 +17,8 @@ sys.path.insert(0, str(BENCH))
 
 from peers import heavy_top, reference, report  # noqa: E402
 from peers.__main__ import NOT_PEERS  # noqa: E402
+from tolerances import tops  # noqa: E402
+from tolerances import worker as tolerances_worker  # noqa: E402
 
 STORED = sorted((BENCH / "results").glob("peers-*.json"))
 
@@ -73,6 +75,36 @@ def test_the_readme_shows_the_last_stored_run():
 def test_tables_have_no_place_in_a_page_without_marks():
     with pytest.raises(ValueError, match="are missing"):
         report.embedded("# A page\n", {}, "figure.png")
+
+
+# ---- tools at the same error -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch", tops.BATCHES)
+def test_reference_at_all_speeds_is_met_by_short_steps(batch):
+    """The fastest top turns by 310 rad, 0.06 rad a step: what is left is rounding."""
+    module = importlib.import_module("peers.lierb")
+    found = module.run("reduced-dop853", tops.samples(batch), 2e-4, threads=1)()
+    off = tops.errors(batch, found)
+    assert off.largest < 1e-12
+    assert off.median < 1e-14
+
+
+def test_speeds_are_of_all_sizes():
+    speeds = np.linalg.norm(tops.samples("lognormal"), axis=1)
+    assert np.std(np.log(speeds)) == pytest.approx(tops.SIGMA, rel=0.1)
+    assert speeds.max() / speeds.min() > 100
+
+
+@pytest.mark.parametrize("wanted", [1e-6, 1e-9])
+def test_a_tool_is_tuned_to_the_error_that_is_wanted(wanted):
+    """Of a method of order 8 whose error is that of the longest step that is short enough."""
+    module = importlib.import_module("peers.lierb")
+    omega0 = tops.samples("one")
+    solved = lambda dt: module.run("reduced-dop853", omega0, dt, 1)()
+    dt, off = tolerances_worker.tuned(solved, "one", wanted, is_fixed=True, order=8)
+    assert tolerances_worker.CLOSE * wanted < off.largest <= wanted
+    assert tops.errors("one", solved(1.25 * dt)).largest > wanted
 
 
 CPP = {

@@ -15,6 +15,7 @@ import lierb
 from peers import heavy_top as top
 from peers.heavy_top import Final, Form
 
+ACCURACIES = (1e-5, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13)  # relative tolerances
 FORMS = {
     "reduced": Form("reduced", 65536, "lierb, reduced"),
     "gain": Form("reduced", 65536, "lierb, SE(3), constant gain"),
@@ -22,6 +23,13 @@ FORMS = {
         "reduced", 65536, "lierb, reduced, DOP853", accuracy=1 / 48,
         accuracies=(1 / 12, 1 / 24, 1 / 48, 1 / 72, 1 / 96, 1 / 144, 1 / 192),
     ),
+    **{
+        f"reduced-adaptive{end}": Form(
+            "reduced", 65536, f"lierb, reduced, {method}, adaptive", adaptive=True, accuracy=1e-8,
+            accuracies=ACCURACIES if end == "" else (), threads=(1, 2) if end == "" else (1,),
+        )
+        for end, method in (("", "DOP853"), ("-tsit5", "Tsit5"), ("-verner98", "Verner98"))
+    },
     "saddle": Form("general", 16384, "lierb, SE(3), saddle point"),
     "saddle-so3xr3": Form("general", 16384, "lierb, SO(3)×ℝ³, saddle point"),
     **{
@@ -38,6 +46,9 @@ OPTIONS = {
     "reduced": {"cspace": "reduced"},
     "gain": {},
     "reduced-dop853": {"cspace": "reduced", "method": "DOP853"},
+    "reduced-adaptive": {"cspace": "reduced", "method": "DOP853"},
+    "reduced-adaptive-tsit5": {"cspace": "reduced", "method": "Tsit5"},
+    "reduced-adaptive-verner98": {"cspace": "reduced", "method": "Verner98"},
     "saddle": {"solver": "saddle"},
     "saddle-so3xr3": {"cspace": "SO3xR3"},
 }
@@ -61,6 +72,27 @@ def config() -> dict[str, object]:
 
 
 def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callable[[], Final]:
+    summary, turn = _prepared(form, omega0, accuracy, threads)
+
+    def integrate() -> Final:
+        found = summary()
+        centre, omega = (_vectors(found[name]) for name in ("position", "omega"))
+        return Final(centre, omega @ turn.T)
+
+    return integrate
+
+
+def work(form: str, omega0: np.ndarray, accuracy: float) -> dict[str, float]:
+    """Steps tried by a top, on average: of those that choose their own."""
+    if not FORMS[form].adaptive:
+        return {"steps": top.T_END / accuracy}
+    found = _prepared(form, omega0, accuracy, 1)[0]()
+    steps, rejected = (found[name].to_numpy() for name in ("steps", "rejected"))
+    return {"steps": float((steps + rejected).mean()), "rejected": float(rejected.mean())}
+
+
+def _prepared(form: str, omega0: np.ndarray, accuracy: float, threads: int):
+    """What integrates to a summary, and the body's axes seen from the principal ones."""
     words = form.split("-")
     name = next((word for word in words if word in JOINTS), "spherical")
     turn = TURN if "tilted" in words else np.eye(3)  # the body's axes, seen from the principal ones
@@ -76,17 +108,17 @@ def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callabl
     problem = lierb.Problem(body, joint, top.GRAVITY)
     twist0 = joint.twist(omega=(omega0 * allowed) @ turn)
     options = OPTIONS["-".join(w for w in words if w not in JOINTS and w != "tilted")]
-    steps = round(top.T_END / accuracy)
+    clock = {"rtol": accuracy}
+    if not FORMS[form].adaptive:
+        clock = {"dt": top.T_END / round(top.T_END / accuracy), "measure_every": 10}
 
-    def integrate() -> Final:
-        summary = lierb.integrate(
-            problem, twist0=twist0, dt=top.T_END / steps, t_end=top.T_END, measure_every=10,
-            threads=threads, progress=False, **options,
+    def integrate():
+        return lierb.integrate(
+            problem, twist0=twist0, t_end=top.T_END, threads=threads, progress=False, **clock,
+            **options,
         ).summary  # fmt: skip
-        centre, omega = (_vectors(summary[name]) for name in ("position", "omega"))
-        return Final(centre, omega @ turn.T)
 
-    return integrate
+    return integrate, turn
 
 
 def _vectors(column) -> np.ndarray:

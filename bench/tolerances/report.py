@@ -1,0 +1,88 @@
+"""The tables of a stored run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+TARGETS = ("1e-06", "1e-09", "1e-12")
+TITLES = {"lognormal": "Velocities of all sizes", "one": "One velocity for all"}
+MARKS = ("<!-- tolerances -->\n", "<!-- /tolerances -->")
+
+
+def embedded(text: str, run: dict[str, Any]) -> str:
+    """`text` with this run's tables between its two marks."""
+    before, mark, rest = text.partition(MARKS[0])
+    _, end, after = rest.partition(MARKS[1])
+    if not (mark and end):
+        raise ValueError(f"no place for the tables: {MARKS[0].strip()} and {MARKS[1]} are missing")
+    return f"{before}{mark}{markdown(run)}\n{end}{after}"
+
+
+def markdown(run: dict[str, Any]) -> str:
+    machine, before, after = run["machine"], run["before"], run["after"]
+    lines = [
+        f"{machine['cpu']}, {machine['lanes']} lanes, one core, {before['clock_ghz']:.2f} GHz; "
+        f"measured peak {before['peak_gflops']:.0f} GFLOP/s before the run, "
+        f"{after['peak_gflops']:.0f} after it; {run['time'][:10]}.",
+    ]
+    for batch, title in TITLES.items():
+        lines += ["", f"**{title}**", "", *_table(run, batch)]
+    busy = busy_lanes(run)
+    if busy:
+        lines += ["", "Lanes that are busy: " + "; ".join(busy) + "."]
+    missing = [f"{name} ({why})" for name, why in run["unavailable"].items()]
+    failed = [
+        f"{e['label']}: {e['failed']}" for e in run["entries"].values() if "failed" in e
+    ]  # fmt: skip
+    for title, items in (("Not available in this run", missing), ("Failed", failed)):
+        lines += ["", f"{title}: {'; '.join(items)}."] if items else []
+    return "\n".join(lines)
+
+
+def _table(run: dict[str, Any], batch: str) -> list[str]:
+    entries = {
+        name: e
+        for name, e in run["entries"].items()
+        if e["batch"] == batch and "failed" not in e
+    }  # fmt: skip
+    best = {t: _least(entries, t) for t in TARGETS}
+    lines = [
+        "| µs of CPU time a top and simulated second | "
+        + " | ".join(f"at {t.replace('e-0', 'e-')} m | lierb is" for t in TARGETS) + " |",
+        "|---|" + "---|" * (2 * len(TARGETS)),
+    ]  # fmt: skip
+    order = lambda item: item[1].get(TARGETS[1], {}).get("cpu_us", float("inf"))
+    for name, e in sorted(entries.items(), key=order):
+        cells = []
+        for t in TARGETS:
+            cost = e.get(t, {}).get("cpu_us")
+            cells.append("–" if cost is None else f"{cost:.3g}")
+            ours = name.startswith("lierb/")
+            cells.append("" if ours or None in (cost, best[t]) else f"{cost / best[t]:.3g} ×")
+        lines.append(f"| {e['label']} | {' | '.join(cells)} |")
+    return lines
+
+
+def _least(entries: dict[str, Any], target: str) -> float | None:
+    """The least time of lierb's own adaptive ones."""
+    costs = [
+        e[target]["cpu_us"]
+        for name, e in entries.items()
+        if name.startswith("lierb/") and "adaptive" in name and "cpu_us" in e.get(target, {})
+    ]
+    return min(costs, default=None)
+
+
+def busy_lanes(run: dict[str, Any]) -> list[str]:
+    """Time of a step where all lanes end together, over that where none does, by error."""
+    told = []
+    for name, e in run["entries"].items():
+        if e["batch"] != "lognormal" or "failed" in e:
+            continue
+        same = run["entries"].get(name.replace("/lognormal", "/one"), {})
+        for t in TARGETS:
+            both = [x.get(t, {}) for x in (e, same)]
+            if all("steps" in x and "cpu_us" in x for x in both):
+                here, there = (x["cpu_us"] / x["steps"] for x in both)
+                told.append(f"{e['label']} at {t} m {there / here:.0%}")
+    return told

@@ -1,0 +1,314 @@
+"""Sampled control against a loop written by hand, and noise that can be played again."""
+
+import numpy as np
+import pytest
+from cases import column
+from scipy import stats
+
+import lierb
+from clocks.shared import rows_of, spinning, table_bits
+
+EVERY, DT, TICKS = 0.1, 0.02, 20
+MOMENTS = np.array((12.0, 15.0, 18.0))
+KP, KD, KI = 0.4, 4.0, 0.02
+
+
+def fleet(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations and ω."""
+    rng = np.random.default_rng(7)
+    return lierb.lie.so3.exp(0.5 * rng.standard_normal((count, 3))), 0.1 * rng.standard_normal(
+        (count, 3)
+    )
+
+
+def off_axis(R):
+    """(3,): works inside a controller, and on a batch (…, 3, 3) by its last axes."""
+    return 0.5 * np.stack(
+        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
+    )
+
+
+@lierb.controller(every=EVERY, memory={"integral": (0.0, 0.0, 0.0)}, kp=KP, kd=KD, ki=KI)
+def pid(R, omega, params, memory):
+    error = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    torque = -(params.kp * error + params.kd * omega + params.ki * memory.integral)
+    return {"torque": torque}, {"integral": memory.integral + EVERY * error}
+
+
+@lierb.controller(every=EVERY, kp=KP, kd=KD)
+def noisy_pd(R, omega, params):
+    error = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    gyro = 1e-3 * lierb.noise.normal("gyro", 3)
+    return {"torque": -(params.kp * error + params.kd * (omega + gyro)), "gyro": gyro}
+
+
+@lierb.wrench
+def thrusters(t, R, r, omega, v, params, controls):
+    return controls.torque, (0.0, 0.0, 0.0)
+
+
+def satellites(rotation, omega, *controllers, **more):
+    problem = lierb.Problem(
+        lierb.Body(100.0, MOMENTS), lierb.joints.spherical(), forces=[thrusters()],
+        controllers=list(controllers), **more,
+    )  # fmt: skip
+    pose0 = np.tile(np.eye(4), (len(omega), 1, 1))
+    pose0[:, :3, :3] = rotation
+    return problem, {"pose0": pose0, "twist0": np.pad(omega, ((0, 0), (0, 3)))}
+
+
+def by_hand(rotation, omega, torque_of, ticks=TICKS, cspace="reduced"):
+    """R and ω after so many ticks, by `integrate` from tick to tick."""
+    body, held = lierb.Body(100.0, MOMENTS), lierb.joints.spherical()
+    for tick in range(ticks):
+        force = lierb.forces.constant_wrench(torque_of(tick, rotation, omega), frame="body")
+        pose0 = np.tile(np.eye(4), (len(omega), 1, 1))
+        pose0[:, :3, :3] = rotation
+        summary = lierb.integrate(
+            lierb.Problem(body, held, forces=force), pose0=pose0,
+            twist0=held.twist(omega=omega), dt=DT, t_end=EVERY, cspace=cspace, check="off",
+        ).summary  # fmt: skip
+        rotation, omega = column(summary, "rotation").reshape(-1, 3, 3), column(summary, "omega")
+    return rotation, omega
+
+
+def run(count=5, controller=None, cspace="reduced", ticks=TICKS, **options):
+    problem, start = satellites(*fleet(count), controller or pid())
+    options = {"dt": DT, "t_end": ticks * EVERY, "method": "RK4"} | options
+    return lierb.integrate(problem, **start, cspace=cspace, **options)
+
+
+@pytest.mark.parametrize("cspace", ["reduced", pytest.param("SE3", marks=pytest.mark.slow)])
+def test_pid_is_the_loop_written_by_hand(cspace):
+    """The same steps: what differs is rounding, 100 steps of it, damped by the controller."""
+    rotation, omega = fleet(5)
+    integral = np.zeros((5, 3))
+
+    def torque_of(tick, R, w):
+        nonlocal integral
+        torque = -(KP * off_axis(R) + KD * w + KI * integral)
+        integral = integral + EVERY * off_axis(R)
+        return torque
+
+    R, w = by_hand(rotation, omega, torque_of, cspace=cspace)
+    result = run(cspace=cspace)
+    np.testing.assert_allclose(column(result.summary, "rotation").reshape(-1, 3, 3), R, atol=1e-13)
+    np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-14)
+
+
+def test_adaptive_steps_end_at_the_ticks():
+    """Against the loop by hand at short steps, to 30 rtol of it."""
+    rotation, omega = fleet(3)
+    R, w = by_hand(rotation, omega, lambda tick, R, w: -(KP * off_axis(R) + KD * w), ticks=10)
+    result = run(3, pid(ki=0.0), ticks=10, rtol=1e-9, dt=None, method="DP54")
+    np.testing.assert_allclose(column(result.summary, "rotation").reshape(-1, 3, 3), R, atol=3e-8)
+    np.testing.assert_allclose(column(result.summary, "omega"), w, atol=3e-8)
+    assert (result.summary["steps"].to_numpy() >= 10).all()
+
+
+def test_fixed_steps_are_shortened_where_a_controller_ticks():
+    """dt = 0.03 s and ticks each 0.1 s: steps of 30, 30, 30 and 10 ms."""
+    rotation, omega = fleet(2)
+
+    def in_four_steps(R, w):
+        body, held = lierb.Body(100.0, MOMENTS), lierb.joints.spherical()
+        for _ in range(3):
+            torque = -(KP * off_axis(R) + KD * w)
+            for dt, steps in ((0.03, 3), (0.01, 1)):
+                force = lierb.forces.constant_wrench(torque, frame="body")
+                pose0 = np.tile(np.eye(4), (len(w), 1, 1))
+                pose0[:, :3, :3] = R
+                summary = lierb.integrate(
+                    lierb.Problem(body, held, forces=force), pose0=pose0,
+                    twist0=held.twist(omega=w), dt=dt, t_end=steps * dt, cspace="reduced",
+                    check="off",
+                ).summary  # fmt: skip
+                R, w = column(summary, "rotation").reshape(-1, 3, 3), column(summary, "omega")
+        return R, w
+
+    R, w = in_four_steps(rotation, omega)
+    result = run(2, pid(ki=0.0), ticks=3, dt=0.03)
+    np.testing.assert_allclose(column(result.summary, "rotation").reshape(-1, 3, 3), R, atol=1e-12)
+    np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-13)
+
+
+def test_outputs_are_held_between_ticks_and_zero_before_the_first():
+    """t0 is no multiple of the period: nothing acts until the first one."""
+    problem, start = satellites(*fleet(1), pid(ki=0.0))
+    times = (0.05, 0.07, 0.09, 0.1, 0.15, 0.19, 0.2, 0.25)
+    result = lierb.integrate(
+        problem, **start, t0=0.05, t_end=0.25, dt=0.01, save_at=times, cspace="reduced",
+        record=("state",),
+    )  # fmt: skip
+    torque, omega = rows_of(result.history, "torque"), rows_of(result.history, "omega")
+    R = rows_of(result.history, "rotation").reshape(-1, 3, 3)
+    np.testing.assert_array_equal(torque[:3], 0.0)
+    at = {0.1: 3, 0.2: 6}
+    for first, rows in ((at[0.1], (4, 5)), (at[0.2], (7,))):
+        true = -(KP * off_axis(R[first]) + KD * omega[first])
+        for row in rows:
+            np.testing.assert_allclose(torque[row], true, rtol=1e-12)
+
+
+def test_memory_starts_where_it_is_told():
+    """A controller that counts its ticks from a first value of each trajectory's own."""
+
+    @lierb.controller(every=0.1, memory={"count": 0.0})
+    def counter(memory):
+        return {"ticks": memory.count + 1.0}, {"count": memory.count + 1.0}
+
+    problem, start = spinning([1.0, 1.0], controllers=[counter(count=np.array([0.0, 10.0]))])
+    result = lierb.integrate(problem, **start, t_end=0.55, rtol=1e-6)
+    np.testing.assert_array_equal(column(result.summary, "ticks"), [6.0, 16.0])  # at 0, 0.1, … 0.5
+
+
+def test_the_period_may_be_each_trajectorys_own():
+    @lierb.controller(every=0.1, memory={"count": 0.0})
+    def counter(memory):
+        return {"ticks": memory.count + 1.0}, {"count": memory.count + 1.0}
+
+    problem, start = spinning([1.0] * 3, controllers=[counter(every=np.array([0.1, 0.25, 0.3]))])
+    result = lierb.integrate(problem, **start, t_end=0.95, rtol=1e-6)
+    np.testing.assert_array_equal(column(result.summary, "ticks"), [10.0, 4.0, 4.0])
+
+
+def test_ticks_do_not_drift():
+    """A thousand ticks of 0.1 s: the last one is at 99.9 s, not a rounding later."""
+
+    @lierb.controller(every=0.1, memory={"count": 0.0})
+    def stamp(t, memory):
+        return {"tick": memory.count + 1.0, "stamped": t}, {"count": memory.count + 1.0}
+
+    problem, start = spinning([1.0], controllers=[stamp()])
+    result = lierb.integrate(problem, **start, t_end=99.95, rtol=1e-6)
+    assert column(result.summary, "tick").tolist() == [1000.0]
+    assert column(result.summary, "stamped").tolist() == pytest.approx([999 * 0.1], rel=4e-16)
+
+
+# ---- noise -------------------------------------------------------------------------------------
+
+
+def noisy(which=None, count=17, **options):
+    rotation, omega = fleet(count)
+    which = np.arange(count) if which is None else np.asarray(which)
+    problem, start = satellites(rotation[which], omega[which], noisy_pd())
+    options = {"dt": DT, "t_end": TICKS * EVERY, "seed": 42, "trajectories": which} | options
+    return lierb.integrate(problem, **start, cspace="reduced", **options)
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return noisy()
+
+
+@pytest.mark.parametrize("which", [[0], [16], [5, 3], list(range(3, 12))], ids=str)
+def test_noise_is_the_same_when_replayed_alone(which, whole):
+    alone = noisy(which)
+    np.testing.assert_array_equal(
+        table_bits(alone.summary, "trajectory", "status"),
+        table_bits(whole.summary, "trajectory", "status")[which],
+    )
+
+
+def test_noise_is_that_of_its_number_not_of_its_place(whole):
+    """Left out, numbers are 0 … n − 1: trajectory 5 alone is another one's noise."""
+    rotation, omega = fleet(17)
+    problem, start = satellites(rotation[5:6], omega[5:6], noisy_pd())
+    other = lierb.integrate(problem, **start, cspace="reduced", dt=DT, t_end=TICKS * EVERY, seed=42)
+    assert column(other.summary, "gyro")[0].tolist() != column(whole.summary, "gyro")[5].tolist()
+    assert column(other.summary, "gyro")[0].tolist() == column(whole.summary, "gyro")[0].tolist()
+
+
+def test_noise_depends_on_the_seed(whole):
+    other = noisy(seed=43)
+    assert (column(other.summary, "gyro") != column(whole.summary, "gyro")).all()
+
+
+def test_noisy_run_is_the_loop_by_hand_with_its_noise():
+    """The noise is an output too: the loop takes it from there."""
+    count, ticks = 3, 8
+    times = (np.arange(ticks) + 0.5) * EVERY
+    result = noisy(np.arange(count), count, t_end=ticks * EVERY, save_at=times)
+    gyro = rows_of(result.history, "gyro").reshape(ticks, count, 3)
+    assert len(np.unique(gyro)) == gyro.size
+    rotation, omega = fleet(count)
+    R, w = by_hand(rotation, omega, lambda k, R, w: -(KP * off_axis(R) + KD * (w + gyro[k])), ticks)
+    np.testing.assert_allclose(column(result.summary, "rotation").reshape(-1, 3, 3), R, atol=1e-13)
+    np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-14)
+
+
+@lierb.controller(every=0.01)
+def draws():
+    return {"one": lierb.noise.normal("one"), "many": lierb.noise.normal("many", 3)}
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """(ticks, trajectories, 4) draws: one, many (3)."""
+    problem, start = spinning(np.ones(200), controllers=[draws()])
+    times = (np.arange(100) + 0.5) * 0.01
+    found = lierb.integrate(problem, **start, dt=0.01, t_end=1.0, save_at=times, seed=5).history
+    parts = [rows_of(found, "one")[:, None], rows_of(found, "many")]
+    return np.concatenate(parts, axis=1).reshape(100, 200, 4)
+
+
+def test_no_draw_comes_twice(drawn):
+    """By trajectory, name, tick and component: 80 000 doubles have no two alike."""
+    assert len(np.unique(drawn)) == drawn.size
+
+
+def test_a_name_that_is_drawn_twice_is_told():
+    @lierb.controller(every=0.1)
+    def twice():
+        return {"a": lierb.noise.normal("one"), "b": lierb.noise.normal("one")}
+
+    with pytest.raises(lierb.errors.LierbError, match="one"):
+        twice()
+
+
+def test_draws_are_standard_normal(drawn):
+    """80 000 draws; the bounds are five standard errors, and a p of 1e-4 for Kolmogorov's test."""
+    x = drawn.ravel()
+    n = len(x)
+    assert abs(x.mean()) < 5 / np.sqrt(n)
+    assert abs(x.var() - 1.0) < 5 * np.sqrt(2 / n)
+    assert abs(stats.skew(x)) < 5 * np.sqrt(6 / n)
+    assert abs(stats.kurtosis(x)) < 5 * np.sqrt(24 / n)
+    assert stats.kstest(x, "norm").pvalue > 1e-4
+
+
+def test_draws_do_not_know_of_each_other(drawn):
+    """Neighbours in time, in the batch, and among components: correlations within five σ."""
+    x = drawn
+    pairs = {
+        "ticks": (x[1:], x[:-1]), "trajectories": (x[:, 1:], x[:, :-1]),
+        "components": (x[..., 1:], x[..., :-1]), "squares": (x[1:] ** 2 - 1, x[:-1] ** 2 - 1),
+    }  # fmt: skip
+    for name, (a, b) in pairs.items():
+        scale = 2.0 if name == "squares" else 1.0
+        assert abs((a * b).mean()) < 5 * scale / np.sqrt(a.size), name
+
+
+# ---- what is told ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("made", "match"), [
+    (lambda: [pid(every=0.0)], "every"), (lambda: [pid(every=-1.0)], "every"),
+    (lambda: [pid(kq=1.0)], "kp"), (lambda: [pid(), pid()], "torque"),
+    (lambda: [pid(integral=(1.0, 2.0))], "integral"),
+])  # fmt: skip
+def test_wrong_controllers_are_told(made, match):
+    with pytest.raises(lierb.errors.LierbError, match=match):
+        satellites(*fleet(3), *made())
+
+
+def test_an_unknown_control_is_told_with_those_there_are():
+    @lierb.wrench
+    def wrong(t, R, r, omega, v, params, controls):
+        return controls.torqe, (0.0, 0.0, 0.0)
+
+    with pytest.raises(lierb.errors.LierbError, match="torque"):
+        lierb.Problem(
+            lierb.Body(100.0, MOMENTS), lierb.joints.spherical(), forces=[wrong()],
+            controllers=[pid()],
+        )  # fmt: skip

@@ -1,0 +1,313 @@
+"""Times of crossings against closed forms, and what an event says of them."""
+
+import mpmath
+import numpy as np
+import pytest
+
+import lierb
+from clocks.shared import G, rows_of, spinning, table_bits, thrown
+
+EXACT = 1e-12  # s
+
+
+@lierb.event(level=0.0)
+def height(r, params):
+    return r[2] - params.level
+
+
+@lierb.event(direction=-1, terminal=True)
+def landing(r):
+    return r[2]
+
+
+@lierb.event(direction=+1, level=1.0)
+def rising(r, params):
+    return r[2] - params.level
+
+
+@lierb.event(sine=0.0)
+def turned(R, params):
+    return R[1, 0] - params.sine
+
+
+@lierb.event(value=0.0)
+def rate(omega, params):
+    return omega[1] - params.value
+
+
+def seen(result, trajectory=0, event=None) -> np.ndarray:
+    """Times of one trajectory's events."""
+    table = result.events
+    which = np.array(table["trajectory"].to_pylist()) == trajectory
+    names = table["event"].to_pylist()
+    if event is not None:
+        which &= np.array([name == event for name in names], bool)
+    return rows_of(table, "t")[which]
+
+
+def crossings(h, v, level):
+    """Both times at which a body thrown from h at speed v is at `level`, s."""
+    root = np.sqrt(v * v + 2.0 * G * (h - level))
+    return (v - root) / G, (v + root) / G
+
+
+# ---- free fall ---------------------------------------------------------------------------------
+
+
+CLOCKS = [{"rtol": 1e-6}, {"dt": 0.05}]
+
+
+@pytest.mark.parametrize("clock", CLOCKS, ids=str)
+@pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.slow)])
+def test_free_fall_crosses_when_it_should(clock, cspace):
+    """A parabola is integrated without error by any method of order 2: what is left is the root.
+
+    Turning adds an error of its own on SE(3), where v is in body axes: there it does not turn.
+    """
+    h, v = np.array([1.0, 2.0, 5.0, 0.3]), np.array([0.0, 3.0, 7.0, 4.0])
+    problem, start = thrown(h, v, events=[height(level=0.0), height(level=1.5).named("half")])
+    result = lierb.integrate(problem, **start, t_end=2.0, method="DP54", cspace=cspace, **clock)
+    for i in range(4):
+        for event, level in (("height", 0.0), ("half", 1.5)):
+            if v[i] ** 2 + 2 * G * (h[i] - level) < 0:  # never that high
+                assert seen(result, i, event).size == 0
+                continue
+            true = [t for t in crossings(h[i], v[i], level) if 0.0 < t < 2.0]
+            np.testing.assert_allclose(seen(result, i, event), true, rtol=0, atol=EXACT)
+
+
+def test_direction_selects_crossings():
+    problem, start = thrown(
+        0.5, 5.0,
+        events=[rising(level=1.0), height(level=1.0)],
+    )  # fmt: skip
+    result = lierb.integrate(problem, **start, t_end=1.5, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    up, down = crossings(0.5, 5.0, 1.0)
+    np.testing.assert_allclose(seen(result, event="rising"), [up], atol=EXACT)
+    np.testing.assert_allclose(seen(result, event="height"), [up, down], atol=EXACT)
+
+
+def test_falling_direction_leaves_the_rise_out():
+    @lierb.event(direction=-1)
+    def falling(r):
+        return r[2] - 1.0
+
+    problem, start = thrown(0.5, 5.0, events=[falling()])
+    result = lierb.integrate(problem, **start, t_end=1.5, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    np.testing.assert_allclose(seen(result), [crossings(0.5, 5.0, 1.0)[1]], atol=EXACT)
+
+
+def test_terminal_event_ends_its_trajectory_alone():
+    h, v = np.array([1.0, 50.0, 3.0]), np.zeros(3)
+    problem, start = thrown(h, v, events=[landing(), height(level=0.5)])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    statuses = result.summary["status"].to_pylist()
+    assert statuses == ["event", "ok", "event"]
+    ended = rows_of(result.summary, "t")
+    np.testing.assert_allclose(ended[[0, 2]], np.sqrt(2 * h[[0, 2]] / G), atol=EXACT)
+    assert ended[1] == 1.0
+    # it has its row as well; nothing comes after it
+    assert seen(result, 0, "landing") == pytest.approx(ended[0], abs=0)
+    assert seen(result, 0).max() == ended[0]
+    # where it ended is where it crossed
+    at_end = rows_of(result.summary, "position")[[0, 2], 2]
+    np.testing.assert_allclose(at_end, 0.0, atol=1e-11)
+    speed = rows_of(result.summary, "v")[[0, 2], 2]
+    np.testing.assert_allclose(speed, -G * ended[[0, 2]], rtol=1e-12)
+
+
+def test_an_event_is_no_failure(recwarn):
+    problem, start = thrown(1.0, 0.0, events=[landing()])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    assert len(result.failed) == 0
+    assert not [w for w in recwarn if w.category is lierb.errors.FailedTrajectoryWarning]
+
+
+def test_events_of_the_call_are_added_to_those_of_the_problem():
+    problem, start = thrown(1.0, 0.0, events=[height(level=0.5)])
+    result = lierb.integrate(
+        problem, **start, t_end=1.0, rtol=1e-6, cspace="SO3xR3", method="DP54", events=[landing()]
+    )
+    assert result.events["event"].to_pylist() == ["height", "landing"]
+
+
+def test_no_events_no_table():
+    problem, start = thrown(1.0, 0.0)
+    assert lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6).events is None
+
+
+def test_events_table_is_sorted_and_says_where_the_body_was():
+    h = np.array([2.0, 1.0])
+    problem, start = thrown(
+        h, np.zeros(2), events=[height(level=0.0), height(level=0.7).named("b")]
+    )
+    result = lierb.integrate(problem, **start, t_end=0.8, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    table = result.events
+    assert table["trajectory"].to_pylist() == [0, 0, 1, 1]
+    assert table["event"].to_pylist() == ["b", "height", "b", "height"]
+    assert {"trajectory", "event", "t", "rotation", "position", "omega", "v"} <= set(
+        table.column_names
+    )
+    np.testing.assert_allclose(
+        rows_of(table, "position")[:, 2], [0.7, 0.0, 0.7, 0.0], rtol=0, atol=1e-11
+    )
+    t = rows_of(table, "t")
+    np.testing.assert_allclose(rows_of(table, "v")[:, 2], -G * t, rtol=1e-12)
+
+
+# ---- rotation ----------------------------------------------------------------------------------
+
+
+def test_a_turning_ball_crosses_again_and_again():
+    """R₂₁ = sin ωt: exact on the group, whatever the step; dt_max keeps crossings apart."""
+    rates, sine = np.array([1.0, 7.0, 30.0]), 0.3
+    problem, start = spinning(rates, events=[turned(sine=sine)])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, dt_max=0.02, method="DP54")
+    first = np.arcsin(sine)
+    for i, w in enumerate(rates):
+        k = np.arange(40)
+        true = np.sort(np.concatenate([first + 2 * np.pi * k, np.pi - first + 2 * np.pi * k])) / w
+        np.testing.assert_allclose(seen(result, i), true[true < 1.0], rtol=0, atol=EXACT)
+
+
+def test_an_event_that_starts_at_zero_waits_for_the_next_crossing():
+    """R₂₁ = sin ωt is zero at t = 0, and there is no crossing: half a turn later there is."""
+    problem, start = spinning([np.pi], events=[turned(sine=0.0)])
+    result = lierb.integrate(problem, **start, t_end=2.5, rtol=1e-6, dt_max=0.1, method="DP54")
+    np.testing.assert_allclose(seen(result), [1.0, 2.0], atol=EXACT)
+
+
+def test_a_terminal_event_that_starts_at_zero_lets_it_go():
+    """Thrown up from the ground: it lands when it comes back."""
+    problem, start = thrown(0.0, 3.0, events=[landing()])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    np.testing.assert_allclose(seen(result), [2 * 3.0 / G], atol=EXACT)
+
+
+def test_an_event_that_stays_at_zero_does_not_fire():
+    problem, start = spinning([2.0], events=[rate(value=0.0)])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, method="DP54")
+    assert result.events.num_rows == 0
+
+
+def test_an_event_at_the_very_end_is_seen():
+    """A crossing at t_end, less a rounding."""
+    problem, start = spinning([np.pi], events=[turned(sine=0.0)])
+    result = lierb.integrate(
+        problem, **start, t_end=float(np.nextafter(1.0, 2.0)) + 1e-9, rtol=1e-6, dt_max=0.1,
+        method="DP54",
+    )  # fmt: skip
+    np.testing.assert_allclose(seen(result), [1.0], atol=EXACT)
+
+
+@pytest.mark.parametrize("below", [1e-3, 1e-6])
+def test_two_crossings_in_a_step_are_found(below):
+    """At the top of a parabola, `below` m under it: two crossings closer than any step."""
+    v = 4.0
+    top = v * v / (2 * G)
+    problem, start = thrown(0.0, v, events=[height(level=top - below)])
+    result = lierb.integrate(problem, **start, t_end=0.8, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    true = crossings(0.0, v, top - below)
+    # what the height is uncertain by, 1e-15 m, is √ of that in time where it does not cross fast
+    speed = G * (true[1] - true[0]) / 2
+    np.testing.assert_allclose(seen(result), true, rtol=0, atol=max(EXACT, 1e-14 / speed))
+
+
+def test_a_level_that_is_just_missed_is_not_crossed():
+    """By 1e-9 m: the parabola touches nothing."""
+    v = 4.0
+    top = v * v / (2 * G)
+    problem, start = thrown(0.0, v, events=[height(level=top + 1e-9)])
+    result = lierb.integrate(problem, **start, t_end=0.8, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    assert result.events.num_rows == 0
+
+
+# ---- pendulum ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clock", [{"rtol": 1e-13}, {"dt": 2e-3}], ids=str)
+def test_pendulum_swings_through_when_jacobi_says(clock):
+    """Released from rest at 90°: at the bottom after K/w, 3K/w, …; at rest again after 2K/w."""
+    m, length, inertia = 1.2, 0.7, 0.05
+    body = lierb.Body(m, (inertia, inertia, 0.02))
+    joint = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, length))
+
+    @lierb.event
+    def bottom(r):
+        return r[0]
+
+    @lierb.event
+    def still(omega):
+        return omega[1]
+
+    problem = lierb.Problem(body, joint, (0.0, 0.0, -G), events=[bottom(), still()])
+    pose0 = np.eye(4)
+    pose0[:3, :3] = lierb.lie.so3.exp((0.0, np.pi / 2, 0.0))
+    pose0[:3, 3] = pose0[:3, :3] @ (0.0, 0.0, -length)
+    result = lierb.integrate(
+        problem, twist0=np.zeros(6), pose0=pose0, t_end=4.0, method="DOP853", cspace="reduced",
+        **clock,
+    )  # fmt: skip
+    w = mpmath.sqrt(mpmath.mpf(m) * G * length / (inertia + m * mpmath.mpf(length) ** 2))
+    quarter = float(mpmath.ellipk(mpmath.mpf(1) / 2) / w)
+    through = np.arange(1, 20, 2) * quarter
+    np.testing.assert_allclose(
+        seen(result, event="bottom"), through[through < 4.0], rtol=0, atol=EXACT
+    )
+    rest = np.arange(2, 20, 2) * quarter
+    np.testing.assert_allclose(seen(result, event="still"), rest[rest < 4.0], rtol=0, atol=EXACT)
+
+
+# ---- parameters, mechanisms, errors ------------------------------------------------------------
+
+
+def test_an_events_parameters_may_be_each_trajectorys_own():
+    levels = np.array([0.2, 0.5, 0.9])
+    problem, start = thrown(np.ones(3), np.zeros(3), events=[height(level=levels)])
+    result = lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    true = np.sqrt(2 * (1.0 - levels) / G)
+    np.testing.assert_allclose([seen(result, i)[0] for i in range(3)], true, atol=EXACT)
+
+
+@pytest.mark.slow
+def test_an_event_on_a_link_of_a_mechanism():
+    rod = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
+    hinge = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
+
+    @lierb.event
+    def below(r):
+        return r[0]
+
+    made = lierb.Mechanism(
+        [lierb.Link("rod", rod, lierb.joints.revolute(**hinge))],
+        gravity=(0.0, 0.0, -G), events=[below().on("rod")],
+    )  # fmt: skip
+    pose0 = made.pose({"rod": np.pi / 2})
+    result = lierb.integrate(made, pose0=pose0, twist0=made.twist({}, pose0), t_end=1.0, rtol=1e-13)
+    inertia = rod.inertia[1, 1] + 0.25**2
+    w = mpmath.sqrt(mpmath.mpf(G) * 0.25 / inertia)
+    quarter = float(mpmath.ellipk(mpmath.mpf(1) / 2) / w)
+    np.testing.assert_allclose(seen(result)[0], quarter, rtol=0, atol=EXACT)
+    assert "rod.position" in result.events.column_names
+
+
+def test_the_same_times_whatever_the_neighbours():
+    h = np.linspace(0.5, 3.0, 21)
+    problem, start = thrown(h, np.zeros(21), events=[landing()])
+    options = {"t_end": 1.0, "rtol": 1e-6, "cspace": "SO3xR3", "method": "DP54"}
+    whole = lierb.integrate(problem, **start, **options).events
+    one, alone = thrown(h[13], 0.0, events=[landing()])
+    found = lierb.integrate(one, **alone, **options).events
+    np.testing.assert_array_equal(
+        table_bits(found, "trajectory", "event"),
+        table_bits(whole, "trajectory", "event")[[13]],
+    )
+
+
+def test_wrong_events_are_told():
+    problem, start = thrown(1.0, 0.0)
+    for wrong in (3, [lambda r: r[2]], [height]):
+        with pytest.raises(lierb.errors.LierbError, match="event"):
+            lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, events=wrong)
+    with pytest.raises(lierb.errors.LierbError, match="direction"):
+        lierb.event(direction=2)(lambda r: r[2])

@@ -1,0 +1,193 @@
+"""What is asked for is what comes out: global errors, in multiples of rtol.
+
+`rtol` bounds the error of a step. What a motion makes of it differs: the errors of all steps add
+up, and tops part from each other. The bound is thirty times rtol at the end, in the norm that steps
+are chosen by; the lower one says that no steps are wasted.
+"""
+
+import functools
+
+import numpy as np
+import pytest
+
+import lierb
+from clocks.truths import DATA, distance, problem_of, reference, states_of
+
+FACTOR = 30.0
+END = {"heavy_top": "0.5", "free_body": "2", "fast_top": "0.05", "universal": "0.5"}  # about a turn
+RTOLS = tuple(10.0**-k for k in range(4, 13))
+# The steps of low orders are a million at 1e-12, and their rounding adds up.
+LEAST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}
+METHODS = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
+QUICK = {("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")}
+FORMS = [
+    pytest.param(
+        name, cspace, method,
+        marks=() if (name, cspace, method) in QUICK else pytest.mark.long,
+        id=f"{name}-{cspace}-{method}",
+    )
+    for name in DATA
+    for cspace in ("SE3", "SO3xR3")
+    for method in METHODS
+]  # fmt: skip
+
+
+@functools.cache
+def errors(name: str, cspace: str, method: str, **options) -> dict[float, float]:
+    """rtol → error at the end, over rtol."""
+    problem, twist0 = problem_of(name)
+    true, found = reference(name)[END[name]], {}
+    for rtol in RTOLS:
+        if rtol < LEAST.get(method, 0.0):
+            break
+        result = lierb.integrate(
+            problem, twist0=twist0, t_end=float(END[name]), rtol=rtol, method=method,
+            cspace=cspace, **options,
+        )  # fmt: skip
+        assert result.summary["status"].to_pylist() == ["ok"]
+        found[rtol] = distance(states_of(result.summary, 0), true) / rtol
+    return found
+
+
+@pytest.mark.parametrize(("name", "cspace", "method"), FORMS)
+def test_error_is_within_thirty_times_rtol(name, cspace, method):
+    told = errors(name, cspace, method)
+    assert max(told.values()) < FACTOR, told
+
+
+@pytest.mark.parametrize(("name", "cspace", "method"), FORMS)
+def test_error_follows_rtol(name, cspace, method):
+    """A hundred times less is asked for: 10 to 1000 times less comes out, above rounding."""
+    told = errors(name, cspace, method)
+    rtols = [r for r in told if r >= 1e-10]
+    slope = np.polyfit(np.log(rtols), np.log([told[r] * r for r in rtols]), 1)[0]
+    assert 0.75 < slope < 1.35, told
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("options", [
+    {"solver": "saddle"}, {"cspace": "reduced"}, {"update": "global"},
+    {"cspace": "SO3xR3", "update": "global"},
+], ids=str)  # fmt: skip
+@pytest.mark.parametrize("name", ["heavy_top", "fast_top"])
+def test_other_formulations_keep_the_tolerance(name, options):
+    options = {"cspace": "SE3"} | options
+    told = errors(name, method="DOP853", **options)
+    assert max(told.values()) < FACTOR, told
+
+
+@pytest.mark.long
+def test_a_mechanism_keeps_the_tolerance():
+    """Of two links against itself at a thousandth of the tolerance: both c-spaces, one truth."""
+    rod = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
+    hinge = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
+    tip = {"parent_point": (0.0, 0.0, -0.25)}
+    revolute = lierb.joints.revolute
+    links = [
+        lierb.Link("upper", rod, revolute(**hinge)),
+        lierb.Link("lower", rod, revolute(**hinge, **tip), "upper"),
+    ]
+    pendulum = lierb.Mechanism(links, gravity=(0.0, 0.0, -9.81))
+    pose0 = pendulum.pose({"upper": 1.5, "lower": 0.5})
+    start = {"pose0": pose0, "twist0": pendulum.twist({"lower": 1.0}, pose0)}
+    fixed = lierb.integrate(pendulum, **start, dt=1e-3, t_end=1.0, method="DOP853")
+    true = [states_of(fixed["lower"].summary, 0)]
+    for cspace in ("reduced", "SE3", "SO3xR3"):
+        for rtol in (1e-4, 1e-7, 1e-10):
+            found = lierb.integrate(pendulum, **start, t_end=1.0, rtol=rtol, cspace=cspace)
+            off = distance(states_of(found["lower"].summary, 0), true[0])
+            assert off < FACTOR * rtol, (cspace, rtol)
+
+
+# ---- atol, by block ----------------------------------------------------------------------------
+
+
+def test_atol_alone_is_what_counts_where_nothing_moves():
+    """A body at rest under no force: one step, whatever its length."""
+    problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free())
+    found = lierb.integrate(problem, twist0=np.zeros(6), t_end=1e3, atol=1e-9)
+    assert found.summary["status"].to_pylist() == ["ok"]
+    assert found.summary["steps"].to_pylist()[0] < 30
+    assert found.summary["rejected"].to_pylist() == [0]
+
+
+def steps_with(atol, rtol=1e-9) -> int:
+    problem, twist0 = problem_of("free_body")
+    found = lierb.integrate(problem, twist0=twist0, t_end=5.0, rtol=rtol, atol=atol, method="DP54")
+    return found.summary["steps"].to_pylist()[0]
+
+
+def test_atol_by_block_lets_one_block_go():
+    """Of a free body's rotation and ω alone steps are needed; a loose atol of both takes few."""
+    tight = steps_with(1e-12)
+    assert steps_with({"rotation": 1e-2, "omega": 1e-2}) < tight / 5
+    assert steps_with({"position": 1e2, "v": 1e2}) >= tight / 1.2
+    assert steps_with({"rotation": 1e-2}) > tight / 3  # ω still asks for them
+
+
+@pytest.mark.parametrize(("options", "match"), [
+    ({"rtol": -1e-6}, "rtol"), ({"rtol": float("nan")}, "rtol"), ({"rtol": "small"}, "rtol"),
+    ({"atol": {"rotatoin": 1e-6}}, "rotation"), ({"atol": -1.0}, "atol"),
+    ({"rtol": 1e-6, "method": "RK4"}, "RK4"),
+    ({"rtol": 1e-6, "dt_min": 1.0, "dt_max": 0.1}, "dt_m"),
+    ({"rtol": 1e-6, "max_steps": 0}, "max_steps"),
+    ({"rtol": 1e-6, "save_every": 10}, "save_every"),
+    ({"rtol": 1e-6, "dt": -0.1}, "dt"),
+], ids=str)  # fmt: skip
+def test_wrong_tolerances_are_told(options, match):
+    problem, twist0 = problem_of("heavy_top")
+    with pytest.raises(lierb.errors.LierbError, match=match):
+        lierb.integrate(problem, twist0=twist0, t_end=1.0, **options)
+
+
+# ---- first, shortest, longest step, and their number -------------------------------------------
+
+
+def told(**options):
+    problem, twist0 = problem_of("heavy_top")
+    options = {"rtol": 1e-6, "t_end": 1.0} | options
+    return lierb.integrate(problem, twist0=twist0, **options).summary
+
+
+def test_dt_is_the_first_step():
+    """Tried first and kept: one step is enough where it reaches the end."""
+    assert told(dt=1e-3, t_end=1e-3)["steps"].to_pylist() == [1]
+    assert told(dt=1e-3, t_end=1e-3)["rejected"].to_pylist() == [0]
+
+
+def test_dt_max_bounds_every_step():
+    assert told(dt_max=1e-2)["steps"].to_pylist()[0] >= 100
+    assert told(dt_max=1e-2)["rejected"].to_pylist() == [0]
+    assert told(dt_max=1e-2)["dt_last"].to_pylist()[0] <= 1e-2
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
+def test_dt_min_ends_with_its_status():
+    summary = told(rtol=1e-12, dt=0.1, dt_min=5e-2)
+    assert summary["status"].to_pylist() == ["dt_min"]
+    assert summary["t"].to_pylist()[0] < 1.0
+    assert summary["rejected"].to_pylist()[0] > 0
+
+
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
+def test_max_steps_ends_with_its_status():
+    summary = told(max_steps=5)
+    assert summary["status"].to_pylist() == ["max_steps"]
+    assert summary["steps"].to_pylist() == [5] or (
+        summary["steps"].to_pylist()[0] + summary["rejected"].to_pylist()[0] == 5
+    )
+    assert 0.0 < summary["t"].to_pylist()[0] < 1.0
+
+
+def test_the_end_is_met_exactly():
+    """The last step is cut to what is left; t is t_end to the bit."""
+    summary = told(t_end=0.7310585786300049)
+    assert summary["t"].to_pylist() == [0.7310585786300049]
+    assert summary["dt_last"].to_pylist()[0] > 0.0
+
+
+def test_t0_shifts_the_clock_alone():
+    """Nothing depends on t: steps are the same, what is found to rounding."""
+    here, there = told(), told(t0=8.0, t_end=9.0)
+    assert here["steps"].to_pylist() == there["steps"].to_pylist()
+    assert distance(states_of(there, 0), states_of(here, 0)) < 1e-13
