@@ -227,15 +227,17 @@ def first_step(
     def at(x: Vec, v_or_mu: Vec, states: Vec, time: Any) -> Any:
         return rates_at(plan, body, state.chart, falling, x, v_or_mu, states, time)
 
-    start = at(*_parts(state), time)
+    start = at(state.x, state.v_or_mu, state.states, time)
     size = _size_against(plan, body, state, scales)
     speed = _rate_against(plan, body, _parts(start), scales)
     tiny = (size < 1e-10) | (speed < 1e-10)
     guess = where(tiny, 1e-6 * length, 0.01 * sqrt(size / where(tiny, 1.0, speed)))
     guess = minimum(guess, length)
     pairs = zip(_parts(state), (0.5 * guess, guess, guess), _parts(start), strict=True)
-    x, *rest = (tuple(fma(h, k, y) for k, y in zip(rate, x, strict=True)) for x, h, rate in pairs)
-    there = at(plan.formulation.in_algebra(body, x), *rest, time + guess)
+    x, v_or_mu, states = (
+        tuple(fma(h, k, y) for k, y in zip(rate, y0, strict=True)) for y0, h, rate in pairs
+    )
+    there = at(plan.formulation.in_algebra(body, x), v_or_mu, states, time + guess)
     change = tuple(
         tuple(after - before for before, after in zip(*pair, strict=True))
         for pair in zip(_parts(start), _parts(there), strict=True)
