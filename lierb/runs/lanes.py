@@ -107,11 +107,12 @@ class Events(NamedTuple):
     """Of a run, in the order in which they were found: [event][EVENT_COLUMNS, state, signals]."""
 
     rows: list[Array]
+    width: int
 
     @property
     def table(self) -> Array:
         """Sorted by trajectory and time; those that come after an end are left out."""
-        found = np.concatenate(self.rows) if self.rows else np.zeros((0, EVENT_COLUMNS))
+        found = np.concatenate([np.zeros((0, self.width)), *self.rows])
         found = found[found[:, 0] >= 0]
         order = np.lexsort((found[:, 1], found[:, 2], found[:, 0]))
         return np.ascontiguousarray(found[order])
@@ -157,11 +158,10 @@ class LaneRun:
         rows[FATE] = IDLE
         watched = len(events_of(plan))
         room = max(EVENT_ROOM, 4 * watched * LOOKS * lanes) if watched else 0
-        width = EVENT_COLUMNS + output.links * POSE_AND_TWIST.count + signals_width(plan)
         arrays = {
             "carried": np.zeros((carried_columns(plan), lanes)),
             "desk": rows,
-            "events": np.zeros((1 + room, width)),
+            "events": np.zeros((1 + room, self.events.width)),
         }
         return Desk(output, arrays | output.arrays)
 
@@ -254,7 +254,8 @@ def integrate(
         output.history.fill(np.nan)  # of what comes after an end
     for array in (*output.states, output.multipliers, output.reactions):
         array.fill(np.nan)
-    run = LaneRun(plan, inputs, times, output, used, Events([]))
+    width = EVENT_COLUMNS + output.links * POSE_AND_TWIST.count + signals_width(plan)
+    run = LaneRun(plan, inputs, times, output, used, Events([], width))
     if check is not None:
         run.look_at_starts()
         check(output.starts(0, inputs.count), 0)

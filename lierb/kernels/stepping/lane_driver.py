@@ -118,9 +118,11 @@ from lierb.kernels.stepping.systems import system_of
 LOOKS = 4  # at events in a step, where the method has a continuous extension
 STARTS = SUMMARY.index("starts")  # which is known before
 SEARCHES = 120  # at most; every third one halves
-# What the state between a step's ends is asked for: events' values, to look for crossings and then
-# to find one; a crossing, to note it; the end of a trajectory; a row of its history.
-LOOKING, SEARCHING, NOTING, ENDING, SHOWING = range(5)
+NEAR = 0.125  # of an event's range in a step: how near to zero it must come to be looked at there
+# What the state between a step's ends is asked for: events' values, to look for crossings, first at
+# equal distances, then where an event seems to come nearest to zero and to go back; and to find
+# one; a crossing, to note it; the end of a trajectory; a row of its history.
+LOOKING, DIPPING, SEARCHING, NOTING, ENDING, SHOWING = range(6)
 EVENT_COLUMNS = 3  # trajectory, event, t
 
 
@@ -154,7 +156,8 @@ sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY 
 
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
-    looks of a step, the first of them at its start, and those of a search; then what lanes carry.
+    looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
+    then what lanes carry.
     """
     events, signals = len(events_of(plan)), signals_width(plan)
     return Columns(
@@ -162,6 +165,7 @@ def desk_of(plan: AnyPlan) -> Columns:
         Field("sides", (events,)),
         Field("values", (LOOKS + 1, events)),
         Field("searched", (events,)),
+        Field("dips", (2, events)),
         Field("signals", (signals,)),
         Field("clock", (len(LaneClock._fields),)),
         Field("controls", (size_of(outputs_of(plan)),)),
@@ -678,6 +682,12 @@ def next_task(desk, own, kinds, events, first, task, turn, lanes):
             for lane in range(lanes):
                 desk[THETA, lane] = (turn + 1) / own.looks
             return LOOKING, turn + 1
+        find_dips(desk, own, lanes)
+        task, turn = DIPPING, -1
+    if task == DIPPING:
+        turn = next_dip(desk, own, turn + 1, lanes)
+        if turn < own.watched:
+            return DIPPING, turn
         task = NOTING  # of nothing so far
     elif task == SEARCHING:
         if turn + 1 < SEARCHES and next_thetas(desk, lanes, turn + 1):
@@ -698,36 +708,117 @@ def next_task(desk, own, kinds, events, first, task, turn, lanes):
 
 
 @shared
+def find_dips(desk, own, lanes):
+    """Of each event the θ at which it seems to come nearest to zero and to go back, between two
+    looks of one sign: the least of the cubic by values and slopes there, which are those of the
+    quartic through all looks. 2 where there is none.
+    """
+    count = own.watched
+    dips = own.values + (LOOKS + 2) * count
+    for lane in range(lanes):
+        for event in range(count):
+            desk[dips + event, lane] = 2.0
+            if own.looks == LOOKS and desk[TOOK, lane] > 0.0:
+                desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane)
+
+
+@shared
+def dip_of(desk, first, every, lane):
+    a, b, c = desk[first, lane], desk[first + every, lane], desk[first + 2 * every, lane]
+    d, e = desk[first + 3 * every, lane], desk[first + 4 * every, lane]
+    values = (a, b, c, d, e)
+    slopes = (  # of the quartic, by θ / 4
+        (-25.0 * a + 48.0 * b - 36.0 * c + 16.0 * d - 3.0 * e) / 12.0,
+        (-3.0 * a - 10.0 * b + 18.0 * c - 6.0 * d + e) / 12.0,
+        (a - 8.0 * b + 8.0 * d - e) / 12.0,
+        (3.0 * e + 10.0 * d - 18.0 * c + 6.0 * b - a) / 12.0,
+        (25.0 * e - 48.0 * d + 36.0 * c - 16.0 * b + 3.0 * a) / 12.0,
+    )
+    found, nearest = 2.0, NEAR * (max(values) - min(values))
+    for look in range(LOOKS):
+        side = side_of(values[look])
+        low, high = side * values[look], side * values[look + 1]
+        falls, rises = side * slopes[look], side * slopes[look + 1]
+        if high > 0.0 and falls < 0.0 and rises > 0.0:
+            bend = 3.0 * (low - high) + falls + rises
+            root = np.sqrt(bend * bend - falls * rises)
+            share = 1.0 - (rises + root - bend) / (rises - falls + 2.0 * root)
+            least = low + share * (falls + share * (share * (falls + rises + 2.0 * (low - high))
+                    + 3.0 * (high - low) - 2.0 * falls - rises))  # fmt: skip
+            if least < nearest and 0.0 < share < 1.0:
+                found, nearest = (look + share) / LOOKS, least
+    return found
+
+
+@shared
+def next_dip(desk, own, event, lanes):
+    """The next event, from this one on, that dips somewhere, and THETA; the count of events if none
+    does.
+    """
+    dips = own.values + (LOOKS + 2) * own.watched
+    while event < own.watched:
+        found = False
+        for lane in range(lanes):
+            theta = desk[dips + event, lane]
+            desk[THETA, lane] = theta if theta < 1.0 else 0.0
+            found = found or theta < 1.0
+        if found:
+            break
+        event += 1
+    return event
+
+
+@shared
+def note_dip(desk, own, event, lanes):
+    """Of this event, its value at THETA."""
+    searched = own.values + (LOOKS + 1) * own.watched
+    dips = searched + own.watched
+    for lane in range(lanes):
+        desk[dips + own.watched + event, lane] = desk[searched + event, lane]
+
+
+@shared
 def next_crossings(desk, own, kinds, lanes):
     """The next crossing in each lane, as MARK, WHICH, LOW, HIGH, AT_LOW and AT_HIGH; whether there
     is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
     and from there on neither side is the one that was left.
     """
     found, looks, count = False, own.looks, own.watched
+    dips = own.values + (LOOKS + 2) * count
     for lane in range(lanes):
         desk[MARK, lane] = 0.0
         if desk[TOOK, lane] == 0.0:
             continue
         cursor = int(desk[CURSOR, lane])
-        while cursor < looks * count and desk[MARK, lane] == 0.0:
-            look, event = cursor // count + 1, cursor % count
-            side = desk[own.sides + event, lane]
+        while cursor < 2 * looks * count and desk[MARK, lane] == 0.0:
+            # From one look to the next; or to a dip between them, and from there on.
+            half, look, event = cursor % 2, cursor // 2 // count + 1, cursor // 2 % count
+            cursor += 1
+            low, high = (look - 1) / looks, look / looks
+            before = desk[own.values + (look - 1) * count + event, lane]
             value = desk[own.values + look * count + event, lane]
+            dip, at_dip = desk[dips + event, lane], desk[dips + count + event, lane]
+            if low < dip < high:
+                if half == 0:
+                    high, value = dip, at_dip
+                else:
+                    low, before = dip, at_dip
+            elif half == 0:
+                continue
+            side = desk[own.sides + event, lane]
             if side * value < 0.0 or (side != 0.0 and value == 0.0):
                 direction = kinds[0, event]
                 if direction == 0.0 or direction == -side:
                     found = True
                     desk[MARK, lane] = 1.0
                     desk[WHICH, lane] = event
-                    desk[LOW, lane], desk[HIGH, lane] = (look - 1) / looks, look / looks
-                    desk[AT_LOW, lane] = desk[own.values + (look - 1) * count + event, lane]
+                    desk[LOW, lane], desk[HIGH, lane] = low, high
+                    # What is held may have made it jump.
+                    desk[AT_LOW, lane] = before if side * before > 0.0 else 0.0
                     desk[AT_HIGH, lane] = value
-                    if side * desk[AT_LOW, lane] < 0.0:  # it jumped, with what is held
-                        desk[AT_LOW, lane] = 0.0
                 desk[own.sides + event, lane] = side_of(value)
             elif side == 0.0:
                 desk[own.sides + event, lane] = side_of(value)
-            cursor += 1
         desk[CURSOR, lane] = cursor
     return found
 
@@ -894,7 +985,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         job.states_atol, job.dt_min, job.dt_max, job.max_steps,
     )  # fmt: skip
     carried, events, kinds = numbers_at(own.carried), numbers_at(own.events), numbers_at(job.kinds)
-    room = events.shape[0] - lanes * own.watched * own.looks - 1
+    room = events.shape[0] - lanes * own.watched * (own.looks + 1) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs)
     state, record = load_state(plan, body, carried, 0), load_record(plan, carried, 0)
@@ -952,13 +1043,15 @@ def integrate_lanes(plan, inputs, counter, jobs):
                         mark_due_between(plan, desk, clock, trial, accepted)
                     theta = row_of(plan, desk, THETA)
                     there = state_between(plan, seen, state, slopes, trial, theta)
-                    if task == LOOKING or task == SEARCHING:
-                        # Of a look its own; of a search those behind all looks.
+                    if task == LOOKING or task == DIPPING or task == SEARCHING:
+                        # Of a look its own; of what is searched those behind all looks.
                         look = turn if task == LOOKING else LOOKS + 1
                         row, time = own.values + look * own.watched, time_between(trial, theta)
                         put_values(plan, seen, there, held, time, desk, row)
                         if task == SEARCHING:
                             narrow(desk, own, lanes)
+                        elif task == DIPPING:
+                            note_dip(desk, own, turn, lanes)
                     elif task == NOTING:
                         _store_state(plan, body, inputs, there, record, own)
                         put_signals(plan, there, held, desk)
