@@ -42,6 +42,7 @@ from lierb.kernels.stepping.signals import events_of, signals_width
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.runs import engine
 from lierb.runs.engine import CALL_SECONDS, Inputs, Output
+from lierb.runs.forks import check_threads
 from lierb.runs.progress import Progress, reporter
 
 FIRST_TURNS = 200  # of a thread's first call, to find out how fast a plan runs
@@ -58,6 +59,7 @@ class LaneTime:
 
     save_at : s, of the rows of its history.   kinds : [direction, is terminal][event].
     seed, numbers : of the noise, and each trajectory's own.
+    steps : of the rows of a history of every so many fixed steps.
     """
 
     span: Span
@@ -66,14 +68,15 @@ class LaneTime:
     kinds: Array
     seed: int = 0
     numbers: Array = field(default_factory=lambda: np.zeros(0))
+    steps: NDArray[np.int64] | None = None
 
     @property
     def saved_rows(self) -> int:
         return len(self.save_at)
 
     def saved_steps(self) -> NDArray[np.int64]:
-        """Their numbers."""
-        return np.arange(self.saved_rows)
+        """Of fixed steps, or numbers of the rows."""
+        return np.arange(self.saved_rows) if self.steps is None else self.steps
 
     def saved_times(self) -> Array:
         return self.save_at
@@ -248,6 +251,7 @@ def integrate(
     check: Callable[[Array, int], bool] | None = None,
 ) -> Output:
     """Run every trajectory to its end; arguments as of `lierb.runs.engine.integrate`."""
+    check_threads()
     output = Output.empty(plan, inputs.count, times, with_state)
     used = engine.threads_for(threads, -(-inputs.count // plan.lanes))
     if len(output.history):
