@@ -11,7 +11,7 @@ from cases import RECORD, integrate, top
 import lierb
 from lierb import api
 from lierb.errors import LierbError, MemoryLimitError
-from lierb.runs import engine, memory
+from lierb.runs import engine, lanes, memory
 from lierb.runs.tables import size_of_tables
 from lierb.sampling import Design, Rotation
 
@@ -235,3 +235,13 @@ def test_available_is_all_memory_where_nobody_tells(system, monkeypatch):
 )
 def test_sizes_are_told_in_units_that_are_read(size, told):
     assert memory.in_words(size) == told
+
+
+def test_events_beyond_memory_are_told(monkeypatch):
+    """Nobody knows before how many there will be: a run stops once they have no room."""
+    found = lanes.Events([], 20)
+    monkeypatch.setattr(memory, "ALWAYS", 100_000)
+    monkeypatch.setattr(memory, "available", lambda: 100_000)
+    found.add(np.zeros((100, 20)))
+    with pytest.raises(lierb.errors.MemoryLimitError, match="events so far takes 128 kB"):
+        found.add(np.zeros((100, 20)))

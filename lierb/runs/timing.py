@@ -27,7 +27,7 @@ MOST_STEPS = 2.0**53  # beyond, not every step has a number
 BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
 RTOL = 1e-6  # where only atol is given
 ATOL = 1e-3  # of rtol, where only that is given, in SI units of each block
-LEAST_RTOL = 1e-15
+LEAST_RTOL = 1e-15  # of what steps are held against, too
 MOST_SEED = 2**53
 
 
@@ -107,10 +107,13 @@ class Timing:
                 save_at = clock.saved_times()
             else:
                 save_at = np.clip(save_at, span.start, span.end)
-        atol = self.atol or (0.0,) * len(BLOCKS)
-        rotation, position, omega, v, states = atol
+        share = 1.0 / self.tableau.calibration
+        rtol = max(share * (self.rtol or 0.0), LEAST_RTOL)
+        rotation, position, omega, v, states = (
+            share * x for x in self.atol or (0.0,) * len(BLOCKS)
+        )
         tolerances = Tolerances(
-            self.dt, self.rtol or 0.0, rotation, position, omega, v, states,
+            self.dt, rtol, rotation, position, omega, v, states,
             self.dt_min, self.dt_max, self.max_steps,
         )  # fmt: skip
         pairs = [(float(each.direction), float(each.terminal)) for each in events]

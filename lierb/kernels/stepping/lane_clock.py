@@ -195,7 +195,9 @@ def judged(
     h = maximum(minimum(h, limits.dt_max), limits.dt_min)
     least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
     too_small = refused & (trial.h <= least)
-    failed = where(too_small, where(fine, float(DT_MIN), worse), float(OK))
+    too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
+    failed = where(too_many, float(MAX_STEPS), float(OK))
+    failed = where(too_small, where(fine, float(DT_MIN), worse), failed)
     moved = clock._replace(
         t=where(accepted, trial.end, clock.t),
         h=h,
