@@ -11,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.stepping.desk import EVENT_COLUMNS
 from lierb.kernels.stepping.driver import history_measures
-from lierb.kernels.stepping.lane_driver import EVENT_COLUMNS
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
