@@ -44,6 +44,7 @@ from lierb.studies.panels import (
     order_lines,
     positive,
     ridges,
+    step_sizes,
 )
 from lierb.studies.sizes import as_array
 from lierb.studies.statistics import percentiles_over_time
@@ -68,7 +69,7 @@ PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # at each time
 POINTS = 4000  # of a scatter plot, at most
 RANKS = 2000  # points of a distribution function, at most
 KNOWN = {  # columns that other figures have, or that are no results
-    "trajectory", "status", "cspace", "method", "dt", "step", "t",
+    "trajectory", "status", "cspace", "method", "dt", "rtol", "step", "t", "dt_last",
     "rotation", "position", "omega", "v", "lambda", "reaction",
 }  # fmt: skip
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
@@ -90,11 +91,18 @@ def omitted(dataset: Dataset) -> dict[str, str]:
     study = study_of(dataset)
     rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
     reasons = {
-        "time": (study.integrate.save_every is None, "save_every is not set"),
-        "order": (len(set(study.integrate.dt)) < 2, "there is one dt"),
+        "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
+        "order": _no_order(study),
+        "events": (not study.problem.events, "the problem has no events"),
         "parameters": (not list(labelled(drawn, rows, study)), "no numbers are sampled"),
     }
     return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
+
+
+def _no_order(study: Study) -> tuple[bool, str]:
+    if study.integrate.is_adaptive:
+        return True, "steps are adaptive"
+    return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 
 def sheets(dataset: Dataset) -> Iterator[tuple[str, Sheet]]:
@@ -218,7 +226,7 @@ def time_sheet(dataset: Dataset, study: Study) -> Sheet:
 def recorded_sheet(dataset: Dataset, study: Study) -> Sheet:
     """Other columns of the history over time, such as the energy and observables."""
     shown = looks(study)
-    if study.integrate.save_every is None:
+    if not study.integrate.saves:
         return Sheet("", ())
     fields = _others(_schema(dataset, "history"), IN_HISTORY)
     panels = [partial(_draw_column, dataset, shown, each.name, _axis(each)) for each in fields]
@@ -337,7 +345,7 @@ def parameter_sheet(dataset: Dataset, study: Study) -> Sheet:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
     drawn = drawn_columns(dataset)
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
-    largest = [s for s in study.settings if s.dt == max(study.integrate.dt)]
+    largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
     found = []
     for look in shown:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from pydantic import ValidationError
 
 from lierb.arrays import Array
 from lierb.errors import StudyError
 from lierb.magnitudes import kinds_of
+from lierb.runs.failures import has_failed
 from lierb.shown import rounded
 from lierb.studies.convergence import Order, observed_order
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of, sizes_of
 from lierb.studies.statistics import (
@@ -80,7 +80,7 @@ def findings(dataset: Dataset) -> list[Found]:
 def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
-    ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
+    ok = ~has_failed(rows)
     quantiles, intervals = {}, {}
     for kind, name in ERRORS.items():
         values = rows[name].to_numpy()[ok] if kind in kinds else np.empty(0)
@@ -114,8 +114,8 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
         f for f in found
         if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)
     ]  # fmt: skip
-    dts = [f.setting.dt for f in same]
-    if len(set(dts)) < 2:
+    dts = [f.setting.dt for f in same if f.setting.dt is not None]
+    if len(set(dts)) < 2 or len(dts) < len(same):
         return dict.fromkeys(ERRORS)
     return {
         kind: observed_order(
@@ -130,9 +130,7 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
 
 def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(
-        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
-    )
+    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
     return {name: as_array(table, name) for name in names}
 
 
@@ -183,14 +181,15 @@ def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
 
 def table_of(found: list[Found]) -> Table:
     """For a terminal."""
-    words = ("c-space", "method", "dt/s", "bodies", "failed", "largest error of")
+    step = "dt/s" if all(each.setting.rtol is None for each in found) else "rtol"
+    words = ("c-space", "method", step, "bodies", "failed", "largest error of")
     table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
     for each in found:
         seen, setting = orders(found, each), each.setting
         heads = [
             setting.cspace,
             setting.method,
-            f"{setting.dt:g}",
+            f"{setting.step:g}",
             str(each.bodies),
             str(each.failed),
         ]

@@ -13,6 +13,7 @@ from lierb.arrays import Array
 from lierb.errors import ArgumentError, StudyError, told, unknown_name
 from lierb.joints import JOINTS, Joint
 from lierb.kernels.functions.function import Function
+from lierb.kernels.mechanics.elements import INITIAL
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.stepping.mechanism import Stabilisation
 from lierb.mechanism import Mechanism
@@ -244,7 +245,7 @@ def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
     shapes = element.kind.shapes
     parameters = {
-        name: _one(f"{element.name}.{name}", array, len(shapes[name]))
+        name.removeprefix(INITIAL): _one(f"{element.name}.{name}", array, len(shapes[name]))
         for name, array in element.parameters.items()
     }
     placed = {"on": list(element.at)} if element.at else {}
