@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from lierb.animation.page import Animation, animate, links_told
+from lierb.animation.page import Animation, animate, links_told, steps_told
 from lierb.arrays import Array, assembled, components
 from lierb.column_names import COMPONENTS
 from lierb.errors import ArgumentError, require_name, told, unknown_name
@@ -381,7 +381,8 @@ class Result(States):
             )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
-            title += f" {times} ({{cspace}}, {{method}}, dt = {{dt:g}} s)".format(**options)
+            title += f" {times} ({{cspace}}, {{method}}, ".format(**options)
+            title += f"{steps_told(options)})"
         failures = Failures.of(self.summary)
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
         rows += self._largest()

@@ -226,8 +226,14 @@ def _title(result: Result) -> str:
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else [links_told(known) or "lierb"]
     if options:
-        parts += [options["method"], f"dt = {options['dt']:g} s"]
+        parts += [options["method"], steps_told(options)]
     return ", ".join(parts)
+
+
+def steps_told(options: dict[str, Any]) -> str:
+    """`dt = 0.001 s`, or `rtol = 1e-06`, of a run's options as metadata have them."""
+    rtol = options.get("rtol")
+    return f"dt = {options['dt']:g} s" if rtol is None else f"rtol = {rtol:g}"
 
 
 def links_told(known: dict[str, Any]) -> str:

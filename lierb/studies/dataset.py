@@ -479,9 +479,9 @@ class Dataset(Shown):
         """A figure of the study's results, finished or not; needs `lierb[plot]`.
 
         name : "distribution", errors over the bodies; "time", over time; "recorded", what else the
-            history has, such as energy and observables; "quantities", what else the summary has;
-            "order", errors over dt; "parameters", over what was sampled. Default: "time" where
-            there is a history, else "distribution".
+            history has, such as energy and observables; "events", when each first happened;
+            "quantities", what else the summary has; "order", errors over dt; "parameters", over
+            what was sampled. Default: "time" where there is a history, else "distribution".
 
         `lierb plot FOLDER` writes them all. Raises UnknownNameError for one that the study has
         nothing for, MissingExtraError without Matplotlib.

@@ -29,6 +29,7 @@ from lierb.studies.findings import (
     some_rows,
     study_of,
 )
+from lierb.studies.occurrences import event_names, first_times
 from lierb.studies.panels import (
     MOST_KEYS,
     NO_TIMES,
@@ -81,6 +82,7 @@ CAPTIONS = {
     "recorded": "What else was recorded: median (line) and 5 to 95 % of the bodies (band).",
     "quantities": "What else the bodies' summaries have: a histogram for each setting.",
     "order": "Median, 95 % and largest of the bodies over the step; grey: the method's order.",
+    "events": "The share of the bodies to which an event has happened by a time.",
     "parameters": "A dot is a body: its largest error against each sampled number; zeros on the "
     "lower edge.",
 }
@@ -389,10 +391,40 @@ def _draw_dots(
                        transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
 
 
+# ---- events ------------------------------------------------------------------------------------
+
+
+def event_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """To how many bodies each event has happened, over time."""
+    shown = looks(study)
+    panels = [partial(_draw_event, dataset, study, shown, name) for name in event_names(study)]
+    keys = [look.key for look in shown]
+    return Sheet("when each event first happened", panels, keys, across=3)
+
+
+def _draw_event(dataset: Dataset, study: Study, shown: list[Look], name: str, panel: Axes) -> None:
+    run = study.integrate
+    for look in shown:
+        first, _ = first_times(dataset, look.setting, name)
+        if not first.size:
+            continue
+        had = first[np.isfinite(first)]
+        ranks = np.unique(np.linspace(0, len(had) - 1, RANKS).astype(int)) if had.size else []
+        times = np.concatenate([[run.t0], had[ranks], [run.t_end]])
+        share = np.concatenate([[0], np.asarray(ranks, dtype=int) + 1, [len(had)]]) / len(first)
+        panel.step(times, share, where="post", color=look.key.colour, linestyle=look.key.dash,
+                   linewidth=look.width)  # fmt: skip
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel(f"share with: {name.replace('_', ' ')}", parse_math=False)
+    panel.locator_params(axis="x", nbins=6)
+    panel.set_ylim(-0.02, 1.02)
+
+
 KINDS: dict[str, Callable[[Dataset, Study], Sheet]] = {
     "distribution": distribution_sheet,
     "time": time_sheet,
     "recorded": recorded_sheet,
+    "events": event_sheet,
     "quantities": quantity_sheet,
     "order": order_sheet,
     "parameters": parameter_sheet,

@@ -17,6 +17,7 @@ from lierb.runs.failures import has_failed
 from lierb.shown import rounded
 from lierb.studies.convergence import Order, observed_order
 from lierb.studies.dataset import IS_FINE, Dataset
+from lierb.studies.occurrences import Occurred, occurrences
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of, sizes_of
 from lierb.studies.statistics import (
@@ -99,6 +100,11 @@ def quantities(dataset: Dataset) -> list[Spread]:
     units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
     columns = {name: units[kind] for kind, name in errors_seen(dataset, study).items()}
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
+
+
+def happened(dataset: Dataset) -> list[Occurred]:
+    """How often each event of the problem happened, and when first; [] without events."""
+    return list(occurrences(dataset, study_of(dataset)))
 
 
 def indices(dataset: Dataset) -> list[Sensitivity]:
@@ -210,6 +216,15 @@ def quantile_told(quantile: Quantile) -> tuple[str, str]:
     return value, f"{low}…{high}"
 
 
+def first_told(quantile: Quantile, t_end: float) -> tuple[str, str]:
+    """A quantile of a time that may be later than the run; its interval."""
+    value, low, high = (
+        "–" if np.isnan(x) else f"> {t_end:g}" if np.isinf(x) else f"{x:.3g}"
+        for x in (quantile.value, quantile.low, quantile.high)
+    )
+    return value, f"{low}…{high}"
+
+
 def with_unit(spread: Spread) -> str:
     """A quantity's name, its unit, and how many bodies have no number."""
     name = f"{spread.name}, {spread.unit}" if spread.unit != "1" else spread.name
@@ -229,6 +244,23 @@ def table_of_quantities(found: list[Spread]) -> Table:
         values, intervals = zip(*map(quantile_told, each.quantiles), strict=True)
         table.add_row(f"  {with_unit(each)}", *values)
         table.add_row("", *intervals)
+    return table
+
+
+def table_of_events(found: list[Occurred], t_end: float) -> Table:
+    """For a terminal."""
+    words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
+    table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
+    before = None
+    for each in found:
+        if each.setting != before:
+            table.add_section()
+            table.add_row(each.setting.label)
+            before = each.setting
+        values, intervals = zip(*(first_told(q, t_end) for q in each.first), strict=True)
+        bodies = f"{each.bodies} of {each.of}"
+        table.add_row(f"  {each.name}", str(each.count), bodies, *values)
+        table.add_row("", "", "", *intervals)
     return table
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from lierb.animation import Animation
 from lierb.animation.scene import scene_of
@@ -76,7 +77,7 @@ def replayed(study: Study, picked: Chosen) -> Animation:
             tables = Part("", setting, trajectory, 1).tables(
                 _with_states(study, setting), study.design, None
             )
-            result = Result(tables["summary"], tables["history"])
+            result = Result(_without_draws(tables["summary"]), tables["history"])
             ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
             space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
             label = f"{what}: {trajectory}, {space}"
@@ -85,6 +86,11 @@ def replayed(study: Study, picked: Chosen) -> Animation:
     run = picked.settings[0]
     title = f"{study.name}: {run.method}, {run.step_told}"
     return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
+
+
+def _without_draws(summary: pa.Table) -> pa.Table:
+    """As `integrate` makes it: a rotation that was drawn is no link's."""
+    return summary.select([n for n in summary.column_names if not n.startswith("sample.")])
 
 
 def _with_states(study: Study, setting: Setting) -> Study:

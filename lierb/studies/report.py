@@ -24,6 +24,8 @@ from lierb.studies.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    first_told,
+    happened,
     index_told,
     indices,
     least_drawn,
@@ -104,6 +106,10 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         quantities=[
             (each.setting, with_unit(each), [quantile_told(q) for q in each.quantiles])
             for each in quantities(dataset)
+        ],
+        events=[
+            (each, [first_told(q, study.integrate.t_end) for q in each.first])
+            for each in happened(dataset)
         ],
         indices=[
             (
