@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from lierb.animation.page import Animation, animate, links_told, steps_told
+from lierb.animation.page import Animation, animate, links_told
 from lierb.arrays import Array, assembled, components
 from lierb.column_names import COMPONENTS
 from lierb.errors import ArgumentError, require_name, told, unknown_name
@@ -381,17 +382,35 @@ class Result(States):
             )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
-            title += f" {times} ({{cspace}}, {{method}}, ".format(**options)
-            title += f"{steps_told(options)})"
+            steps = "rtol = {rtol:g}" if options.get("rtol") else "dt = {dt:g} s"
+            title += f" {times} ({{cspace}}, {{method}}, {steps})".format(**options)
         failures = Failures.of(self.summary)
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
+        if "steps" in self.summary.column_names:
+            rows.append(("steps", self._told_steps()))
         rows += self._largest()
+        if self.events is not None:
+            rows.append(("events", self._told_events()))
         rows.append(("history", self._told_history()))
         shape = self._told_arrays()
         if self.links:
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
         rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
         return title, rows
+
+    def _told_steps(self) -> str:
+        """How many the trajectories have made, and the share of tries that were rejected."""
+        steps, rejected = (as_array(self.summary[name]) for name in ("steps", "rejected"))
+        few, many = steps.min(), steps.max()
+        told = f"{few}" if few == many else f"{few} to {many}"
+        tries = steps.sum() + rejected.sum()
+        return told + (f", {rejected.sum() / tries:.2g} of all tries rejected" if tries else "")
+
+    def _told_events(self) -> str:
+        """How many there are of each."""
+        assert self.events is not None
+        counts = pc.value_counts(self.events["event"].cast(pa.string())).to_pylist()
+        return ", ".join(f"{each['counts']} {each['values']}" for each in counts) or "none"
 
     def _largest(self) -> Lines:
         """The largest errors of the trajectories that are ok, of those that there are rows for."""
