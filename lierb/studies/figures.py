@@ -314,8 +314,8 @@ def _draw_orders(
     lines: dict[int, float] = {}  # where each order's line begins
     for n, ((cspace, method), key) in enumerate(spaces):
         of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
-        of.sort(key=lambda f: f.setting.dt)
-        dts = np.array([f.setting.dt for f in of])
+        of.sort(key=lambda f: f.setting.step)
+        dts = np.array([f.setting.step for f in of])
         drawn = positive([f.quantiles[kind] for f in of], least)
         if np.isfinite([f.quantiles[kind] for f in of]).all() and not np.isfinite(drawn).any():
             zeros.append(key.label)
@@ -409,9 +409,9 @@ def _draw_event(dataset: Dataset, study: Study, shown: list[Look], name: str, pa
         if not first.size:
             continue
         had = first[np.isfinite(first)]
-        ranks = np.unique(np.linspace(0, len(had) - 1, RANKS).astype(int)) if had.size else []
-        times = np.concatenate([[run.t0], had[ranks], [run.t_end]])
-        share = np.concatenate([[0], np.asarray(ranks, dtype=int) + 1, [len(had)]]) / len(first)
+        ranks = np.unique(np.linspace(1, len(had), RANKS).astype(int))[: len(had)]
+        times = np.concatenate([[run.t0], had[ranks - 1], [run.t_end]])
+        share = np.concatenate([[0], ranks, [len(had)]]) / len(first)
         panel.step(times, share, where="post", color=look.key.colour, linestyle=look.key.dash,
                    linewidth=look.width)  # fmt: skip
     panel.set_xlabel("time [s]")

@@ -259,7 +259,7 @@ def table_of_events(found: list[Occurred], t_end: float) -> Table:
             before = each.setting
         values, intervals = zip(*(first_told(q, t_end) for q in each.first), strict=True)
         bodies = f"{each.bodies} of {each.of}"
-        table.add_row(f"  {each.name}", str(each.count), bodies, *values)
+        table.add_row(f"  {each.name}", str(each.crossings), bodies, *values)
         table.add_row("", "", "", *intervals)
     return table
 

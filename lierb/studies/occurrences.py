@@ -19,14 +19,14 @@ from lierb.studies.study import Setting, Study
 class Occurred(NamedTuple):
     """An event in one setting, in the bodies that did not fail.
 
-    count : crossings in all.   bodies : with one at least, of `of`.
+    crossings : in all.   bodies : with one at least, of `of`.
     first : quantiles of the time of a body's first one, s; of bodies that had none it is ∞, as it
         would be later than the run.
     """
 
     setting: Setting
     name: str
-    count: int
+    crossings: int
     bodies: int
     of: int
     first: tuple[Quantile, ...]
@@ -52,8 +52,9 @@ def first_times(dataset: Dataset, setting: Setting, name: str) -> tuple[Array, i
     counted = np.isin(bodies, fine)
     order = np.argsort(fine, kind="stable")
     first = np.full(len(fine), np.inf)
-    at = order[np.searchsorted(fine, bodies[counted], sorter=order)] if counted.any() else []
-    np.minimum.at(first, at, times[counted])
+    if counted.any():
+        at = order[np.searchsorted(fine, bodies[counted], sorter=order)]
+        np.minimum.at(first, at, times[counted])
     return np.sort(first), int(counted.sum())
 
 

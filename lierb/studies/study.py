@@ -223,7 +223,7 @@ def _one_or_several(kind: str) -> tuple[Any, Any]:
 
 
 Names = Annotated[list[str], *_one_or_several("string")]
-Seconds = Tolerances = Annotated[list[float], *_one_or_several("number")]
+Several = Annotated[list[float], *_one_or_several("number")]
 
 
 class ElementSection(BaseModel):
@@ -479,8 +479,8 @@ class IntegrateSection(Section):
 
     t_end: float
     t0: float = 0.0
-    dt: Seconds = []
-    rtol: Tolerances = []
+    dt: Several = []
+    rtol: Several = []
     atol: float | dict[str, float] | None = None
     dt_min: float | None = None
     dt_max: float | None = None
@@ -674,7 +674,7 @@ class Study(Shown, Section):
             design = self.design
             batch = self.batch(0, min(PREVIEW, len(design)), design)
         if self.sample.stop_when is not None:
-            rule_of(self.sample.stop_when, batch.problem)
+            rule_of(self.sample.stop_when, batch.problem, self.has_lane_clocks)
         for table in ELEMENTS:
             labels = [each.label.lower() for each in getattr(self.problem, table)]  # as SQL has it
             if len(set(labels)) < len(labels):
@@ -865,7 +865,9 @@ class Study(Shown, Section):
     def stopping_rule(self) -> Rule | None:
         """With how many bodies it ends before its time."""
         text = self.sample.stop_when
-        return None if text is None else rule_of(text, self.batch(0, 1).problem)
+        if text is None:
+            return None
+        return rule_of(text, self.batch(0, 1).problem, self.has_lane_clocks)
 
     def with_code(self, code: Code) -> Study:
         """The study with these texts of its Python files."""

@@ -76,7 +76,7 @@ def saved_times(given: Any, t0: float, t_end: float) -> Array:
             f"save_at: every={every!r} s makes {steps:.3g} times from {first!r} to {last!r} s; "
             f"expected at most {MOST_TIMES:.0e}"
         )
-    times = first + every * np.arange(math.floor(steps + NEARLY) + 1)
+    times: Array = first + every * np.arange(math.floor(steps + NEARLY) + 1.0)
     if abs(times[-1] - last) <= NEARLY * every:
         times[-1] = last
     return times
