@@ -608,26 +608,6 @@ def test_parts_are_as_large_as_fits(tmp_path):
     assert part_size(only_events) == 64_000_000 // foreseen
 
 
-def test_estimate_is_what_a_run_holds(monkeypatch, tmp_path):
-    """Of the output and its tables' own columns: not less, and at most a fiftieth more."""
-    from lierb import api
-
-    estimated = []
-    own = run_tables.size_of_tables
-
-    def seen(*given):
-        estimated.append(own(*given))
-        return estimated[-1]
-
-    monkeypatch.setattr(api, "size_of_tables", seen)
-    result = ran(loaded(tmp_path, {"integrate.record": ["state"]}))
-    output = result._end.output
-    arrays = (output.summary, output.history, *output.states, output.ends)
-    held = sum(array.nbytes for array in (*arrays, *output.state))  # of the end a copy
-    held += 3 * 8 * result.history.num_rows  # trajectory, step, t
-    assert held <= estimated[0] < 1.02 * held
-
-
 @pytest.mark.slow
 def test_fixed_steps_have_a_controller_too(tmp_path):
     """And save by steps; with the digest and the tables of their own."""
