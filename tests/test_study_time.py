@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from command import invoke
 from studies import TEXT as TOPS
@@ -118,6 +119,21 @@ def test_settings_and_steps_are_columns(whole):
     for name in TABLES:
         assert table(whole, name).schema.field("t").metadata[b"unit"] == b"s"
     assert table(whole).schema.field("wheels").metadata[b"unit"] == b"N m s"
+
+
+def test_body_and_wheels_keep_their_momentum(whole):
+    """Of drawn inertias, rotations and rates: nothing from outside turns them."""
+    found = table(whole)
+    moments = as_array(found["sample.body.second_moments"])
+    inertia = moments.sum(axis=1, keepdims=True) - moments
+    turned = [
+        as_array(found[name]).reshape(-1, 3, 3) for name in ("sample.initial.rotation", "rotation")
+    ]
+    before = inertia * as_array(found["sample.initial.omega"])
+    after = inertia * as_array(found["omega"]) + as_array(found["wheels"])
+    start, end = (np.einsum("nij,nj->ni", *pair) for pair in zip(turned, (before, after)))
+    # 1 N m s, by Tsit5 with steps of 0.1 s and torques that jump between them: rounding
+    np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
 
 
 def test_history_is_at_the_times_asked_for(whole):
@@ -392,6 +408,128 @@ def test_compare_takes_the_studys_tolerances(tmp_path):
     assert _control(study(), [], [])["dts"] == [1e-3, 2e-3]
 
 
+@pytest.mark.slow
+def test_the_example_is_what_it_names(tmp_path):
+    """As it is printed, in a few seconds: all of them point, and some wheels saturate."""
+    for name in ("attitude.toml", "attitude.py"):
+        given = name.removesuffix(".toml")
+        (tmp_path / name).write_bytes(invoke("example", given).stdout_bytes)
+    assert (tmp_path / "attitude.py").read_text(encoding="utf-8") == CODE
+    assert "attitude " in invoke("example").output
+    shown = invoke("run", tmp_path / "attitude.toml", "--out", tmp_path / "out")
+    assert shown.exit_code == 0, shown.output
+    assert "1000 of 1000" in shown.output
+    dataset = Dataset(tmp_path / "out")
+    dataset.read()
+    pointed, saturated = happened(dataset)
+    assert (pointed.bodies, dataset.failures()) == (1000, None)
+    assert 10 < saturated.bodies < 300
+
+
+@pytest.mark.slow
+def test_compare_runs_an_adaptive_study(tmp_path):
+    """With its own tolerances and noise, and without what it says."""
+    file, out = written(tmp_path / "study"), tmp_path / "out"
+    options = ("--set", "integrate.t_end=1", "--n", 2, "--repeats", 0, "--rtols", "1e-4,1e-6")
+    told = invoke("compare", file, *options, "-o", out, "--markdown")
+    assert told.exit_code == 0, told.output
+    assert "Not taken from the study: save_at." in told.stderr
+    found = pq.read_table(out / "comparison.parquet").to_pylist()
+    assert [(row["method"], row["rtol"]) for row in found] == [("Tsit5", 1e-4), ("Tsit5", 1e-6)]
+    # every step ends at a tick; of what noise does the reference's runs have the same
+    assert all(row["steps"] < 15 and row["error.omega"] < 1e-12 for row in found)
+
+
+MECHANISM = """
+[[problem.links]]
+name = "rod"
+body = { solid = "box", size = [0.05, 0.05, 0.5], mass = 1.0 }
+initial = { coordinates = 1.0 }
+
+[problem.links.joint]
+type = "revolute"
+axis = [0.0, 1.0, 0.0]
+body_point = [0.0, 0.0, 0.25]
+
+[[problem.events]]
+type = "python:attitude.py:lowest"
+on = "rod"
+
+[[problem.states]]
+type = "python:attitude.py:counter"
+on = "rod"
+
+[[problem.controllers]]
+type = "python:attitude.py:motor"
+on = "rod"
+
+[[problem.forces]]
+type = "python:attitude.py:driven"
+on = "rod"
+
+[sample]
+n = 6
+
+[sample.rod.initial.coordinates]
+distribution = "uniform"
+low = 0.5
+high = 1.5
+
+[integrate]
+method = "BS32"
+rtol = 1e-6
+t_end = 1.0
+save_at = { every = 0.25 }
+
+[output]
+part = 4
+"""
+SWINGS = """
+import lierb
+
+@lierb.event
+def lowest(R):
+    return R[0, 2]
+
+@lierb.states(turned=0.0, unit={"turned": "rad"})
+def counter(omega):
+    return {"turned": omega[1]}
+
+@lierb.controller(every=0.05, gain=0.1)
+def motor(omega, params):
+    return {"push": -params.gain * omega[1] + 0.01 * lierb.noise.normal("tacho")}
+
+@lierb.wrench
+def driven(t, R, r, omega, v, params, controls):
+    return (0.0, controls.push, 0.0), (0.0, 0.0, 0.0)
+"""
+
+
+@pytest.mark.slow
+def test_mechanisms_have_all_of_it(tmp_path):
+    file = written(
+        tmp_path / "study", SWINGS, "[problem]\ngravity = [0.0, 0.0, -9.81]\n" + MECHANISM
+    )
+    dataset = lierb.run(file, tmp_path / "out")
+    rows = dataset.table("events").to_table().to_pylist()
+    assert {row["event"] for row in rows} == {"lowest"}
+    assert {row["trajectory"] for row in rows} == set(range(6))
+    ((_, tables),) = replay(file, 5)
+    (own,) = tables["summary"].to_pylist()
+    assert own == dataset.table().to_table().slice(5, 1).to_pylist()[0]
+    assert tables["events"].to_pylist() == [row for row in rows if row["trajectory"] == 5]
+    # what the state has counted is the joint's angle, from where it was
+    R = np.reshape(own["rod.rotation"], (3, 3))
+    angle = np.arctan2(R[0, 2], R[2, 2])
+    np.testing.assert_allclose(
+        own["turned"], angle - own["sample.rod.initial.coordinates"], atol=1e-5
+    )
+    given = Study.load(file)
+    history = lierb.integrate_batches(given, "history").read_next_batch()
+    each = LABEL_BYTES + run_tables.history_row_bytes(given.batch(0, 1).problem, ())
+    assert abs(each * history.num_rows / history.nbytes - 1.0) < 0.05
+
+
 # ---- drawn -------------------------------------------------------------------------------------
 
 
@@ -508,12 +646,12 @@ WRONG = {
     "steps": ({"integrate.max_steps": 0}, "integrate.max_steps: input should be greater than 0"),
     "save_every": (
         {"integrate.save_every": 10, "integrate.save_at": None},
-        r"integrate: save_every=10 counts steps.*save_at",
+        r"integrate\.save_every: save_every=10 counts steps.*save_at",
     ),
     "both": (
         {"integrate.save_every": 10, "integrate.rtol": [], "integrate.dt": 0.1,
          "integrate.method": "RK4"},
-        "integrate: save_every and save_at are both given",
+        "integrate.save_every: save_every and save_at are both given",
     ),
     "late": ({"integrate.save_at": [1.0, 11.0]}, r"integrate.save_at: save_at has 11.0 s.*t_end"),
     "mixed": ({"integrate.save_at": [1.0, 0.5]}, r"integrate\.save_at: .* that do not ascend"),

@@ -502,7 +502,7 @@ class Dataset(Shown):
             return f"lierb.Dataset of {self.folder}, not read", []
         study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
         lines = [
-            ("settings", settings_told(IntegrateSection(**study["integrate"]))),
+            ("settings", settings_told(IntegrateSection.model_construct(**study["integrate"]))),
             ("trajectories", str(self.trajectories)),
             ("parts", f"{done} of {asked}{self.rest('resume=True does the rest')}"),
         ]

@@ -684,7 +684,7 @@ class Study(Shown, Section):
         with _at("initial"), np.errstate(all="ignore"):
             self._check_start(batch)
         for setting in self.settings:
-            with _at_key("integrate", NEW_KEYS):
+            with _at_key("integrate", (*NEW_KEYS, "save_every")):
                 api.check_options(batch.problem, **self.options(setting))
         if self.problem.controllers and self.sample.seed >= MOST_SEED:
             raise StudyError(
