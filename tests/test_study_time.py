@@ -658,8 +658,8 @@ WRONG = {
     "text": ({"integrate.save_at": ["soon"]}, "integrate.save_at: input should be times in s"),
     "empty": ({"integrate.save_at": []}, "integrate.save_at: input should be times in s"),
     "key": (
-        {"integrate.save_at": {"evry": 1.0}},
-        "integrate.save_at: has the unknown key evry; known: every, from, to",
+        {"integrate.save_at": {"each": 1.0}},
+        "integrate.save_at: has the unknown key each; known: every, from, to",
     ),
     "no_every": ({"integrate.save_at": {"to": 1.0}}, "integrate.save_at: needs every"),
     "every": ({"integrate.save_at": {"every": 0.0}}, "integrate.save_at: save_at: every=0.0"),

@@ -95,7 +95,6 @@ def omitted(dataset: Dataset) -> dict[str, str]:
     reasons = {
         "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
         "order": _no_order(study),
-        "events": (not study.problem.events, "the problem has no events"),
         "parameters": (not list(labelled(drawn, rows, study)), "no numbers are sampled"),
     }
     return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
