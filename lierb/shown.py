@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,11 @@ def as_html(title: str, rows: Lines) -> str:
 def counted(count: int, what: str, several: str = "") -> str:
     """`1 body`, `3 bodies`."""
     return f"{count} {what if count == 1 else several or f'{what}s'}"
+
+
+def steps_told(options: Mapping[str, Any]) -> str:
+    """Of a run: how its steps are, by the options in its metadata."""
+    return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
 
 
 def rounded(error: float) -> str:

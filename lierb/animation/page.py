@@ -30,7 +30,7 @@ from lierb.colours import CSPACE_NAMES
 from lierb.errors import ArgumentError, items_of, told, unknown_name
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
-from lierb.shown import counted
+from lierb.shown import counted, steps_told
 
 if TYPE_CHECKING:
     from lierb.result import Result
