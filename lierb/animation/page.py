@@ -230,12 +230,6 @@ def _title(result: Result) -> str:
     return ", ".join(parts)
 
 
-def steps_told(options: dict[str, Any]) -> str:
-    """`dt = 0.001 s`, or `rtol = 1e-06`, of a run's options as metadata have them."""
-    rtol = options.get("rtol")
-    return f"dt = {options['dt']:g} s" if rtol is None else f"rtol = {rtol:g}"
-
-
 def links_told(known: dict[str, Any]) -> str:
     """`2 links and 1 loop`, of a mechanism."""
     kinds = [each["kind"] for each in known.get("problem", {}).get("mechanism", {}).values()]
