@@ -757,6 +757,13 @@ def test_fixed_steps_have_a_controller_too(tmp_path):
     assert dataset.table("history").to_table()["t"].to_pylist()[::5] == list(range(11))
     assert set(dataset.table().to_table()["steps"].to_pylist()) == {100}
     assert saved_rows(given) == 11
+    by_time = given.changed({"integrate.save_every": None, "integrate.save_at": {"every": 1.0}})
+    lierb.run(by_time, tmp_path / "by_time")
+    for name in TABLES:  # rows have the numbers of steps there, and their own here
+        one, other = (bits(tmp_path / out, name) for out in ("by_time", "out"))
+        assert {k: one[k] for k in one if k != "step"} == {
+            k: other[k] for k in other if k != "step"
+        }
 
 
 def test_tops_stay_on_the_grid():

@@ -54,7 +54,8 @@ def study_of(
     initial : how all bodies start, but for what is drawn: omega, twist, coordinates, … as the table
         [initial] has them. Of a mechanism by link: {"crank": {"coordinates": 0.3}}; what that
         leaves open is closed, to the nearest poses and twists, unless it has close="never".
-    settings : keys of [integrate], such as dt and t_end, and of [output]: part, compression.
+    settings : keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
+        compression.
 
     The functions with `@lierb.wrench` and the like must be at the top of a file, from which they
     can be loaded again. Raises StudyError for what no file can say.

@@ -102,8 +102,8 @@ def run(
 
     study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
     problem, design : a lierb.Problem or lierb.Mechanism and the lierb.sampling.Design that draws
-        its numbers; with dt, t_end and other settings of `lierb.study_of`, which says more. The
-        files with the problem's own functions are copied into the folder.
+        its numbers; with dt or rtol, t_end and other settings of `lierb.study_of`, which says
+        more. The files with the problem's own functions are copied into the folder.
     changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
         folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
