@@ -27,7 +27,7 @@ from lierb.studies.running import replay
 from lierb.studies.study import Study
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
-CODE = (EXAMPLES / "attitude.py").read_text(encoding="utf-8")
+CODE = (EXAMPLES / "pointing.py").read_text(encoding="utf-8")
 TEXT = """\
 [body]
 mass = 120.0
@@ -184,12 +184,12 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(tmp_path):
 
 
 def test_the_example_is_what_it_names(tmp_path):
-    for name in ("attitude.toml", "attitude.py"):
+    for name in ("pointing.toml", "pointing.py"):
         given = name.removesuffix(".toml")
         (tmp_path / name).write_bytes(invoke("example", given).stdout_bytes)
-    assert (tmp_path / "attitude.py").read_text(encoding="utf-8") == CODE
-    study = Study.load(tmp_path / "attitude.toml", {"sample.n": 3, "integrate.t_end": 4.0})
-    assert study.files == ("attitude.py",)
+    assert (tmp_path / "pointing.py").read_text(encoding="utf-8") == CODE
+    study = Study.load(tmp_path / "pointing.toml", {"sample.n": 3, "integrate.t_end": 4.0})
+    assert study.files == ("pointing.py",)
     assert lierb.integrate_batches(study).read_all().num_rows == 3
 
 
