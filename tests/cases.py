@@ -38,6 +38,13 @@ def slow_but(names, *quick) -> list:
     return [n if n in quick else pytest.param(n, marks=pytest.mark.slow) for n in names]
 
 
+def long_but(names, *slow) -> list:
+    """Parameters of which `slow` run in every run of all tests, the others with -m long alone."""
+    return [
+        pytest.param(n, marks=pytest.mark.slow if n in slow else pytest.mark.long) for n in names
+    ]
+
+
 def box(turned: bool = False) -> lierb.Body:
     """The paper's box; `turned`, its inertia is a full matrix."""
     inertia = np.diag(ref.BOX_INERTIA)
