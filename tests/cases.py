@@ -45,6 +45,22 @@ def long_but(names, *slow) -> list:
     ]
 
 
+# A row is the same formula in both c-spaces: each joint runs in one, and in both those that other
+# tests compile for both.
+ONCE = (
+    "fixed", "hook", "pin_in_slot_body", "planar_translation", "translation", "helical_planar",
+    "schoenflies", "point_on_line", "point_on_plane",
+)  # fmt: skip
+JOINTS_IN_CSPACES = [
+    pytest.param(
+        cspace, name,
+        marks=pytest.mark.long if cspace == "SO3xR3" and name in ONCE else pytest.mark.slow,
+    )
+    for cspace in ("SE3", "SO3xR3")
+    for name in lierb.joints.JOINTS
+]  # fmt: skip
+
+
 def box(turned: bool = False) -> lierb.Body:
     """The paper's box; `turned`, its inertia is a full matrix."""
     inertia = np.diag(ref.BOX_INERTIA)

@@ -10,7 +10,18 @@ import numpy as np
 import oracle
 import pytest
 import reference_numbers as ref
-from cases import GRAVITY, box, column, final, frame, integrate, slow_but, tilted, top
+from cases import (
+    GRAVITY,
+    JOINTS_IN_CSPACES,
+    box,
+    column,
+    final,
+    frame,
+    integrate,
+    slow_but,
+    tilted,
+    top,
+)
 
 import lierb
 from lierb.tableaus import TABLEAUS
@@ -204,23 +215,7 @@ SOLVED_EXACTLY = {(name, cspace) for name in STILL_OR_STRAIGHT for cspace in CSP
 FINE = {"point_on_line": 3200, "point_on_plane": 1600, "point_on_sphere": 1600}
 
 
-# A row is the same formula in both c-spaces: each joint runs in one, and in both those that other
-# tests compile for both.
-ONCE = (
-    "fixed", "hook", "pin_in_slot_body", "planar_translation", "translation", "helical_planar",
-    "schoenflies", "point_on_line", "point_on_plane",
-)  # fmt: skip
-EVERY_JOINT = [
-    pytest.param(
-        cspace, name,
-        marks=pytest.mark.long if cspace == "SO3xR3" and name in ONCE else pytest.mark.slow,
-    )
-    for cspace in CSPACES
-    for name in lierb.joints.JOINTS
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("cspace", "name"), EVERY_JOINT)
+@pytest.mark.parametrize(("cspace", "name"), JOINTS_IN_CSPACES)
 def test_rk4_has_order_four_on_every_joint(name, cspace):
     steps = FINE.get(name, 200)
     errors = [_error(name, n, cspace=cspace) for n in (steps, 2 * steps)]
@@ -230,7 +225,7 @@ def test_rk4_has_order_four_on_every_joint(name, cspace):
         assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1), errors
 
 
-@pytest.mark.parametrize(("cspace", "name"), EVERY_JOINT)
+@pytest.mark.parametrize(("cspace", "name"), JOINTS_IN_CSPACES)
 def test_every_joint_follows_the_world_frame_formulation(name, cspace):
     # RK4 at 1e-4 leaves 1e-12 here, but 1e-8 of a swinging rod; the oracle is good to 1e-11
     steps = 80_000 if name == "point_on_sphere" else 10_000
