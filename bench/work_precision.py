@@ -1,0 +1,304 @@
+"""What docs/howto/choosing.md shows: `python bench/work_precision.py` measures and stores it.
+
+Methods, c-spaces, steps and tolerances side by side, by `lierb.convergence`, on batches of three
+motions and on one whose velocities are of all sizes. A test holds the page against the last stored
+run. It takes about a quarter of an hour, most of it compiling.
+
+python bench/work_precision.py                  measure, store, draw
+python bench/work_precision.py --report FILE    the page's tables, and the figures, of a stored run
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lierb
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "bench" / "results"
+sys.path.insert(0, str(ROOT / "tests"))
+
+from clocks.truths import DATA, problem_of  # noqa: E402
+
+COUNT = 2048  # trajectories: what a call costs whatever its steps are is then little
+SIGMA = 1.0  # of the logarithm of the velocities' factors, in the batch of all sizes
+CSPACES = ("SE3", "SO3xR3")
+RTOLS = tuple(10.0**-k for k in range(4, 13))
+FINEST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}  # rtol; what is beyond takes a million steps
+ADAPTIVE = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
+STEPS = {"RK4": range(4, 13), "CF4": range(4, 13), "DOP853": range(2, 9)}  # powers of 2 in a second
+KEPT = (
+    "method", "cspace", "dt", "rtol", "steps", "rejected", "evaluations", "cpu_time",
+    "error.rotation", "error.rotation.floor", "error.position", "error.position.floor",
+    "drift.position", "drift.rotation", "drift.energy",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Motion:
+    """title : of its panels.   t_end : s, about a turn of the body.   sizes : of the velocities:
+    alike, or log-normal.   finer : by so many powers of 2 are its fixed steps.   fixed : how many
+    of them.
+    """
+
+    name: str
+    title: str
+    t_end: float
+    sizes: str = "alike"
+    cspaces: tuple[str, ...] = CSPACES
+    adaptive: tuple[str, ...] = ADAPTIVE
+    finer: int = 0
+    fixed: int | None = None
+
+
+MOTIONS = {
+    "heavy_top": Motion("heavy_top", "heavy top, spherical joint", 1.0),
+    "free_body": Motion("free_body", "free body, no torque", 4.0),
+    "universal": Motion("universal", "box on a universal joint", 1.0),
+    "all_sizes": Motion(
+        "heavy_top", "heavy tops, velocities of all sizes", 1.0, "log-normal", ("SE3",),
+        ("Tsit5", "DOP853"), 4, 7,
+    ),
+}  # fmt: skip
+
+
+def batch(motion: Motion) -> tuple[lierb.Problem, np.ndarray]:
+    """The problem, and (COUNT, 6) twists: velocities by up to some 20 % around the motion's."""
+    problem, twist0 = problem_of(motion.name)
+    rng = np.random.default_rng(5)
+    factors = 1.0 + 0.1 * rng.standard_normal((COUNT, 6))
+    twists = twist0 * factors
+    if motion.sizes == "log-normal":
+        twists *= np.exp(SIGMA * rng.standard_normal((COUNT, 1)))
+    return problem, problem.project(twists) if DATA[motion.name].centre else twists
+
+
+# ---- measuring ---------------------------------------------------------------------------------
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--report", type=Path)
+    given = parser.parse_args()
+    path = given.report or measured()
+    stored = json.loads(path.read_text(encoding="utf-8"))
+    print(*tables(stored).values(), sep="\n\n")
+    for name in FIGURES:
+        print(f"drawn: {drawn(stored, name, path)}")
+
+
+def measured() -> Path:
+    found: dict[str, Any] = {
+        "time": datetime.now(UTC).isoformat(timespec="seconds").removesuffix("+00:00"),
+        "machine": {k: v for k, v in lierb.info().items() if k not in ("cache", "loaded")},
+        "trajectories": COUNT,
+        "motions": {name: list(rows_of(name)) for name in MOTIONS},
+        "kept": kept(),
+    }
+    path = RESULTS / f"choosing-{found['time'].replace(':', '')}-{found['machine']['cpu']}.json"
+    path.write_text(json.dumps(found, indent=None).replace("}, {", "},\n{") + "\n")
+    print(f"stored in {path.relative_to(ROOT)}")
+    return path
+
+
+def rows_of(name: str) -> Iterator[dict[str, Any]]:
+    """Runs of a motion, a row each."""
+    motion = MOTIONS[name]
+    problem, twists = batch(motion)
+    given = {"twist0": twists, "t_end": motion.t_end, "cspaces": motion.cspaces, "name": name}
+    for method in motion.adaptive:
+        rtols = [rtol for rtol in RTOLS if rtol >= 0.99 * FINEST.get(method, 0.0)]
+        yield from told(lierb.convergence(problem, method, rtols=rtols, **given))
+    for method, powers in STEPS.items():
+        if method == "CF4" and motion.sizes != "alike":
+            continue
+        dts = [2.0 ** -(k + motion.finer) for k in powers[: motion.fixed]]
+        yield from told(lierb.convergence(problem, method, dts, **given))
+
+
+def told(found: lierb.studies.comparison.Comparison) -> Iterator[dict[str, Any]]:
+    for row in found.table.to_pylist():
+        row["cpu_time"] /= COUNT
+        shown = {k: row[k] for k in KEPT if row[k] is not None}
+        yield {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in shown.items()}
+    print(found.to_markdown().split("\n\n")[0], flush=True)
+
+
+def kept() -> dict[str, dict[str, float]]:
+    """Largest position error of the heavy tops' joint, m, with the saddle point solved in every
+    stage: of adaptive methods at rtol = 1e-3, of commutator-free ones at dt = 2⁻⁵ s.
+    """
+    problem, twists = batch(MOTIONS["heavy_top"])
+    found: dict[str, dict[str, float]] = {}
+    clocks = {method: {"rtol": 1e-3} for method in ADAPTIVE}
+    clocks |= {method: {"dt": 2.0**-5} for method in ("CF4", "CG3", "CG4")}
+    for method, clock in clocks.items():
+        found[method] = {}
+        for cspace in CSPACES:
+            run = lierb.integrate(
+                problem, twist0=twists, t_end=1.0, method=method, cspace=cspace, solver="saddle",
+                **clock,
+            )  # fmt: skip
+            found[method][cspace] = float(run.summary["position_error_max"].to_numpy().max())
+        print(method, found[method], flush=True)
+    return found
+
+
+# ---- reading -----------------------------------------------------------------------------------
+
+
+def lines_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str, str], list[dict[str, Any]]]:
+    """Method, c-space, "adaptive" or "fixed" → its rows, from the coarsest on."""
+    found: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        control = "fixed" if "dt" in row else "adaptive"
+        found.setdefault((row["method"], row["cspace"], control), []).append(row)
+    return found
+
+
+def cost(rows: list[dict[str, Any]], target: float, of: str = "cpu_time") -> float:
+    """What an error of rotation of `target` rad takes, between two runs by their logarithms; NaN
+    where the method does not get there, or that is not to be told from rounding.
+    """
+    seen = [row for row in rows if row["error.rotation"] > row["error.rotation.floor"]]
+    for before, after in zip(seen, seen[1:]):
+        ends = np.log([before["error.rotation"], after["error.rotation"]])
+        if ends[1] <= np.log(target) <= ends[0]:
+            share = (np.log(target) - ends[0]) / (ends[1] - ends[0])
+            work = np.log([before[of], after[of]])
+            return float(np.exp(work[0] + share * (work[1] - work[0])))
+    if seen and seen[0]["error.rotation"] < target:  # the coarsest does better
+        return float(seen[0][of])
+    return float("nan")
+
+
+TARGETS = (1e-3, 1e-6, 1e-9, 1e-11)
+NAMES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
+
+
+def tables(stored: dict[str, Any]) -> dict[str, str]:
+    """Those of the page, as Markdown, by name."""
+    return {
+        "methods": method_table(stored),
+        "cspaces": cspace_table(stored),
+        "tolerances": tolerance_table(stored),
+        "sizes": size_table(stored),
+        "kept": kept_table(stored),
+    }
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def method_table(stored: dict[str, Any]) -> str:
+    """CPU time at an error, in multiples of the quickest, on the three motions: least and most."""
+    several = [n for n, m in MOTIONS.items() if m.sizes == "alike"]
+    lines = {
+        (name, *key): rows
+        for name in several for key, rows in lines_of(stored["motions"][name]).items()
+    }  # fmt: skip
+    rows = []
+    keys = dict.fromkeys((method, control) for _, method, _, control in lines)
+    for method, control in keys:
+        cells = []
+        for target in TARGETS:
+            ratios = []
+            for name in several:
+                for cspace in CSPACES:
+                    best = np.nanmin(
+                        [cost(r, target) for k, r in lines.items() if k[0] == name and k[2] == cspace]
+                    )
+                    ratios.append(cost(lines[name, method, cspace, control], target) / best)
+            cells.append(_span(ratios))
+        rows.append([f"{method}, {control}", *cells])
+    return _table(["", *(f"{t:.0e} rad" for t in TARGETS)], rows)
+
+
+def _span(ratios: list[float]) -> str:
+    if not np.isfinite(ratios).all():
+        return "–"
+    low, high = (f"{x:.1f}" if x < 9.95 else f"{x:.0f}" for x in (min(ratios), max(ratios)))
+    return low if low == high else f"{low} … {high}"
+
+
+def cspace_table(stored: dict[str, Any]) -> str:
+    """CPU time on SO(3)×R³ over that on SE(3), at the same error, of DOP853; and the drifts."""
+    rows = []
+    for name, motion in MOTIONS.items():
+        if len(motion.cspaces) < 2:
+            continue
+        lines = lines_of(stored["motions"][name])
+        cells = []
+        for target in TARGETS[1:]:
+            a, b = (cost(lines["DOP853", c, "adaptive"], target) for c in CSPACES)
+            cells.append(f"{b / a:.2g}")
+        rows.append([motion.title, *cells])
+    return _table(["", *(f"{t:.0e} rad" for t in TARGETS[1:])], rows)
+
+
+def tolerance_table(stored: dict[str, Any]) -> str:
+    """Error of rotation over rtol, over rtol: over three motions and two c-spaces."""
+    rows = []
+    for method in ADAPTIVE:
+        cells = []
+        for rtol in RTOLS:
+            found = [
+                row["error.rotation"] / rtol
+                for name, motion in MOTIONS.items() if motion.sizes == "alike"
+                for row in stored["motions"][name]
+                if row["method"] == method and abs(row.get("rtol", 0.0) / rtol - 1.0) < 1e-9
+            ]  # fmt: skip
+            cells.append(_span(found) if found else "–")
+        rows.append([method, *cells])
+    return _table(["", *(f"{rtol:.0e}" for rtol in RTOLS)], rows)
+
+
+def size_table(stored: dict[str, Any]) -> str:
+    """µs of CPU time a top, of velocities of all sizes, in multiples of the quickest."""
+    lines = lines_of(stored["motions"]["all_sizes"])
+    rows = []
+    best = {t: np.nanmin([cost(r, t) for r in lines.values()]) for t in TARGETS}
+    for (method, _, control), own in lines.items():
+        ratios = [cost(own, t) / best[t] for t in TARGETS]
+        rows.append([f"{method}, {control}", *(_span([x]) for x in ratios)])
+    return _table(["", *(f"{t:.0e} rad" for t in TARGETS)], rows)
+
+
+def kept_table(stored: dict[str, Any]) -> str:
+    rows = [
+        [method, *(f"{each[c]:.0e}" for c in CSPACES)] for method, each in stored["kept"].items()
+    ]
+    return _table(["", *(NAMES[c] for c in CSPACES)], rows)
+
+
+# ---- drawing -----------------------------------------------------------------------------------
+
+
+MARKERS = dict(zip((*ADAPTIVE, "RK4", "CF4"), ".^v>s*oDP", strict=True))
+FIGURES = {
+    "work": ("evaluations", "cpu_time"),
+    "tolerances": ("rtol",),
+}
+LABELS = {
+    "evaluations": "right-hand sides of a trajectory", "cpu_time": "CPU time of a trajectory [µs]",
+    "rtol": "rtol",
+}  # fmt: skip
+
+
+def drawn(stored: dict[str, Any], name: str, path: Path) -> str:
+    return name
+
+
+if __name__ == "__main__":
+    main()
