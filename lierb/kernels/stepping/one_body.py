@@ -111,8 +111,7 @@ class OneBody(Watching):
 
     @property
     def state(self) -> Columns:
-        states = size_of(states_of(self.plan))
-        return Columns(*STATE.fields, Field("states", (states,))) if states else STATE
+        return Columns(*STATE.fields, Field("states", (size_of(states_of(self.plan)),)))
 
     def body(self, numbers: list[Any]) -> BodyConstants:
         plan = self.plan
@@ -146,10 +145,10 @@ class OneBody(Watching):
 
     def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
         """From its numbers side by side."""
-        found = STATE.parts(numbers)
-        chart, own = (found["p"], found["d"]), found.get("states", ())
+        found = self.state.parts(numbers)
+        chart = (found["p"], found["d"])
         (work,) = found["work"]
-        state = State(chart, found["x"], found["v_or_mu"], work, own)
+        state = State(chart, found["x"], found["v_or_mu"], work, found["states"])
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def structured(self, state: State, pitch: Any) -> State:
