@@ -26,7 +26,7 @@ from lierb.model import Body, Problem
 from lierb.runs.columns import as_array, numbers
 from lierb.runs.continuation import End
 from lierb.runs.failures import Failures, has_failed
-from lierb.shown import FAILED, Lines, Shown, counted
+from lierb.shown import FAILED, Lines, Shown, counted, steps_told
 
 if TYPE_CHECKING:
     import pandas
@@ -364,7 +364,7 @@ class Result(States):
         require_name("table", name, TABLES)
         table = getattr(self, name)
         if table is None:
-            raise ArgumentError("there is no history; integrate with save_every= for one")
+            raise ArgumentError("there is no history; integrate with save_every= or save_at= for one")
         columns: dict[pa.Field, Any] = {}
         for each in table.schema:
             columns |= _scalars(each, table[each.name])
@@ -381,11 +381,14 @@ class Result(States):
             )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
-            title += f" {times} ({{cspace}}, {{method}}, dt = {{dt:g}} s)".format(**options)
+            title += f" {times} ({{cspace}}, {{method}}, ".format(**options)
+            title += f"{steps_told(options)})"
         failures = Failures.of(self.summary)
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
         rows += self._largest()
         rows.append(("history", self._told_history()))
+        if self.events is not None:
+            rows.append(("events", self._told_events()))
         shape = self._told_arrays()
         if self.links:
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
@@ -422,7 +425,7 @@ class Result(States):
 
     def _told_history(self) -> str:
         if self.history is None:
-            return "none; save_every= keeps one"
+            return "none; save_every= or save_at= keeps one"
         times = self.history.num_rows // self.summary.num_rows
         there = {name.rpartition(".")[2] for name in self.history.column_names}
         more = [name for name in ("energy", "work", "lambda", "reaction") if name in there]
@@ -430,6 +433,14 @@ class Result(States):
         more += [each["name"] for each in problem.get(OBSERVED, [])]
         recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
+
+    def _told_events(self) -> str:
+        """How many of each."""
+        assert self.events is not None
+        column = self.events["event"].combine_chunks()
+        names = column.dictionary.to_pylist()
+        count = np.bincount(column.indices.to_numpy(), minlength=len(names))
+        return ", ".join(f"{n} {name}" for n, name in zip(count.tolist(), names, strict=True))
 
 
 def _momentum_of(body: Body, link: States) -> Vec:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,12 @@ def as_html(title: str, rows: Lines) -> str:
 def counted(count: int, what: str, several: str = "") -> str:
     """`1 body`, `3 bodies`."""
     return f"{count} {what if count == 1 else several or f'{what}s'}"
+
+
+def steps_told(options: Mapping[str, Any]) -> str:
+    """`dt = 0.001 s`, or of adaptive steps `rtol = 1e-06`, of a run's options."""
+    rtol = options.get("rtol")
+    return f"dt = {options['dt']:g} s" if rtol is None else f"rtol = {rtol:g}"
 
 
 def rounded(error: float) -> str:

@@ -30,7 +30,7 @@ from lierb.colours import CSPACE_NAMES
 from lierb.errors import ArgumentError, items_of, told, unknown_name
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
-from lierb.shown import counted
+from lierb.shown import counted, steps_told
 
 if TYPE_CHECKING:
     from lierb.result import Result
@@ -226,7 +226,7 @@ def _title(result: Result) -> str:
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else [links_told(known) or "lierb"]
     if options:
-        parts += [options["method"], f"dt = {options['dt']:g} s"]
+        parts += [options["method"], steps_told(options)]
     return ", ".join(parts)
 
 
