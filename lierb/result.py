@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lierb.animation.page import Animation, animate, links_told
@@ -385,15 +386,31 @@ class Result(States):
             title += f"{steps_told(options)})"
         failures = Failures.of(self.summary)
         rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
+        if "steps" in self.summary.column_names:
+            rows.append(("steps", self._told_steps()))
         rows += self._largest()
-        rows.append(("history", self._told_history()))
         if self.events is not None:
             rows.append(("events", self._told_events()))
+        rows.append(("history", self._told_history()))
         shape = self._told_arrays()
         if self.links:
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
         rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
         return title, rows
+
+    def _told_steps(self) -> str:
+        """How many the trajectories have made, and the share of tries that were rejected."""
+        steps, rejected = (as_array(self.summary[name]) for name in ("steps", "rejected"))
+        few, many = steps.min(), steps.max()
+        told = f"{few}" if few == many else f"{few} to {many}"
+        tries = steps.sum() + rejected.sum()
+        return told + (f", {rejected.sum() / tries:.2g} of all tries rejected" if tries else "")
+
+    def _told_events(self) -> str:
+        """How many there are of each."""
+        assert self.events is not None
+        counts = pc.value_counts(self.events["event"].cast(pa.string())).to_pylist()
+        return ", ".join(f"{each['counts']} {each['values']}" for each in counts) or "none"
 
     def _largest(self) -> Lines:
         """The largest errors of the trajectories that are ok, of those that there are rows for."""
@@ -433,14 +450,6 @@ class Result(States):
         more += [each["name"] for each in problem.get(OBSERVED, [])]
         recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
         return f"{counted(times, 'time')}: {recorded}"
-
-    def _told_events(self) -> str:
-        """How many of each."""
-        assert self.events is not None
-        column = self.events["event"].combine_chunks()
-        names = column.dictionary.to_pylist()
-        count = np.bincount(column.indices.to_numpy(), minlength=len(names))
-        return ", ".join(f"{n} {name}" for n, name in zip(count.tolist(), names, strict=True))
 
 
 def _momentum_of(body: Body, link: States) -> Vec:

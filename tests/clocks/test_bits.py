@@ -28,8 +28,8 @@ def far_away(r):
 
 
 @lierb.event
-def crossing(r):
-    return r[2]
+def crossing(omega):
+    return omega[2]
 
 
 @pytest.fixture(scope="module")

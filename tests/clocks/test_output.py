@@ -15,7 +15,8 @@ ORDER |= {"Euler": 1, "Heun": 2, "RK4": 4}
 
 def heavy_top(**options) -> lierb.Result:
     problem, twist0 = problem_of("heavy_top")
-    options = {"t_end": 1.0, "record": ("state",)} | options
+    record = ("state",) if "save_at" in options else ()
+    options = {"t_end": 1.0, "record": record} | options
     return lierb.integrate(problem, twist0=twist0, **options)
 
 
@@ -61,9 +62,7 @@ def test_many_rows_within_a_step():
     """A thousand rows, some thirty steps: rows follow the motion smoothly."""
     times = np.linspace(0.0, 1.0, 1001)
     result = heavy_top(rtol=1e-10, save_at=times)
-    steps = rows_of(result.history, "step")
-    assert steps.max() < 300
-    assert (np.diff(steps) >= 0).all()
+    assert result.summary["steps"][0].as_py() < 300
     omega = rows_of(result.history, "omega")
     fourth = np.abs(np.diff(omega, n=4, axis=0)).max()
     # h⁴ of the fourth derivative, 1.15e6 rad/s⁵ by short fixed steps; 16 errors of 30 rtol of 7
@@ -197,4 +196,5 @@ def test_rows_do_not_depend_on_other_times():
     """A row is the same whatever else is asked for."""
     few = heavy_top(rtol=1e-6, save_at=(0.3, 0.7)).history
     many = heavy_top(rtol=1e-6, save_at=(0.1, 0.3, 0.30001, 0.7, 0.9)).history
+    few, many = (table.drop(["step"]) for table in (few, many))  # the number of the row
     np.testing.assert_array_equal(table_bits(few), table_bits(many)[[1, 3]])
