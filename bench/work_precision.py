@@ -16,12 +16,14 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import lierb
+from lierb.colours import CSPACE_COLOURS
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "bench" / "results"
@@ -35,9 +37,16 @@ CSPACES = ("SE3", "SO3xR3")
 RTOLS = tuple(10.0**-k for k in range(4, 13))
 FINEST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}  # rtol; what is beyond takes a million steps
 ADAPTIVE = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
-STEPS = {"RK4": range(4, 13), "CF4": range(4, 13), "DOP853": range(2, 9)}  # powers of 2 in a second
+REPEATS = 7  # of each timed run, of which the best counts
+SHORTEST = 5e-5  # s, of fixed steps
+STEPS = {  # in a second
+    "RK4": [2**k for k in range(4, 13)],
+    "CF4": [2**k for k in range(4, 13)],
+    "DOP853": [6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256],
+}
+DRAWN = ("BS32", "Tsit5", "DOP853", "Verner98", "RK4")  # the others are close to one of them
 KEPT = (
-    "method", "cspace", "dt", "rtol", "steps", "rejected", "evaluations", "cpu_time",
+    "method", "cspace", "dt", "rtol", "steps", "rejected", "evaluations", "cpu_time", "failed",
     "error.rotation", "error.rotation.floor", "error.position", "error.position.floor",
     "drift.position", "drift.rotation", "drift.energy",
 )  # fmt: skip
@@ -46,8 +55,7 @@ KEPT = (
 @dataclass(frozen=True)
 class Motion:
     """title : of its panels.   t_end : s, about a turn of the body.   sizes : of the velocities:
-    alike, or log-normal.   finer : by so many powers of 2 are its fixed steps.   fixed : how many
-    of them.
+    alike, or log-normal.   finer : so much shorter are its fixed steps.
     """
 
     name: str
@@ -56,8 +64,7 @@ class Motion:
     sizes: str = "alike"
     cspaces: tuple[str, ...] = CSPACES
     adaptive: tuple[str, ...] = ADAPTIVE
-    finer: int = 0
-    fixed: int | None = None
+    finer: int = 1
 
 
 MOTIONS = {
@@ -66,7 +73,7 @@ MOTIONS = {
     "universal": Motion("universal", "box on a universal joint", 1.0),
     "all_sizes": Motion(
         "heavy_top", "heavy tops, velocities of all sizes", 1.0, "log-normal", ("SE3",),
-        ("Tsit5", "DOP853"), 4, 7,
+        ("Tsit5", "DOP853"), 16,
     ),
 }  # fmt: skip
 
@@ -92,8 +99,7 @@ def main() -> None:
     path = given.report or measured()
     stored = json.loads(path.read_text(encoding="utf-8"))
     print(*tables(stored).values(), sep="\n\n")
-    for name in FIGURES:
-        print(f"drawn: {drawn(stored, name, path)}")
+    print(f"\ndrawn: {drawn(stored, path).relative_to(ROOT)}")
 
 
 def measured() -> Path:
@@ -114,14 +120,16 @@ def rows_of(name: str) -> Iterator[dict[str, Any]]:
     """Runs of a motion, a row each."""
     motion = MOTIONS[name]
     problem, twists = batch(motion)
-    given = {"twist0": twists, "t_end": motion.t_end, "cspaces": motion.cspaces, "name": name}
+    given = {"twist0": twists, "t_end": motion.t_end, "cspaces": motion.cspaces}
+    given["repeats"] = REPEATS
     for method in motion.adaptive:
         rtols = [rtol for rtol in RTOLS if rtol >= 0.99 * FINEST.get(method, 0.0)]
         yield from told(lierb.convergence(problem, method, rtols=rtols, **given))
-    for method, powers in STEPS.items():
+    for method, counts in STEPS.items():
         if method == "CF4" and motion.sizes != "alike":
             continue
-        dts = [2.0 ** -(k + motion.finer) for k in powers[: motion.fixed]]
+        dts = [1.0 / (motion.finer * count) for count in counts]
+        dts = [dt for dt in dts if dt > SHORTEST]
         yield from told(lierb.convergence(problem, method, dts, **given))
 
 
@@ -165,12 +173,17 @@ def lines_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str, str], list[dict
     return found
 
 
+def believed(row: dict[str, Any]) -> bool:
+    """Whether all trajectories got to their end, with an error that is more than rounding."""
+    return not row["failed"] and row["error.rotation"] > row["error.rotation.floor"]
+
+
 def cost(rows: list[dict[str, Any]], target: float, of: str = "cpu_time") -> float:
     """What an error of rotation of `target` rad takes, between two runs by their logarithms; NaN
     where the method does not get there, or that is not to be told from rounding.
     """
-    seen = [row for row in rows if row["error.rotation"] > row["error.rotation.floor"]]
-    for before, after in zip(seen, seen[1:]):
+    seen = [row for row in rows if believed(row)]
+    for before, after in pairwise(seen):
         ends = np.log([before["error.rotation"], after["error.rotation"]])
         if ends[1] <= np.log(target) <= ends[0]:
             share = (np.log(target) - ends[0]) / (ends[1] - ends[0])
@@ -208,19 +221,21 @@ def method_table(stored: dict[str, Any]) -> str:
         (name, *key): rows
         for name in several for key, rows in lines_of(stored["motions"][name]).items()
     }  # fmt: skip
+    best = {
+        (name, cspace, target): np.nanmin(
+            [cost(own, target) for key, own in lines.items() if key[::2] == (name, cspace)]
+        )
+        for name in several for cspace in CSPACES for target in TARGETS
+    }  # fmt: skip
     rows = []
-    keys = dict.fromkeys((method, control) for _, method, _, control in lines)
-    for method, control in keys:
-        cells = []
-        for target in TARGETS:
-            ratios = []
-            for name in several:
-                for cspace in CSPACES:
-                    best = np.nanmin(
-                        [cost(r, target) for k, r in lines.items() if k[0] == name and k[2] == cspace]
-                    )
-                    ratios.append(cost(lines[name, method, cspace, control], target) / best)
-            cells.append(_span(ratios))
+    for method, control in dict.fromkeys((method, control) for _, method, _, control in lines):
+        cells = [
+            _span([
+                cost(lines[name, method, cspace, control], target) / best[name, cspace, target]
+                for name in several for cspace in CSPACES
+            ])
+            for target in TARGETS
+        ]  # fmt: skip
         rows.append([f"{method}, {control}", *cells])
     return _table(["", *(f"{t:.0e} rad" for t in TARGETS)], rows)
 
@@ -248,7 +263,7 @@ def cspace_table(stored: dict[str, Any]) -> str:
 
 
 def tolerance_table(stored: dict[str, Any]) -> str:
-    """Error of rotation over rtol, over rtol: over three motions and two c-spaces."""
+    """The largest error of rotation over rtol: of three motions and two c-spaces."""
     rows = []
     for method in ADAPTIVE:
         cells = []
@@ -259,7 +274,7 @@ def tolerance_table(stored: dict[str, Any]) -> str:
                 for row in stored["motions"][name]
                 if row["method"] == method and abs(row.get("rtol", 0.0) / rtol - 1.0) < 1e-9
             ]  # fmt: skip
-            cells.append(_span(found) if found else "–")
+            cells.append(f"{max(found):.2g}" if found else "–")
         rows.append([method, *cells])
     return _table(["", *(f"{rtol:.0e}" for rtol in RTOLS)], rows)
 
@@ -285,19 +300,48 @@ def kept_table(stored: dict[str, Any]) -> str:
 # ---- drawing -----------------------------------------------------------------------------------
 
 
-MARKERS = dict(zip((*ADAPTIVE, "RK4", "CF4"), ".^v>s*oDP", strict=True))
-FIGURES = {
-    "work": ("evaluations", "cpu_time"),
-    "tolerances": ("rtol",),
-}
+SHAPES = dict(zip(DRAWN, "^vosD", strict=True))
 LABELS = {
     "evaluations": "right-hand sides of a trajectory", "cpu_time": "CPU time of a trajectory [µs]",
-    "rtol": "rtol",
 }  # fmt: skip
 
 
-def drawn(stored: dict[str, Any], name: str, path: Path) -> str:
-    return name
+def drawn(stored: dict[str, Any], path: Path) -> Path:
+    """Error over work: a row of panels for each motion."""
+    import matplotlib.pyplot as plt
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import NullFormatter
+
+    figure, axes = plt.subplots(
+        len(MOTIONS), 2, figsize=(10.0, 3.4 * len(MOTIONS)), layout="constrained", sharey="row"
+    )
+    for (name, motion), row in zip(MOTIONS.items(), axes, strict=True):
+        for (method, cspace, control), rows in lines_of(stored["motions"][name]).items():
+            if method not in DRAWN:
+                continue
+            seen = [r for r in rows if believed(r)]
+            errors = [r["error.rotation"] for r in seen]
+            style = {
+                "color": CSPACE_COLOURS[cspace], "marker": SHAPES[method], "markersize": 4.5,
+                "linestyle": "--" if control == "fixed" else "-", "linewidth": 1.0,
+            }  # fmt: skip
+            for panel, (of, _) in zip(row, LABELS.items(), strict=True):
+                scale = 1e6 if of == "cpu_time" else 1.0
+                panel.plot([scale * r[of] for r in seen], errors, **style)
+        for panel, label in zip(row, LABELS.values(), strict=True):
+            panel.set(xscale="log", yscale="log", xlabel=label, ylim=(1e-13, 1.0))
+            panel.xaxis.set_minor_formatter(NullFormatter())
+            panel.grid(color="#dddddd", linewidth=0.5)
+            panel.spines[["top", "right"]].set_visible(False)
+        row[0].set_ylabel("rotation error at the end [rad]")
+        row[0].set_title(motion.title, loc="left", fontsize=10)
+    keys = [Line2D([], [], color="#444444", marker=m, label=n) for n, m in SHAPES.items()]
+    keys += [Line2D([], [], color=CSPACE_COLOURS[c], label=NAMES[c]) for c in CSPACES]
+    keys += [Line2D([], [], color="#444444", linestyle="--", label="fixed steps")]
+    figure.legend(handles=keys, loc="outside upper center", ncols=6, frameon=False)
+    picture = path.with_suffix(".png")
+    figure.savefig(picture, dpi=110)
+    return picture
 
 
 if __name__ == "__main__":
