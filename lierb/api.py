@@ -42,7 +42,7 @@ from lierb.runs.mechanisms import (
 )
 from lierb.runs.memory import available, is_free, too_large
 from lierb.runs.progress import Progress, check_progress
-from lierb.runs.provenance import provenance
+from lierb.runs.provenance import described_array, provenance
 from lierb.runs.starts import ready_body
 from lierb.runs.tables import events_table, history_table, size_of_tables, summary_table
 from lierb.runs.timing import Timing, checked_numbers, checked_seed, timing_of
@@ -173,10 +173,11 @@ def integrate(
         "dt": timing.dt or None, "t_end": float(t_end), "t0": float(t0),
         "method": timing.tableau.name, "cspace": told_cspace(space), "update": update,
         "save_every": timing.save_every or None, "measure_every": timing.measure_every,
-        "record": recorded, "check": check, "solver": found_by, **timing.options(),
+        "record": recorded, "check": check, "solver": found_by,
     }  # fmt: skip
     if problem.controllers:
         options["seed"] = noise_seed
+    more = timing.options()
     described = {
         "update": update, **timing.described(bool(problem.events)),
         "multipliers": "multipliers" in recorded, "reaction": "reaction" in recorded,
@@ -192,8 +193,11 @@ def integrate(
         )
     plan, inputs, count = ready.plan, ready.inputs, ready.inputs.count
     times: Clock | LaneTime
+    numbers = None if trajectories is None else checked_numbers(trajectories, count)
+    if numbers is not None and problem.controllers:
+        more["trajectories"] = described_array(numbers)
     if timing.is_of_lanes:
-        numbers = checked_numbers(trajectories, count)
+        numbers = np.arange(count, dtype=np.float64) if numbers is None else numbers
         times = timing.lane_time(ready.clock, problem.events, noise_seed, numbers)
     else:
         assert ready.clock is not None
@@ -214,6 +218,7 @@ def integrate(
         is_continued=ready.goes_on,
         plan=plan,
         options=options,
+        more=more,
     )
     is_seen = checked and isinstance(problem, Problem) and bool(problem.rows)
     try:

@@ -254,7 +254,13 @@ class Result(States):
         start. Copies and parts of `pose0`, or another twist or time with it, start as any other
         pose does.
 
-        Raises ArgumentError where a trajectory has failed.
+        So do the problem's own states, what its controllers hold and remember, and the length of
+        adaptive steps: the bits are those of one run where that had a step end here, as all have at
+        a controller's tick. `seed` and `trajectories` are to be given again. What would lose states
+        or memory on the way is an ArgumentError of `integrate`.
+
+        Raises ArgumentError where a trajectory has failed, and where they have ended at different
+        times.
 
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))

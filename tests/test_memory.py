@@ -11,7 +11,7 @@ from cases import RECORD, integrate, top
 import lierb
 from lierb import api
 from lierb.errors import LierbError, MemoryLimitError
-from lierb.runs import engine, memory
+from lierb.runs import engine, lanes, memory
 from lierb.runs.tables import size_of_tables
 from lierb.sampling import Design, Rotation
 
@@ -114,6 +114,63 @@ def test_estimate_is_what_the_tables_hold(monkeypatch):
     assert held <= estimated[0] < 1.1 * held
 
 
+@lierb.states(wheel=(0.0, 0.0, 0.0), angle=0.0)
+def stored(omega):
+    return {"wheel": omega, "angle": omega[2]}
+
+
+@lierb.controller(every=0.1, memory={"sum": 0.0})
+def held(omega, memory):
+    return {"torque": -omega, "level": omega[0]}, {"sum": memory.sum + omega[0]}
+
+
+@pytest.mark.parametrize("options", [{}, {"save_at": (0.1,)}, {"save_at": (0.1, 0.2)}], ids=str)
+@pytest.mark.parametrize("record", [(), ("state",), RECORD], ids=str)
+def test_estimate_of_lanes_is_what_the_tables_hold(options, record, monkeypatch):
+    """Not less, and at most a tenth more: of adaptive steps, states and controllers, too."""
+    estimated, outputs = [], []
+
+    def seen(*given):
+        estimated.append(size_of_tables(*given))
+        return estimated[-1]
+
+    def made(plan, inputs, times, with_state, **_):
+        outputs.append(engine.Output.empty(plan, inputs.count, times, with_state))
+        for array in outputs[-1].arrays.values():
+            array.fill(0.0)
+        return outputs[-1]
+
+    monkeypatch.setattr(api, "size_of_tables", seen)
+    monkeypatch.setattr(api.lanes, "integrate", made)
+    plain, twist0 = top()
+    problem = lierb.Problem(
+        plain.body, plain.joint, plain.gravity, states=stored(), controllers=held()
+    )
+    given = options | ({"record": record} if options else {})
+    count = 1000
+    result = lierb.integrate(
+        problem, twist0=np.tile(twist0, (count, 1)), rtol=1e-6, t_end=0.2, **given
+    )
+    arrays = {id(a): a.nbytes for a in outputs[0].arrays.values()}
+    numbers = 8 * count  # of the trajectories, to draw noise by
+    made_new = {b.address: b.size for t in tables(result) for b in buffers(t)}
+    written = [(a.ctypes.data, a.ctypes.data + a.nbytes) for a in outputs[0].arrays.values()]
+    copies = sum(size for at, size in made_new.items() if not any(b <= at < e for b, e in written))
+    grown = sum(arrays.values()) + numbers + copies
+    assert grown <= 1.01 * estimated[0]  # but for a dictionary's names and the like
+    assert estimated[0] < 1.1 * grown
+
+
+def tables(result):
+    return [table for table in (result.summary, result.history) if table is not None]
+
+
+def buffers(table):
+    for column in table.columns:
+        for chunk in column.chunks:
+            yield from (b for b in chunk.buffers() if b is not None)
+
+
 # ---------------------------------------------------------------- how much there is
 
 
@@ -178,3 +235,13 @@ def test_available_is_all_memory_where_nobody_tells(system, monkeypatch):
 )
 def test_sizes_are_told_in_units_that_are_read(size, told):
     assert memory.in_words(size) == told
+
+
+def test_events_beyond_memory_are_told(monkeypatch):
+    """Nobody knows before how many there will be: a run stops once they have no room."""
+    found = lanes.Events([], 20)
+    monkeypatch.setattr(memory, "ALWAYS", 100_000)
+    monkeypatch.setattr(memory, "available", lambda: 100_000)
+    found.add(np.zeros((100, 20)))
+    with pytest.raises(lierb.errors.MemoryLimitError, match="events so far takes 128 kB"):
+        found.add(np.zeros((100, 20)))

@@ -164,6 +164,99 @@ def test_start_time_is_that_of_a_motor_speed():
         lierb.integrate(problem, t_end=0.5, **options)
 
 
+# ---- states, controllers and clocks of their own -----------------------------------------------
+
+
+@lierb.states(turned=0.0)
+def odometer(omega):
+    return {"turned": omega[2]}
+
+
+@lierb.controller(every=0.25, memory={"total": 0.0}, gain=0.01)
+def brake(omega, params, memory, states):
+    total = memory.total + omega[0] + 0.1 * lierb.noise.normal("gyro") + 0.01 * states.turned
+    return {"torque": -params.gain * (omega + 0.05 * total)}, {"total": total}
+
+
+@lierb.wrench
+def braking(t, R, r, omega, v, controls):
+    return controls.torque, (0.0, 0.0, 0.0)
+
+
+def braked(**changed) -> tuple[lierb.Problem, np.ndarray]:
+    plain, twist = tilted("spherical")
+    twist0 = np.outer((0.02, 0.5, 1.0), twist)
+    problem = lierb.Problem(
+        plain.body, plain.joint, GRAVITY, braking(), states=odometer(), controllers=brake(**changed)
+    )
+    return problem, twist0
+
+
+OWN = ("turned", "torque")
+CLOCKS = [
+    {"dt": 0.0625},  # ends at every tick of itself
+    {"dt": 0.1},  # is cut short by ticks
+    pytest.param({"rtol": 1e-4, "method": "BS32"}, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("options", CLOCKS, ids=str)
+def test_end_at_a_tick_goes_on_with_states_memory_and_clocks(options):
+    problem, twist0 = braked()
+    options = {"cspace": "reduced", "seed": 3} | options
+    whole = lierb.integrate(problem, twist0=twist0, t_end=4.0, **options).summary
+    part = lierb.integrate(problem, twist0=twist0, t_end=0.5, **options)
+    steps = column(part.summary, "steps")
+    for t_end in (3.0, 4.0):  # both have more steps than rounding is left for
+        part = lierb.integrate(problem, **part.end, t_end=t_end, **options)
+        steps = steps + column(part.summary, "steps")
+    np.testing.assert_array_equal(bits(part.summary), bits(whole))
+    for name in (*OWN, "dt_last"):
+        np.testing.assert_array_equal(column(part.summary, name), column(whole, name))
+    np.testing.assert_array_equal(steps, column(whole, "steps"))
+    assert steps.max() > TIDY_EVERY
+
+
+def test_end_goes_on_with_other_gains():
+    """What controllers remember is theirs as long as it means the same."""
+    problem, twist0 = braked()
+    options = {"cspace": "reduced", "dt": 0.0625}
+    first = lierb.integrate(problem, twist0=twist0, t_end=0.5, **options)
+    stronger, _ = braked(gain=0.02)
+    further = lierb.integrate(stronger, **first.end, t_end=0.5625, **options).summary
+    for name in OWN[1:]:  # held until the next tick
+        np.testing.assert_array_equal(column(further, name), column(first.summary, name))
+    assert (np.abs(column(further, "turned")) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda end: {"twist0": 0.5 * end["twist0"]},
+        lambda end: {"problem": braked(every=0.5)[0]},
+        lambda end: {"cspace": "SO3xR3"},
+    ],
+    ids=["twist", "period", "cspace"],
+)
+def test_end_that_would_lose_states_is_refused(change):
+    problem, twist0 = braked()
+    options = {"problem": problem, "cspace": "reduced", "dt": 0.0625}
+    end = lierb.integrate(**options, twist0=twist0, t_end=0.5).end
+    with pytest.raises(ArgumentError, match="turned, torque beside the motion"):
+        lierb.integrate(**(options | end | change(end)), t_end=1.0)
+
+
+@pytest.mark.slow
+def test_end_of_fixed_steps_goes_on_with_clocks_of_lanes():
+    """Which count the same steps."""
+    problem, twist0 = lively("spherical")
+    whole = run(problem, STEPS, twist0=twist0)
+    first = run(problem, 17, twist0=twist0)
+    second = run(problem, 2 * TIDY_EVERY, **first.end, max_steps=STEPS)
+    third = run(problem, STEPS, **second.end)
+    np.testing.assert_array_equal(bits(third.summary), bits(whole.summary))
+
+
 # ---- what an end is taken for ------------------------------------------------------------------
 
 

@@ -12,7 +12,7 @@ from cases import RECORD, slow_but
 import lierb
 from lierb import joints
 from lierb.errors import FailedTrajectoryWarning
-from lierb.runs import starts
+from lierb.runs import engine, starts
 
 BOX = (0.0126563, 0.0468281, 0.0569531)
 POINT = (-0.15, 0.0375, 0.0)
@@ -719,6 +719,60 @@ def test_metadata_options_are_accepted_again(top):
     options = {name: value for name, value in told["options"].items() if name != "solver"}
     again = lierb.integrate(problem, twist0=twists, **options)
     assert provenance(again.summary) == told
+
+
+@lierb.controller(every=0.1)
+def shaky(omega):
+    return {"torque": -omega + lierb.noise.normal("gyro", 3)}
+
+
+@pytest.fixture
+def nothing_steps(monkeypatch):
+    """Lanes with clocks of their own: their tables, of zeros, and nothing compiled."""
+
+    def integrate(plan, inputs, times, with_state, **_):
+        output = engine.Output.empty(plan, inputs.count, times, with_state)
+        for array in output.arrays.values():
+            array.fill(0.0)
+        return output
+
+    monkeypatch.setattr(lierb.api.lanes, "integrate", integrate)
+
+
+@pytest.mark.usefixtures("nothing_steps")
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"rtol": 1e-7},
+        {"rtol": 1e-5, "atol": {"omega": 1e-3, "states": 0.0}, "dt": 1e-3, "method": "BS32"},
+        {"atol": 1e-9, "dt_min": 1e-6, "dt_max": 0.1, "max_steps": 1000, "method": "Tsit5"},
+        {"rtol": 1e-7, "save_at": (0.25, 0.5), "method": "DP54"},
+        {"dt": 0.01, "save_every": 5, "seed": 7, "trajectories": (3, 1, 4, 1, 5)},
+    ],
+    ids=lambda given: ", ".join(given),
+)
+def test_metadata_options_of_adaptive_runs_are_accepted_again(given, top):
+    problem, twists = top
+    shaken = lierb.Problem(problem.body, problem.joint, problem.gravity, controllers=shaky())
+    once = lierb.integrate(shaken, twist0=twists, t_end=0.5, **given)
+    told = provenance(once.summary)
+    options = {name: value for name, value in told["options"].items() if name != "solver"}
+    again = provenance(lierb.integrate(shaken, twist0=twists, **options).summary)
+    assert again == told
+    assert given.keys() <= options.keys()
+    tableau = lierb.ButcherTableau(**told["tableau"])  # which is as good as its name
+    options["method"] = tableau
+    again = provenance(lierb.integrate(shaken, twist0=twists, **options).summary)
+    assert again["tableau"] == told["tableau"]
+
+
+@pytest.mark.usefixtures("nothing_steps")
+def test_steps_of_a_history_are_those_of_the_run(top):
+    """With a clock for each lane, too."""
+    problem, twists = top
+    plain = run(problem, twists, save_every=3).history["step"]
+    told = run(problem, twists, save_every=3, max_steps=STEPS).history["step"]
+    assert told == plain
 
 
 def test_metadata_of_a_large_batch_is_a_digest(top):

@@ -15,13 +15,15 @@ import numpy as np
 from lierb.arrays import Array
 from lierb.errors import ArgumentError
 from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.driver import state_columns
 from lierb.kernels.stepping.mechanism import MechanismPlan
 from lierb.kernels.stepping.plan import AnyPlan, Plan
-from lierb.kernels.stepping.signals import states_of
+from lierb.kernels.stepping.signals import lane_end, states_of
 from lierb.kernels.stepping.status import EVENT, OK
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.engine import Output, Times
+from lierb.runs.lanes import LaneTime
 from lierb.user_elements import Element
 
 NAMED = 5  # failed trajectories in a message
@@ -36,7 +38,7 @@ class Continuation:
     """
 
     problem: Problem | Mechanism
-    formulation: tuple[Any, ...]
+    plan: AnyPlan
     twist0: Any
     t0: float
     clock: Times
@@ -44,18 +46,67 @@ class Continuation:
 
     def fits(self, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float) -> bool:
         """Whether a run that starts so goes on from here; other forces may act from now on."""
+        is_one = problem is self.problem
         return (
             t0 == self.t0
-            and formulation(plan) == self.formulation
+            and formulation(plan) == formulation(self.plan)
             and _are_equal(twist0, self.twist0)
-            and (problem is self.problem or _is_held_alike(problem, self.problem))
+            and (is_one or _is_held_alike(problem, self.problem))
+            and (is_one or _are_controlled_alike(problem, self.problem))
         )
 
-    def origin(self, dt: float) -> tuple[float, int]:
-        """Of a clock with steps of dt: with the same ones it counts on."""
-        if isinstance(self.clock, Clock) and dt == self.clock.dt:
-            return self.clock.origin, self.clock.first_step + self.clock.steps
+    def clock_of(self, clock: Clock) -> Clock:
+        """The clock of fixed steps that starts here: with the same steps it counts on."""
+        return Clock(*clock[:4], *self._origin(clock.dt))
+
+    def _origin(self, dt: float) -> tuple[float, int]:
+        """s, and number of the first step."""
+        before = self.clock
+        if isinstance(before, Clock) and dt == before.dt:
+            return before.origin, before.first_step + before.steps
+        if isinstance(before, LaneTime) and self.plan.embedded is None:
+            span = before.span
+            if dt == before.tolerances.dt and self.t0 == span.end:
+                return span.origin, round((span.end - span.origin) / dt)
         return counted(self.t0, dt)
+
+    def state_of(self, plan: AnyPlan) -> Array:
+        """`end_columns` of the run that goes on, NaN where there was but one clock."""
+        before, after = lane_end(self.plan), lane_end(plan)
+        if after.fields == before.fields:
+            return self.state
+        own = len(state_columns(plan))
+        found = np.full((own + after.count, self.state.shape[1]), np.nan)
+        found[:own] = self.state[:own]
+        for field, part in after:
+            if field in before.fields:
+                found[own:][part] = self.state[own:][before[field.name]]
+        return found
+
+    @property
+    def own(self) -> list[str]:
+        """Names of the user's states, and of what controllers put out."""
+        return [column.name for column in self.problem.signals]
+
+
+def continuing(
+    pose0: Any, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float
+) -> Continuation | None:
+    """What the run goes on from, if it does.
+
+    Raises ArgumentError where states or what controllers remember would be lost on the way.
+    """
+    known = continuation_of(pose0)
+    if known is None or known.fits(problem, plan, twist0, t0):
+        return known
+    if known.own and problem.signals:
+        raise ArgumentError(
+            f"pose0 is the end of a run that had {', '.join(known.own)} beside the motion, which "
+            "go on with result.end as it is alone: with its twist0 and t0, the same c-space, "
+            "states, and controllers of the same outputs, memory and periods; to start them anew, "
+            "give a copy of pose0, and initial values to the elements that have them"
+        )
+    return None
 
 
 def counted(t0: float, dt: float) -> tuple[float, int]:
@@ -67,7 +118,7 @@ def counted(t0: float, dt: float) -> tuple[float, int]:
 def formulation(plan: AnyPlan) -> tuple[Any, ...]:
     """What a state's numbers mean."""
     if isinstance(plan, MechanismPlan):
-        held = plan.tree, plan.connections, plan.update, plan.stabilisation
+        held = plan.tree, plan.connections[: len(plan.joints)], plan.update, plan.stabilisation
         return *held, states_of(plan)
     assert isinstance(plan, Plan)
     return plan.cspace, plan.update, plan.solver, states_of(plan)
@@ -82,27 +133,46 @@ def _are_equal(a: Any, b: Any) -> bool:
 
 
 def _is_held_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
-    """Whether bodies, joints and what else holds them are the same; mechanisms are when they are
-    one.
+    """Whether bodies, joints and what else holds them are the same; links and loops of mechanisms
+    are when they are one.
     """
+    holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
+    if len(holding[0]) != len(holding[1]):
+        return False
+    if not all(_is_same(*pair) for pair in zip(*holding, strict=True)):
+        return False
+    if isinstance(a, Mechanism) and isinstance(b, Mechanism):
+        parts = zip((*a.links, *a.loops), (*b.links, *b.loops), strict=False)
+        counts = (len(a.links), len(a.loops)) == (len(b.links), len(b.loops))
+        return counts and all(x is y for x, y in parts)
     if isinstance(a, Mechanism) or isinstance(b, Mechanism):
         return False
-    holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
-    return (
-        a.joint.rows == b.joint.rows
-        and all(
-            np.array_equal(array, b.quantities[name])
-            for name, array in a.quantities.items()
-            if name != "gravity"
-        )
-        and len(holding[0]) == len(holding[1])
-        and all(_is_same(*pair) for pair in zip(*holding, strict=True))
+    return a.joint.rows == b.joint.rows and all(
+        np.array_equal(array, b.quantities[name])
+        for name, array in a.quantities.items()
+        if name != "gravity"
     )
 
 
 def _is_same(a: Element, b: Element) -> bool:
-    return a.kind == b.kind and all(
-        np.array_equal(values, b.parameters[name]) for name, values in a.parameters.items()
+    return (
+        a.kind == b.kind
+        and a.at == b.at
+        and all(np.array_equal(values, b.parameters[name]) for name, values in a.parameters.items())
+    )
+
+
+def _are_controlled_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
+    """Whether what controllers hold and remember means the same: outputs, memory and periods; of
+    none there is nothing to mean.
+    """
+    if not (a.controllers and b.controllers):
+        return True
+    pairs = zip(a.controllers, b.controllers, strict=False)
+    return len(a.controllers) == len(b.controllers) and all(
+        (x.kind.outputs, x.kind.memory) == (y.kind.outputs, y.kind.memory)
+        and np.array_equal(x.parameters["every"], y.parameters["every"])
+        for x, y in pairs
     )
 
 
@@ -176,7 +246,7 @@ class End:
             twists = {name: twist for name, (_, twist) in pairs.items()}
             poses = EndPoses({name: pose for name, (pose, _) in pairs.items()})
         poses.continuation = Continuation(
-            self.problem, formulation(self.plan), twists, t, clock, self.output.ends
+            self.problem, self.plan, twists, t, clock, self.output.ends
         )
         return {"pose0": poses, "twist0": twists, "t0": t}
 

@@ -42,11 +42,14 @@ from lierb.kernels.stepping.signals import events_of, signals_width
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.runs import engine
 from lierb.runs.engine import CALL_SECONDS, Inputs, Output
+from lierb.runs.forks import check_threads
+from lierb.runs.memory import require_memory
 from lierb.runs.progress import Progress, reporter
 
 FIRST_TURNS = 200  # of a thread's first call, to find out how fast a plan runs
 EVENT_ROOM = 4096  # on a desk, at the least, between two calls
 SHARES = 1000  # of a trajectory's time, for the progress
+COPIES = 4  # of events, while they become a table
 IDLE = 1.0  # the fate of a lane that nobody has been in
 _CODES = {"i": "q", "f": "d", "V": "4q"}
 _PACKED = Struct("=" + "".join(_CODES[LANE_JOB[name].kind] for name in LANE_JOB.names or ()))
@@ -58,6 +61,7 @@ class LaneTime:
 
     save_at : s, of the rows of its history.   kinds : [direction, is terminal][event].
     seed, numbers : of the noise, and each trajectory's own.
+    steps : of the rows of a history of every so many fixed steps.
     """
 
     span: Span
@@ -66,14 +70,15 @@ class LaneTime:
     kinds: Array
     seed: int = 0
     numbers: Array = field(default_factory=lambda: np.zeros(0))
+    steps: NDArray[np.int64] | None = None
 
     @property
     def saved_rows(self) -> int:
         return len(self.save_at)
 
     def saved_steps(self) -> NDArray[np.int64]:
-        """Their numbers."""
-        return np.arange(self.saved_rows)
+        """Of fixed steps, or numbers of the rows."""
+        return np.arange(self.saved_rows) if self.steps is None else self.steps
 
     def saved_times(self) -> Array:
         return self.save_at
@@ -108,6 +113,15 @@ class Events(NamedTuple):
 
     rows: list[Array]
     width: int
+
+    def add(self, found: Array) -> None:
+        """Raise MemoryLimitError once there are more than a table has room for: nobody can know
+        before how many there will be.
+        """
+        self.rows.append(found.copy())
+        size = COPIES * sum(each.nbytes for each in self.rows)
+        remedy = "take fewer trajectories at a time, a shorter run, or an event that is rarer"
+        require_memory(size, "the table of the events so far", remedy)
 
     @property
     def table(self) -> Array:
@@ -212,7 +226,7 @@ class LaneRun:
             rows = desk.arrays["events"]
             count = int(rows[0, 0])
             if count:
-                self.events.rows.append(rows[1 : 1 + count].copy())
+                self.events.add(rows[1 : 1 + count])
                 rows[0, 0] = 0.0
 
     def hear(self) -> None:
@@ -248,6 +262,7 @@ def integrate(
     check: Callable[[Array, int], bool] | None = None,
 ) -> Output:
     """Run every trajectory to its end; arguments as of `lierb.runs.engine.integrate`."""
+    check_threads()
     output = Output.empty(plan, inputs.count, times, with_state)
     used = engine.threads_for(threads, -(-inputs.count // plan.lanes))
     if len(output.history):

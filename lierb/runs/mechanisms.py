@@ -11,7 +11,7 @@ from lierb.kernels.stepping.mechanism import Stabilisation
 from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.mechanism_plan import CSpace, cspaces_of, plan_of
-from lierb.runs.continuation import continuation_of
+from lierb.runs.continuation import continuing
 from lierb.runs.engine import Inputs
 from lierb.runs.starts import Ready
 
@@ -37,12 +37,10 @@ def ready_mechanism(
     )
     starts = {f"{i}.pose": poses[name] for i, name in enumerate(mechanism.names)}
     starts |= {f"{i}.twist": twists[name] for i, name in enumerate(mechanism.names)}
-    known = continuation_of(pose0)
-    if known is not None and not known.fits(mechanism, plan, twist0, t0):
-        known = None
+    known = continuing(pose0, mechanism, plan, twist0, t0)
     if known is not None and clock is not None:
-        clock = Clock(*clock[:4], *known.origin(clock.dt))
-    state = None if known is None else known.state
+        clock = known.clock_of(clock)
+    state = None if known is None else known.state_of(plan)
     inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)
     return Ready(plan, inputs, clock, poses, twists, known is not None)
 

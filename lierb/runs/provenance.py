@@ -53,9 +53,11 @@ def provenance(
     is_continued: bool,
     plan: AnyPlan,
     options: dict[str, Any],
+    more: dict[str, Any],
 ) -> str:
     """A JSON object.
 
+    options : hashable.   more : such that are not, or differ from run to run.
     is_continued : whether twist0 and pose0 stand for the end of another run, to rounding.
     """
     if problem not in _problems:
@@ -68,19 +70,20 @@ def provenance(
         start["continued"] = True
     whole_problem = _merged(_problems[problem], json.dumps(start))
     return _merged(
-        _described_plan(plan), _described_options(*options.items()),
+        _described_plan(plan),
+        f'{{"options": {_merged(_described_options(*options.items()), json.dumps(more))}}}',
         f'{{"problem": {whole_problem}}}',
     )  # fmt: skip
 
 
 def _merged(*objects: str) -> str:
     """One JSON object with the members of these."""
-    return "{" + ", ".join(text[1:-1] for text in objects) + "}"
+    return "{" + ", ".join(text[1:-1] for text in objects if text != "{}") + "}"
 
 
 @lru_cache(64)
 def _described_options(*options: tuple[str, Any]) -> str:
-    return json.dumps({"options": dict(options)})
+    return json.dumps(dict(options))
 
 
 @cache
@@ -91,9 +94,21 @@ def _described_plan(plan: AnyPlan) -> str:
             "units": "SI: kg, m, s, rad, N, N m, J",
             "lanes": DEFAULT_LANES,
             "block": plan.lanes,
-            "tableau": {"A": plan.stages, "b": plan.weights},
+            "tableau": _described_tableau(plan),
         }
     )
+
+
+def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
+    """What of a `ButcherTableau` the run has used."""
+    found: dict[str, Any] = {"A": plan.stages, "b": plan.weights}
+    if plan.exponentials:
+        found["exponentials"] = plan.exponentials
+    if plan.embedded is not None:
+        found |= {"error": plan.embedded.weights, "error_order": plan.embedded.order}
+    if plan.extension is not None:
+        found |= {"dense": plan.extension.weights, "dense_A": plan.extension.stages}
+    return found
 
 
 # As JSON: a problem's arrays cannot change, and digests of large ones take a while.
@@ -103,15 +118,15 @@ _problems: WeakKeyDictionary[Problem | Mechanism, str] = WeakKeyDictionary()
 def _described_start(given: Array | dict[str, Array]) -> Any:
     """Of a mechanism by link."""
     if isinstance(given, dict):
-        return {name: _described(array) for name, array in given.items()}
-    return _described(given)
+        return {name: described_array(array) for name, array in given.items()}
+    return described_array(given)
 
 
 def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:
     if isinstance(problem, Mechanism):
         return _described_mechanism(problem)
     return {
-        **{name: _described(array) for name, array in problem.quantities.items()},
+        **{name: described_array(array) for name, array in problem.quantities.items()},
         "joint": problem.joint.name,
         "rows": [str(row) for row in problem.rows],
         "forces": [_described_element(force) for force in problem.forces],
@@ -135,11 +150,11 @@ def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
             **({"body": each.body} if is_loop else {}),
             "joint": each.joint.name,
             "rows": [str(row) for row in each.joint.rows],
-            **{name: _described(array) for name, array in numbers.items()},
+            **{name: described_array(array) for name, array in numbers.items()},
         }
     return {
         "mechanism": held,
-        "gravity": _described(mechanism.gravity),
+        "gravity": described_array(mechanism.gravity),
         "forces": [_described_element(force) for force in mechanism.forces],
         "constraints": [_described_element(added) for added in mechanism.constraints],
         "observables": [
@@ -165,12 +180,13 @@ def _described_signals(problem: Problem | Mechanism) -> dict[str, Any]:
 
 
 def _described_element(element: Element) -> dict[str, Any]:
-    parameters = {name: _described(array) for name, array in element.parameters.items()}
+    parameters = {name: described_array(array) for name, array in element.parameters.items()}
     placed = {"on": list(element.at)} if element.at else {}
     return {"name": element.name, "kind": repr(element.kind), **placed, **parameters}
 
 
-def _described(array: Array) -> Any:
+def described_array(array: Array) -> Any:
+    """Its numbers, or of many the shape and a digest."""
     if array.size <= LISTED:
         return array.tolist()
     digest = hashlib.sha256()

@@ -12,7 +12,7 @@ from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.plan import AnyPlan, plan_of
 from lierb.kernels.stepping.systems import system_of
 from lierb.model import Problem
-from lierb.runs.continuation import continuation_of
+from lierb.runs.continuation import continuation_of, continuing
 from lierb.runs.engine import Inputs
 
 
@@ -42,10 +42,10 @@ def ready_body(
 ) -> Ready:
     """described : what of the plan does not depend on how the body is held."""
     twists = as_numbers("twist0", twist0, (6,), copy=None)
-    known = continuation_of(pose0)
     poses: Array | None = None
     if pose0 is not None:
-        poses = as_poses("pose0", pose0, copy=None) if known is None else np.asarray(pose0)
+        is_an_end = continuation_of(pose0) is not None
+        poses = np.asarray(pose0) if is_an_end else as_poses("pose0", pose0, copy=None)
     start = (
         {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
     )
@@ -57,11 +57,10 @@ def ready_body(
         solver=solver,
         **described,
     )
-    if known is not None and not known.fits(problem, plan, twist0, t0):
-        known = None
+    known = continuing(pose0, problem, plan, twist0, t0)
     if known is not None and clock is not None:
-        clock = Clock(*clock[:4], *known.origin(clock.dt))
-    state = None if known is None else known.state
+        clock = known.clock_of(clock)
+    state = None if known is None else known.state_of(plan)
     starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
     inputs = Inputs(problem, system_of(plan).inputs, starts, count, t0, state)
     return Ready(plan, inputs, clock, poses, twists, known is not None)

@@ -17,7 +17,7 @@ from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
 from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import signals_width
+from lierb.kernels.stepping.signals import outputs_of, signals_width, states_of
 from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
@@ -102,14 +102,19 @@ def _work_of(force: Force) -> str:
 def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
     """Bytes at the peak of both tables of a run and of the Output that they are made around.
 
-    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by.
+    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by. What events
+    there will be nobody knows.
     """
-    with_state = "state" in recorded
+    with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
     links = system_of(plan).links
-    copied = POSE_AND_TWIST.count * links if with_state and rows > 1 else 0  # of the end
+    is_copied = with_state and rows + has_lanes > 1
+    copied = POSE_AND_TWIST.count * links if is_copied else 0  # of the end
+    turned = sum(prod(shape) for _, shape in (*states_of(plan), *outputs_of(plan)) if shape)
+    copied += turned + len(COUNTS) * has_lanes
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     if plan.multipliers and system_of(plan).joints:
         own += len(plan.rows)  # cut up joint by joint
+    own += turned
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
 

@@ -19,6 +19,7 @@ from lierb.kernels.stepping.plan import Embedded, Extension
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.runs.continuation import counted
 from lierb.runs.lanes import LaneTime
+from lierb.runs.provenance import described_array
 from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
 from lierb.user_signals import Event
 
@@ -26,7 +27,7 @@ MOST_STEPS = 2.0**53  # beyond, not every step has a number
 BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
 RTOL = 1e-6  # where only atol is given
 ATOL = 1e-3  # of rtol, where only that is given, in SI units of each block
-LEAST_RTOL = 1e-15
+LEAST_RTOL = 1e-15  # of what steps are held against, too
 MOST_SEED = 2**53
 
 
@@ -106,45 +107,39 @@ class Timing:
                 save_at = clock.saved_times()
             else:
                 save_at = np.clip(save_at, span.start, span.end)
-        atol = self.atol or (0.0,) * len(BLOCKS)
-        rotation, position, omega, v, states = atol
+        share = 1.0 / self.tableau.calibration
+        rtol = max(share * (self.rtol or 0.0), LEAST_RTOL)
+        rotation, position, omega, v, states = (
+            share * x for x in self.atol or (0.0,) * len(BLOCKS)
+        )
         tolerances = Tolerances(
-            self.dt, self.rtol or 0.0, rotation, position, omega, v, states,
+            self.dt, rtol, rotation, position, omega, v, states,
             self.dt_min, self.dt_max, self.max_steps,
         )  # fmt: skip
         pairs = [(float(each.direction), float(each.terminal)) for each in events]
         kinds = np.array(pairs or [(0.0, 0.0)]).T.copy()
-        return LaneTime(span, tolerances, np.ascontiguousarray(save_at), kinds, seed, numbers)
+        steps = clock.saved_steps() if clock is not None and self.save_every else None
+        rows = np.ascontiguousarray(save_at)
+        return LaneTime(span, tolerances, rows, kinds, seed, numbers, steps)
 
     def options(self) -> dict[str, Any]:
-        """As metadata have them, beside those of every run."""
+        """As metadata have them, beside those of every run: what `lierb.integrate` takes again."""
         if not self.is_of_lanes:
             return {}
         found: dict[str, Any] = {}
         if self.is_adaptive:
             found["rtol"] = self.rtol
-            found["atol"] = ", ".join(
-                f"{name}: {x:g}" for name, x in zip(BLOCKS, self.atol, strict=True)
-            )
-            found["dt_min"], found["dt_max"] = self.dt_min, _or_none(self.dt_max)
-        found["max_steps"] = _or_none(self.max_steps)
+            found["atol"] = dict(zip(BLOCKS, self.atol, strict=True))
+            found["dt_min"] = self.dt_min
+            found["dt_max"] = None if self.dt_max == math.inf else self.dt_max
+        found["max_steps"] = None if self.max_steps == math.inf else int(self.max_steps)
         if self.save_at is not None:
-            found["save_at"] = _told_times(self.save_at)
+            found["save_at"] = described_array(self.save_at)
         return found
 
 
 def _rows(weights: Sequence[Sequence[float]]) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(row) for row in weights)
-
-
-def _or_none(x: float) -> float | None:
-    return None if x == math.inf else x
-
-
-def _told_times(times: Array) -> str:
-    if not len(times):
-        return "none"
-    return f"{len(times)} times from {times[0]:g} to {times[-1]:g} s"
 
 
 def timing_of(
@@ -333,8 +328,6 @@ def checked_seed(seed: Any) -> int:
 
 def checked_numbers(trajectories: Any, count: int) -> Array:
     """Of the members of the batch, by which noise is drawn."""
-    if trajectories is None:
-        return np.arange(count, dtype=np.float64)
     numbers = as_floats("trajectories", trajectories)
     is_fit = numbers.shape == (count,) and (numbers == np.floor(numbers)).all()
     if not (is_fit and (numbers >= 0).all() and (numbers < MOST_SEED).all()):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from lierb.arrays import are_finite, as_floats, is_whole
 from lierb.errors import ArgumentError, items_of, told
+from lierb.tableaus.calibration import calibration_of
 
 # Coefficients are printed with 15 to 20 digits; their sums are that good.
 _TOLERANCE = 1e-13
@@ -248,6 +250,15 @@ class ButcherTableau:
     @property
     def stages(self) -> int:
         return len(self.b)
+
+    @cached_property
+    def calibration(self) -> float:
+        """By how much less than a tolerance a step's estimated error must be, for the motion to be
+        off by the tolerance: after thirty turns of a uniform rotation. 1 without `error`.
+        """
+        if self.error is None or self.error_order is None:
+            return 1.0
+        return calibration_of(self.A, self.b, self.error, self.error_order)
 
     @property
     def is_fsal(self) -> bool:

@@ -64,7 +64,9 @@ def bits(result: lierb.Result, *left_out: str) -> np.ndarray:
 def table_bits(table, *left_out: str) -> np.ndarray:
     names = [name for name in table.column_names if name not in left_out]
     rows = [np.array(table[name].to_pylist(), dtype=float) for name in names]
-    return np.concatenate([x.reshape(table.num_rows, x.size // max(table.num_rows, 1)) for x in rows], axis=1).view(np.int64)
+    return np.concatenate(
+        [x.reshape(table.num_rows, x.size // max(table.num_rows, 1)) for x in rows], axis=1
+    ).view(np.int64)
 
 
 def rows_of(table, name: str) -> np.ndarray:

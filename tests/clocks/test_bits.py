@@ -10,7 +10,7 @@ from cases import slow_but
 
 import lierb
 from clocks.shared import bits, spread_tops, table_bits, top_problem
-from lierb.runs import engine, starts
+from lierb.runs import lanes, starts
 
 TWISTS = spread_tops()
 TIMES = (0.0, 0.05, 0.1234567, 0.25)
@@ -86,11 +86,11 @@ def test_bits_of_adaptive_steps_do_not_depend_on_threads(threads, expected):
     np.testing.assert_array_equal(bits(run(threads=threads)), expected)
 
 
-@pytest.mark.parametrize(("bodies", "block_steps"), [(64, 8), (1000, 1), (17, 10_000)])
-def test_bits_of_adaptive_steps_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch):
-    monkeypatch.setattr(engine, "CHUNK_BODIES", bodies)
-    monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", block_steps)
-    monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
+@pytest.mark.parametrize("turns", [1, 8, 10_000])
+def test_bits_of_adaptive_steps_do_not_depend_on_calls(turns, expected, monkeypatch):
+    """Lanes stop after so many turns of their loop, and go on in the next call."""
+    monkeypatch.setattr(lanes, "FIRST_TURNS", turns)
+    monkeypatch.setattr(lanes, "CALL_SECONDS", 0.0)
     np.testing.assert_array_equal(bits(run(TWISTS[:100])), expected[:100])
 
 

@@ -63,7 +63,7 @@ from lierb.kernels.stepping.observables import (
     with_value,
 )
 from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import signals_width
+from lierb.kernels.stepping.signals import lane_end, signals_width
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import NON_FINITE, OK, RAISED, SINGULAR
 from lierb.kernels.stepping.stepper import step
@@ -251,13 +251,20 @@ def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record:
 
 def store_end(plan: AnyPlan, state: State, ends: Any, column: Any) -> None:
     numbers = [*flatten(state)]
-    going_on = [numbers[c] for c in end_columns(plan)]
+    going_on = [numbers[c] for c in state_columns(plan)]
     places = [(c, column) for c in range(len(going_on))]
     scatter(ends, 1, places, going_on, plan.lanes)
 
 
 @lru_cache(64)
 def end_columns(plan: AnyPlan) -> tuple[int, ...]:
+    """Of a state to go on from those that are kept at the end: `state_columns`, then `lane_end`."""
+    first = system_of(plan).state.count
+    return (*state_columns(plan), *range(first, first + lane_end(plan).count))
+
+
+@lru_cache(64)
+def state_columns(plan: AnyPlan) -> tuple[int, ...]:
     """Of the state's numbers those that are kept at the end: what the plan has, but W, which counts
     from the start of its own run.
     """

@@ -12,6 +12,7 @@ from lierb.compiler import calls
 from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
+from lierb.kernels.stepping.layout import LANE_END
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
@@ -46,7 +47,7 @@ class LaneClock(NamedTuple):
 
     anchor, counted : fixed steps are counted from there.   before : of the step-size control.
     steps, rejected : so far.   seen : when the observables were looked at last, s.
-    due : when the next row of the history is, s.
+    due : when the next row of the history is, s.   ahead : steps before the start.
     """
 
     t: Any
@@ -58,11 +59,12 @@ class LaneClock(NamedTuple):
     rejected: Any
     seen: Any
     due: Any
+    ahead: Any
 
 
 class Trial(NamedTuple):
-    """A step to be tried: from `start` on, h long, to `end`, s.   lands : 1 where something ends
-    it.
+    """A step to be tried: from `start` on, h long, to `end`, s.   lands : 1 where something cuts it
+    short.
     """
 
     start: Any
@@ -99,18 +101,48 @@ def first_clock(
         zero,
         start,
         zero + INF,
+        zero + span.counted,
+    )
+
+
+def continued(
+    plan: AnyPlan, clock: LaneClock, limits: Tolerances, found: dict[str, tuple[Any, ...]]
+) -> LaneClock:
+    """The clock of a run that goes on: where nothing else is asked for, as that before has left it.
+
+    found : LANE_END; NaN where that run had but one clock.
+    """
+    anchor, counted, h, before, ahead = (found[field.name][0] for field in LANE_END.fields)
+    if plan.embedded is None:
+        same = h == clock.h
+        return clock._replace(
+            anchor=where(same, anchor, clock.anchor),
+            counted=where(same, counted, clock.counted),
+            ahead=where(same, ahead, clock.ahead),
+        )
+    known = h == h
+    chosen = known & (0.0 * clock.h + limits.dt == 0.0)
+    within = maximum(minimum(where(known, h, clock.h), limits.dt_max), limits.dt_min)
+    return clock._replace(
+        h=where(chosen, within, clock.h),
+        before=where(chosen, before, clock.before),
+        ahead=where(known, ahead, clock.ahead),
     )
 
 
 def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
-    """stop : where the step ends at the latest, s.   active : 0 where nothing is to be tried."""
+    """stop : where the step ends at the latest, s.   active : 0 where nothing is to be tried.
+
+    A fixed step that ends there of itself is none that has been cut: steps are counted on.
+    """
     left = stop - clock.t
     lands = clock.h * (1.0 + NEARLY) >= left
     if plan.embedded is None:
         reached = clock.anchor + clock.h * (clock.counted + 1.0)
         end = where(lands, stop, reached)
         is_whole = absolute(left - clock.h) <= NEARLY * clock.h
-        h = where(lands & ~is_whole, left, clock.h)
+        lands = lands & ~is_whole
+        h = where(lands, left, clock.h)
     else:  # no sliver is left for the last one
         half = clock.t + 0.5 * left
         ahead = where(clock.h > 0.5 * left, half, clock.t + clock.h)
@@ -163,7 +195,9 @@ def judged(
     h = maximum(minimum(h, limits.dt_max), limits.dt_min)
     least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
     too_small = refused & (trial.h <= least)
-    failed = where(too_small, where(fine, float(DT_MIN), worse), float(OK))
+    too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
+    failed = where(too_many, float(MAX_STEPS), float(OK))
+    failed = where(too_small, where(fine, float(DT_MIN), worse), failed)
     moved = clock._replace(
         t=where(accepted, trial.end, clock.t),
         h=h,
@@ -174,9 +208,9 @@ def judged(
     return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
 
 
-def to_tidy(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
+def to_tidy(clock: LaneClock, fresh: Any, fate: Any) -> Any:
     """Where rounding is to be taken off: every so many steps, those before a break included."""
-    counted = clock.steps + span.counted
+    counted = clock.steps + clock.ahead
     turn = counted - TIDY_EVERY * floor(counted / TIDY_EVERY)
     return (fresh > 0.5) & (fate == 0.0) & (turn == 0.0) & (counted > 0.0)
 

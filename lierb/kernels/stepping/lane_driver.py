@@ -55,6 +55,7 @@ from lierb.kernels.stepping.driver import (
     observe,
     pack,
     resumed_state,
+    state_columns,
     store_carried,
     store_end,
     store_forces,
@@ -71,6 +72,7 @@ from lierb.kernels.stepping.lane_clock import (
     Span,
     Trial,
     Verdict,
+    continued,
     fate_of,
     first_clock,
     judged,
@@ -78,12 +80,13 @@ from lierb.kernels.stepping.lane_clock import (
     to_tidy,
     trial_of,
 )
-from lierb.kernels.stepping.layout import Columns, Field
+from lierb.kernels.stepping.layout import LANE_END, Columns, Field
 from lierb.kernels.stepping.measures import SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import (
     controllers_of,
     events_of,
+    lane_end,
     memory_of,
     memory_slices,
     output_slices,
@@ -255,6 +258,28 @@ def _first_tick(start: Any, every: Any) -> Any:
     whole = rint(count)
     is_one = absolute(count - whole) <= 4.0 * EPS * absolute(count)
     return where(is_one, whole, floor(count) + 1.0)
+
+
+def goes_on(
+    plan: AnyPlan, clock: LaneClock, held: Held, limits: Tolerances, inputs: Any
+) -> tuple[LaneClock, Held]:
+    """What a run that goes on starts with, as the one before has left it."""
+    at, known = system_of(plan).inputs["lane"], lane_end(plan)
+    numbers = tuple(load(inputs, (c, 0), plan.lanes) for c in range(at.start, at.stop))
+    found = known.parts(numbers)
+    kept = (
+        tuple(where(y == y, y, x) for x, y in zip(mine, found[name], strict=True))
+        for name, mine in held._asdict().items()
+    )
+    return continued(plan, clock, limits, found), Held(*kept)
+
+
+def store_lane_end(plan: AnyPlan, clock: LaneClock, held: Held, ends: Any) -> None:
+    """Behind the state, for a run that goes on."""
+    clock = clock._replace(ahead=clock.ahead + clock.steps)
+    own = (getattr(clock, field.name) for field in LANE_END.fields)
+    for row, number in enumerate((*own, *flatten(held)), len(state_columns(plan))):
+        store(ends, (row, 0), number, plan.lanes)
 
 
 # ---- an arrival at the end of a step, or at a start ----
@@ -445,13 +470,13 @@ def with_failures(record: Record, clock: LaneClock, failed: Any, fate: Any) -> t
 
 
 def is_to_tidy(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
-    return any_lanes(to_tidy(clock, span, fresh, fate))
+    return any_lanes(to_tidy(clock, fresh, fate))
 
 
 def tidied(
     plan: AnyPlan, body: Any, state: State, clock: LaneClock, span: Span, fresh: Any, fate: Any
 ) -> State:
-    return where(to_tidy(clock, span, fresh, fate), tidy(plan, body, state), state)
+    return where(to_tidy(clock, fresh, fate), tidy(plan, body, state), state)
 
 
 # ---- between the ends of a step ----
@@ -548,7 +573,7 @@ for _formula in (
     ticked, fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended,
     next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
     slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
-    put_signals, put_trial, ended_between, with_signals,
+    put_signals, put_trial, ended_between, with_signals, goes_on, store_lane_end,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -951,6 +976,7 @@ def _store_ends(plan, body, inputs, state, record, clock, held, fate, span, own)
     store_lane_summary(plan, state, held, clock, record, summary, own.own_summary)
     store_summary(plan, as_ended(record, clock, span, fate), summary, 0)
     store_end(plan, state, numbers_at(own.ends), 0)
+    store_lane_end(plan, clock, held, numbers_at(own.ends))
 
 
 @numba.njit(**OPTIONS, inline="always")
@@ -1010,8 +1036,10 @@ def integrate_lanes(plan, inputs, counter, jobs):
             else:
                 state = taken(fresh, own_start(plan, body, inputs, desk), state)
             begun = started(plan, body, state, desk, span, limits)
-            record, clock = taken(fresh, begun[0], record), taken(fresh, begun[1], clock)
-            held = taken(fresh, begun[2], held)
+            record, first = taken(fresh, begun[0], record), (begun[1], begun[2])
+            if job.begin == RESUMED:
+                first = goes_on(plan, begun[1], begun[2], limits, inputs)
+            clock, held = taken(fresh, first[0], clock), taken(fresh, first[1], held)
             is_new = False
             if own.watched > 0:
                 at_end = own.values + own.looks * own.watched

@@ -104,6 +104,12 @@ LANE_SUMMARY = Columns(
 """What a summary has of a lane's own clock, behind all else; then the user's states and outputs."""
 
 
+LANE_END = Columns(
+    Field("anchor", (), "s"), Field("counted"), Field("h", (), "s"), Field("before"), Field("ahead")
+)
+"""What is kept of a lane's own clock, for a run that goes on; then what controllers have set."""
+
+
 @lru_cache(64)
 def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
     """INPUTS, then the elements' parameters, then the numbers of a state to go on from."""

@@ -85,7 +85,7 @@ from lierb.kernels.stepping.mechanism_inputs import (
     sixes,
 )
 from lierb.kernels.stepping.plan import AnyPlan, Embedded, Extension, Stages
-from lierb.kernels.stepping.signals import Watching, states_of
+from lierb.kernels.stepping.signals import Watching, lane_end, states_of
 from lierb.kernels.stepping.state import State
 
 GENTLE = 8  # nodes times stages
@@ -169,7 +169,11 @@ class TreeFormulation(Watching):
         """What is read of a mechanism, then a state to go on from."""
         plan = self.plan
         columns = inputs_of(plan.links, plan.loops, plan.elements)
-        return Columns(*columns.fields, Field("state", (self.state.count,)))
+        return Columns(
+            *columns.fields,
+            Field("state", (self.state.count,)),
+            Field("lane", (lane_end(plan).count,)),
+        )
 
     @property
     def state(self) -> Columns:

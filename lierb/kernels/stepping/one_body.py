@@ -40,7 +40,7 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.formulations import LARGEST, accelerate
 from lierb.kernels.stepping.layout import INPUTS, STATE, Columns, Field, inputs_of, pose_of
 from lierb.kernels.stepping.measures import Observed, measured
-from lierb.kernels.stepping.signals import Watching, states_of
+from lierb.kernels.stepping.signals import Watching, lane_end, states_of
 from lierb.kernels.stepping.state import State
 
 if TYPE_CHECKING:
@@ -107,7 +107,10 @@ class OneBody(Watching):
 
     @property
     def inputs(self) -> Columns:
-        return inputs_of(self.plan.elements, self.state.count)
+        columns = inputs_of(self.plan.elements, self.state.count)
+        if not self.plan.has_lane_clocks:
+            return columns
+        return Columns(*columns.fields, Field("lane", (lane_end(self.plan).count,)))
 
     @property
     def state(self) -> Columns:

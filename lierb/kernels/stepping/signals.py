@@ -21,6 +21,7 @@ from lierb.kernels.mechanics.elements import (
 )
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.stepping.layout import LANE_END, Columns, Field
 from lierb.kernels.stepping.plan import AnyPlan
 
 Kind = TypeVar("Kind", UserObservable, UserEvent, UserStates, UserController)
@@ -47,6 +48,19 @@ def memory_of(plan: AnyPlan) -> Shapes:
 def signals_width(plan: AnyPlan) -> int:
     """Numbers of all extra states and outputs."""
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
+
+
+@lru_cache(64)
+def lane_end(plan: AnyPlan) -> Columns:
+    """What a trajectory with a clock of its own leaves beside its state, for a run that goes on."""
+    if not plan.has_lane_clocks:
+        return Columns()
+    return Columns(
+        *LANE_END.fields,
+        Field("controls", (size_of(outputs_of(plan)),)),
+        Field("memory", (size_of(memory_of(plan)),)),
+        Field("ticks", (len(controllers_of(plan)),)),
+    )
 
 
 @lru_cache(64)
