@@ -118,7 +118,7 @@ def test_readme_examples_print_what_they_say(capsys):
     number = re.compile(r"[0-9.]+e[+-][0-9]+")
     names: dict = {}
     examples = re.findall(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL)
-    assert len(examples) == 2
+    assert len(examples) == 3
     for code, shown in examples:
         exec(compile(code, "README.md", "exec"), names)
         lines = capsys.readouterr().out.splitlines()
