@@ -108,7 +108,7 @@ def _prepared(form: str, omega0: np.ndarray, accuracy: float, threads: int):
     problem = lierb.Problem(body, joint, top.GRAVITY)
     twist0 = joint.twist(omega=(omega0 * allowed) @ turn)
     options = OPTIONS["-".join(w for w in words if w not in JOINTS and w != "tilted")]
-    clock = {"rtol": accuracy}
+    clock = {"rtol": accuracy, "measure_every": 10}
     if not FORMS[form].adaptive:
         clock = {"dt": top.T_END / round(top.T_END / accuracy), "measure_every": 10}
 

@@ -1,4 +1,5 @@
-"""Whole numbers of up to 64 bits, as a formula computes with them: *, +, ^, &, >>.
+"""Whole numbers of up to 64 bits, as a formula computes with them: *, +, ^, &, >>; and a number's
+own bits, by which its logarithm is roughly known.
 
 Of a float one of Python's own, of an array one of NumPy's, of a lane pack a pack of them. Formulas
 keep products below 2⁶⁴, which no operation here looks after.
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
+from lierb.kernels.numbers.arithmetic import floor
 from lierb.kernels.numbers.lanes import DOUBLE, INT32, Lane, Trace
 
 INT64 = ir.IntType(64)
@@ -34,6 +36,39 @@ def real_of(word: Any) -> Any:
         kind = _like(DOUBLE, word.value.type)
         return Lane(word.trace, word.trace.builder.sitofp(word.value, kind))
     return word.astype(np.float64) if isinstance(word, np.ndarray) else float(word)
+
+
+def bits_of(x: Any) -> Any:
+    """A number's 64 bits."""
+    if isinstance(x, Lane):
+        return Words(x.trace, x.builder.bitcast(x.value, _like(INT64, x.value.type)))
+    if isinstance(x, np.ndarray) and x.ndim:
+        return x.view(np.uint64)
+    return int(np.float64(x).view(np.uint64))
+
+
+def of_bits(word: Any) -> Any:
+    """The number of which these are the bits."""
+    if isinstance(word, Words):
+        kind = _like(DOUBLE, word.value.type)
+        return Lane(word.trace, word.trace.builder.bitcast(word.value, kind))
+    return (
+        word.view(np.float64)
+        if isinstance(word, np.ndarray)
+        else float(np.uint64(word).view(np.float64))
+    )
+
+
+def rough_log2(x: Any) -> Any:
+    """log₂ x, not less and by at most 0.0861 more or less than so; x > 0, normal."""
+    return real_of(bits_of(x)) * 2.0**-52 - 1023.0
+
+
+def rough_exp2(x: Any) -> Any:
+    """2ˣ to 0.2 %; |x| < 1000."""
+    whole = floor(x)
+    part = x - whole
+    return of_bits(words_of((whole + 1023.0) * 2.0**52)) * (1.0 + part * (0.6565 + 0.3435 * part))
 
 
 def _like(scalar: ir.Type, pack: ir.Type) -> ir.Type:

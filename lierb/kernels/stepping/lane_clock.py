@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler import calls
-from lierb.kernels.numbers.arithmetic import absolute, floor, maximum, minimum, where
+from lierb.kernels.numbers.arithmetic import absolute, maximum, minimum, rint, where
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.layout import LANE_END
@@ -20,7 +20,7 @@ from lierb.kernels.stepping.step_size import (
     EPS,
     LEAST_ULPS,
     Tolerances,
-    factors,
+    change,
     first_step,
 )
 
@@ -96,7 +96,7 @@ def first_clock(
         h,
         zero + span.origin,
         zero + span.counted,
-        zero + 1.0,
+        zero,
         zero,
         zero,
         start,
@@ -187,11 +187,11 @@ def judged(
     meets = fine & (square <= 1.0)  # false for NaN
     accepted = going & meets & ~raised
     refused = going & ~meets & ~raised
-    by = factors(plan, where(fine & (square == square), square, INF), clock.before)
-    grown = trial.h * by.accepted
+    by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
+    grown = trial.h * by.factor
     # A step that was cut short says little about a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
-    h = where(accepted, longer, where(refused, trial.h * by.rejected, clock.h))
+    h = where(accepted, longer, where(refused, grown, clock.h))
     h = maximum(minimum(h, limits.dt_max), limits.dt_min)
     least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
     too_small = refused & (trial.h <= least)
@@ -201,7 +201,7 @@ def judged(
     moved = clock._replace(
         t=where(accepted, trial.end, clock.t),
         h=h,
-        before=where(accepted, by.remembered, where(refused, 1.0, clock.before)),
+        before=where(accepted, by.level, where(refused, 0.0, clock.before)),
         steps=where(accepted, steps + 1.0, steps),
         rejected=where(refused, clock.rejected + 1.0, clock.rejected),
     )
@@ -211,14 +211,18 @@ def judged(
 def to_tidy(clock: LaneClock, fresh: Any, fate: Any) -> Any:
     """Where rounding is to be taken off: every so many steps, those before a break included."""
     counted = clock.steps + clock.ahead
-    turn = counted - TIDY_EVERY * floor(counted / TIDY_EVERY)
-    return (fresh > 0.5) & (fate == 0.0) & (turn == 0.0) & (counted > 0.0)
+    turns = is_multiple(counted, float(TIDY_EVERY))
+    return (fresh > 0.5) & (fate == 0.0) & turns & (counted > 0.0)
 
 
 def to_measure(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
     """Where a trajectory is measured: every so many steps, and at its end."""
-    turn = clock.steps - span.every * floor(clock.steps / span.every)
-    return (fresh > 0.5) & ((turn == 0.0) | (fate > 0.0))
+    return (fresh > 0.5) & (is_multiple(clock.steps, span.every) | (fate > 0.0))
+
+
+def is_multiple(count: Any, every: Any) -> Any:
+    """Of whole numbers. The quotient need but be near the whole one, and lanes share 1 / every."""
+    return count == every * rint(count * (1.0 / every))
 
 
 def fate_of(

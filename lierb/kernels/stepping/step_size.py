@@ -3,8 +3,7 @@
 Errors are those of an embedded method, in the Lie algebra, in blocks: rotation, position, ω, v, and
 each of the user's own states. A block's error e is held against atol² + rtol² ‖y‖², where ‖y‖ is
 the block's own size, that of a rotation 1 rad; the largest block counts. Control is PI, as in
-Hairer, Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by squares: no root is taken but for the
-powers.
+Hairer, Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by logarithms of squares.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot
+from lierb.kernels.numbers.words import rough_exp2, rough_log2
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
@@ -23,9 +23,8 @@ EPS = 2.0**-52
 SAFETY = 0.9
 SHRINKS, GROWS = 0.2, 6.0  # at most, from one step to the next
 DAMPING = 0.2  # of the PI controller: β = 0.2 / k, α = 1 / k − 0.75 β (Hairer's, for any k)
-ROOTS = 6  # of a squared error in turn: exponents are multiples of 1/32
-LEAST_REMEMBERED = 1e-8  # of a squared error
-SMALLEST = 1e-20  # of a squared error: what is less lets a step grow no more
+LEAST_REMEMBERED = -26.0  # log₂ of a squared error: 1e-8
+SMALLEST, LARGEST = 1e-20, 1e60  # of a squared error: what is beyond changes a step no more
 LEAST_ULPS = 16.0  # of the time, in a step
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
 
@@ -95,7 +94,7 @@ def _weighted(weights: tuple[float, ...], rates: tuple[Vec, ...]) -> Vec:
 
 
 class _Scales(NamedTuple):
-    """Squares of what is allowed, of each block; `states` has one for each of them."""
+    """1 / the squares of what is allowed, of each block; `states` has one for each of them."""
 
     rotation: Any
     position: Any
@@ -113,7 +112,7 @@ def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolera
         largest = sizes[0]
         for size in sizes[1:]:
             largest = maximum(largest, size)
-        return fma(atol, atol, rtol * largest)
+        return 1.0 / fma(atol, atol, rtol * largest)
 
     places, turning, moving = (
         allowed(atol, *(end[i] for end in ends))
@@ -141,7 +140,7 @@ def _squares(sixes: Vec, first: int) -> Any:
 
 
 def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
-    """Over all blocks, ‖e‖² / scale². NaN where any of them is."""
+    """Over all blocks, ‖e‖² · scale. NaN where any of them is."""
     pairs = [
         (_squares(defect.x, 0), scales.rotation),
         (_squares(defect.x, 3), scales.position),
@@ -154,7 +153,7 @@ def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
     for square, scale in pairs:
         if not is_zero(square):
             # 0 / 0 is no error; 1 / 0, with atol = 0, is one beyond all bounds.
-            ratio = where(square == 0.0, 0.0, square / scale)
+            ratio = where(square == 0.0, 0.0, square * scale)
             found = ratio if is_zero(found) else where(ratio <= found, found, ratio)
     return 0.0 * body.mass if is_zero(found) else found
 
@@ -162,49 +161,29 @@ def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
 # ---- the next step -----------------------------------------------------------------------------
 
 
-class Roots:
-    """Powers of x by one chain of square roots of x²: the same bits on every CPU, and no call of a
-    library.
+class Change(NamedTuple):
+    """By how much the next step is longer than the one that was tried, and what the control
+    remembers of that: log₂ of its squared error.
     """
 
-    def __init__(self, square: Any) -> None:
-        self.found: list[Any] = []  # x, x^(1/2), x^(1/4), …
-        for _ in range(ROOTS):
-            square = sqrt(square)
-            self.found.append(square)
-
-    def power(self, exponent: float) -> Any:
-        """x^exponent, 0 < exponent < 2, to the nearest exponent that the chain has."""
-        steps = max(round(exponent * 2 ** (ROOTS - 1)), 1)
-        total: Any = None
-        for place, root in enumerate(reversed(self.found)):
-            if steps >> place & 1:
-                total = root if total is None else total * root
-        return total
+    factor: Any
+    level: Any
 
 
-class Factors(NamedTuple):
-    """By how much the next step is longer after one that is accepted, how much shorter after one
-    that is not, and what the control remembers of it.
+def change(plan: AnyPlan, square: Any, remembered: Any, accepted: Any) -> Change:
+    """square : of the error; ∞ where it is no number.   remembered : of the step before, the level.
+    accepted : where it is.
+
+    PI control by logarithms of squares; that they are rough, by 0.4 % of a step, is nothing here.
     """
-
-    accepted: Any
-    rejected: Any
-    remembered: Any
-
-
-def factors(plan: AnyPlan, square: Any, remembered: Any) -> Factors:
-    """square : of the error; ∞ where it is no number.   remembered : of the step before."""
     k = _power_of(plan)
     beta = DAMPING / k
-    roots = Roots(maximum(square, SMALLEST))
-    longer = SAFETY * remembered / roots.power(1.0 / k - 0.75 * beta)
-    shorter = SAFETY / roots.power(1.0 / k)
-    return Factors(
-        minimum(maximum(longer, SHRINKS), GROWS),
-        minimum(maximum(shorter, SHRINKS), SAFETY),
-        maximum(roots.power(beta), LEAST_REMEMBERED ** (beta / 2.0)),
-    )
+    level = rough_log2(minimum(maximum(square, SMALLEST), LARGEST))
+    longer = 0.5 * (beta * remembered - (1.0 / k - 0.75 * beta) * level)
+    shorter = (-0.5 / k) * level
+    factor = SAFETY * rough_exp2(where(accepted, longer, shorter))
+    most = where(accepted, GROWS, SAFETY)
+    return Change(minimum(maximum(factor, SHRINKS), most), maximum(level, LEAST_REMEMBERED))
 
 
 def _power_of(plan: AnyPlan) -> int:
@@ -245,7 +224,8 @@ def first_step(
     bend = _rate_against(plan, body, change, scales) / (guess * guess)
     largest = maximum(speed, bend)
     still = largest < 1e-30
-    wanted = Roots(1e-4 / where(still, 1.0, largest)).power(1.0 / _power_of(plan))
+    level = rough_log2(minimum(maximum(1e-4 / where(still, 1.0, largest), 1e-200), 1e200))
+    wanted = rough_exp2((0.5 / _power_of(plan)) * level)
     wanted = where(still, maximum(1e-6 * length, guess * 1e-3), wanted)
     wanted = minimum(100.0 * guess, wanted)
     return where(absolute(wanted) < length, wanted, length)  # NaN: a trial will tell
@@ -257,14 +237,14 @@ def _parts(of: Any) -> tuple[Vec, Vec, Vec]:
 
 
 def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> Any:
-    """‖y‖² / scale² of the largest block; a rotation's is 1 rad."""
+    """‖y‖² · scale of the largest block; a rotation's is 1 rad."""
     place, turning, moving, states = _sizes(plan, body, state)
-    found: Any = 1.0 / scales.rotation
+    found: Any = scales.rotation
     for square, scale in zip(
         (place, turning, moving, *states), (*scales[1:4], *scales.states), strict=True
     ):
         if not is_zero(square):
-            found = maximum(found, where(square == 0.0, 0.0, square / scale))
+            found = maximum(found, where(square == 0.0, 0.0, square * scale))
     return found
 
 

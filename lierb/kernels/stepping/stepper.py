@@ -124,9 +124,9 @@ def _stages(
     x_rates, rates, powers, more = map(list, known)
     singular: Any = ZERO
     for weights, factors in zip(rows, products, strict=True):
-        x = formulation.in_algebra(body, _advanced(state.x, 0.5 * h, weights, x_rates))
-        v_or_mu = _advanced(state.v_or_mu, h, weights, rates)
-        states = _advanced(state.states, h, weights, more)
+        x = formulation.in_algebra(body, _advanced(plan, state.x, 0.5 * h, weights, x_rates))
+        v_or_mu = _advanced(plan, state.v_or_mu, h, weights, rates)
+        states = _advanced(plan, state.states, h, weights, more)
         at = fma(h, sum(weights), time)
         chart, falling = state.chart, before
         if factors is not None:
@@ -152,14 +152,14 @@ def _combined(
 ) -> State:
     """The state with h Σ weights · slopes, its pose by so many exponentials, or by one."""
     formulation = plan.formulation
-    v_or_mu = _advanced(state.v_or_mu, h, weights, slopes.v_or_mu)
-    (work,) = _advanced((state.work,), h, weights, slopes.work)
-    states = _advanced(state.states, h, weights, slopes.states)
+    v_or_mu = _advanced(plan, state.v_or_mu, h, weights, slopes.v_or_mu)
+    (work,) = _advanced(plan, (state.work,), h, weights, slopes.work)
+    states = _advanced(plan, state.states, h, weights, slopes.states)
     still = (ZERO,) * len(state.x)
     if factors is not None:
         chart, x = _product(plan, body, state.chart, h, factors, slopes.x), still
     else:
-        x = formulation.in_algebra(body, _advanced(state.x, 0.5 * h, weights, slopes.x))
+        x = formulation.in_algebra(body, _advanced(plan, state.x, 0.5 * h, weights, slopes.x))
         if plan.is_local:
             chart, x = formulation.moved(state.chart, x), still
         else:
@@ -173,7 +173,7 @@ def _product(plan: AnyPlan, body: Any, chart: Any, h: Any, factors: Rows, slopes
     for weights in factors:
         if any(weights):
             still = tuple(0.0 * x for x in slopes[0])
-            x = formulation.in_algebra(body, _advanced(still, 0.5 * h, weights, slopes))
+            x = formulation.in_algebra(body, _advanced(plan, still, 0.5 * h, weights, slopes))
             chart = formulation.moved(chart, x)
     return chart
 
@@ -208,11 +208,24 @@ def rates_at(
     return StageRates(found.x, found.v_or_mu, own, found.power, found.singular)
 
 
-def _advanced(base: Vec, h: Any, weights: tuple[Any, ...], rates: Any) -> Vec:
-    """base + h Σ wⱼ kⱼ; zero weights cost nothing, and h wⱼ does not depend on the step."""
+def _advanced(plan: AnyPlan, base: Vec, h: Any, weights: tuple[Any, ...], rates: Any) -> Vec:
+    """base + h Σ wⱼ kⱼ; zero weights cost nothing.
+
+    Where all steps are as long, so are all h wⱼ, and rates are added up by them; where lanes choose
+    their own, h comes last, which saves a product for each weight.
+    """
+    terms = [
+        (weight, rate)
+        for weight, rate in zip(weights, rates, strict=False)
+        if not (isinstance(weight, float) and weight == 0.0)
+    ]
+    if plan.embedded is not None:
+        total: Vec = (ZERO,) * len(base)
+        for weight, rate in terms:
+            total = tuple(fma(weight, k, x) for k, x in zip(rate, total, strict=True))
+        return tuple(fma(h, k, x) for k, x in zip(total, base, strict=True))
     total = base
-    for weight, rate in zip(weights, rates, strict=False):
-        if not (isinstance(weight, float) and weight == 0.0):
-            hw = h * weight
-            total = tuple(fma(hw, k, x) for k, x in zip(rate, total, strict=True))
+    for weight, rate in terms:
+        hw = h * weight
+        total = tuple(fma(hw, k, x) for k, x in zip(rate, total, strict=True))
     return total
