@@ -4,14 +4,15 @@ Methods, c-spaces, steps and tolerances side by side, by `lierb.convergence`, on
 motions and on one whose velocities are of all sizes. A test holds the page against the last stored
 run. It takes about a quarter of an hour, most of it compiling.
 
-python bench/work_precision.py                  measure, store, draw
-python bench/work_precision.py --report FILE    the page's tables, and the figures, of a stored run
+python bench/work_precision.py                  measure, store, draw, write tables into the pages
+python bench/work_precision.py --report FILE    the same with a stored run
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from lierb.colours import CSPACE_COLOURS
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "bench" / "results"
+PAGES = (ROOT / "docs" / "howto" / "choosing.md", ROOT / "docs" / "theory.md")
 sys.path.insert(0, str(ROOT / "tests"))
 
 from clocks.truths import DATA, problem_of  # noqa: E402
@@ -98,8 +100,10 @@ def main() -> None:
     given = parser.parse_args()
     path = given.report or measured()
     stored = json.loads(path.read_text(encoding="utf-8"))
-    print(*tables(stored).values(), sep="\n\n")
-    print(f"\ndrawn: {drawn(stored, path).relative_to(ROOT)}")
+    print(f"drawn: {drawn(stored, path).relative_to(ROOT)}")
+    for page in PAGES:
+        page.write_text(embedded(page.read_text(encoding="utf-8"), stored, path.stem))
+        print(f"written into {page.relative_to(ROOT)}")
 
 
 def measured() -> Path:
@@ -207,6 +211,16 @@ def tables(stored: dict[str, Any]) -> dict[str, str]:
         "sizes": size_table(stored),
         "kept": kept_table(stored),
     }
+
+
+def embedded(text: str, stored: dict[str, Any], stem: str) -> str:
+    """A page with this run's tables between their marks, and its name in links."""
+    for name, table in tables(stored).items():
+        mark, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
+        before, found, rest = text.partition(mark)
+        if found:
+            text = f"{before}{mark}\n{table}\n\n{end}{rest.partition(end)[2]}"
+    return re.sub(r"choosing-[\w-]+(?=\.(?:json|png))", stem, text)
 
 
 def _table(header: list[str], rows: list[list[str]]) -> str:

@@ -235,7 +235,7 @@ def test_choosing_shows_the_stored_work_and_precision():
     stored = max((BENCH / "results").glob("choosing-*.json"))
     shown = work_precision_tables(json.loads(stored.read_text(encoding="utf-8")))
     docs = BENCH.parent / "docs"
-    pages = {name: docs / "howto" / "choosing.md" for name in shown} | {"kept": docs / "theory.md"}
+    pages = dict.fromkeys(shown, docs / "howto" / "choosing.md") | {"kept": docs / "theory.md"}
     assert len(shown) == 5
     for name, table in shown.items():
         page = pages[name].read_text(encoding="utf-8")
