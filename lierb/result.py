@@ -371,7 +371,7 @@ class Result(States):
         require_name("table", name, TABLES)
         table = getattr(self, name)
         if table is None:
-            raise ArgumentError("there is no history; save_every= or save_at= of integrate keeps one")
+            raise ArgumentError("there is no history; save_every= or save_at= keeps one")
         columns: dict[pa.Field, Any] = {}
         for each in table.schema:
             columns |= _scalars(each, table[each.name])
