@@ -277,20 +277,26 @@ def cspace_table(stored: dict[str, Any]) -> str:
 
 
 def tolerance_table(stored: dict[str, Any]) -> str:
-    """The largest error of rotation over rtol: of three motions and two c-spaces."""
-    rows = []
-    for method in ADAPTIVE:
-        cells = []
-        for rtol in RTOLS:
-            found = [
-                row["error.rotation"] / rtol
-                for name, motion in MOTIONS.items() if motion.sizes == "alike"
-                for row in stored["motions"][name]
-                if row["method"] == method and abs(row.get("rtol", 0.0) / rtol - 1.0) < 1e-9
-            ]  # fmt: skip
-            cells.append(f"{max(found):.2g}" if found else "–")
-        rows.append([method, *cells])
+    """The largest error of rotation over rtol: of three motions and two c-spaces; and of the batch
+    of velocities of all sizes.
+    """
+    alike = [name for name, motion in MOTIONS.items() if motion.sizes == "alike"]
+    rows = [[method, *_over_rtol(stored, method, alike)] for method in ADAPTIVE]
+    rows += [
+        [f"{method}, all sizes", *_over_rtol(stored, method, ["all_sizes"])]
+        for method in MOTIONS["all_sizes"].adaptive
+    ]
     return _table(["", *(f"{rtol:.0e}" for rtol in RTOLS)], rows)
+
+
+def _over_rtol(stored: dict[str, Any], method: str, motions: list[str]) -> Iterator[str]:
+    for rtol in RTOLS:
+        found = [
+            row["error.rotation"] / rtol
+            for name in motions for row in stored["motions"][name]
+            if row["method"] == method and abs(row.get("rtol", 0.0) / rtol - 1.0) < 1e-9
+        ]  # fmt: skip
+        yield f"{max(found):.2g}" if found else "–"
 
 
 def size_table(stored: dict[str, Any]) -> str:
