@@ -136,7 +136,8 @@ def integrate(
         by. Default: 0 … n−1.
     threads : how many to use in this call. Default: Numba's number.
     progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
-        False for none, or a function of (body-steps done, body-steps in all). Default: a bar after
+        False for none, or a function of (done, in all): body-steps, or thousandths of trajectories
+        where each has a clock of its own, with adaptive steps and such. Default: a bar after
         two seconds, on a terminal or in a notebook.
 
     Raises subclasses of `lierb.errors.LierbError` (a ValueError), before anything runs or, where a

@@ -86,7 +86,7 @@ def history_figure(
     """Panels of a result's history; see `lierb.Result.plot`."""
     if result.history is None:
         raise ArgumentError(
-            "there is no history to plot: integrate with save_every=…, and record="
+            "there is no history to plot: integrate with save_every=… or save_at=…, and record="
             '["state", "energy"] for motion and energy'
         )
     chosen = _numbers(trajectories, result.summary.num_rows)

@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import Rigid, wrench_from
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
 from lierb.model import Body, Problem
-from lierb.runs.columns import as_array, numbers
+from lierb.runs.columns import as_array, as_codes, numbers
 from lierb.runs.continuation import End
 from lierb.runs.failures import Failures, has_failed
 from lierb.shown import FAILED, Lines, Shown, counted, steps_told
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from lierb.mechanism import Mechanism
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
-TABLES = ("summary", "history")
+TABLES = ("summary", "history", "events")
 NAMED = 3  # links in a message
 OBSERVED = "observables"  # of a problem, in the tables' metadata
 LARGEST = ("position_error", "rotation_error", "energy_drift")
@@ -145,9 +145,10 @@ class Result(States):
     state there, by trajectory and time; None for a problem without events.
 
     `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
-    state (`save_every=…, record="state"`), an axis of times before that of trajectories; else they
-    are of the end. Nobody can write to them: they are the tables' memory. A batch of one keeps its
-    axis. After a failure all but `t` are NaN. Of a mechanism each link has its own:
+    state (`save_every=…` or `save_at=…`, `record="state"`), an axis of times before that of
+    trajectories; else they are of the end. Nobody can write to them: they are the tables' memory. A
+    batch of one keeps its axis. After a failure all but `t` are NaN; so are rows after the end of a
+    trajectory that an event has ended. Of a mechanism each link has its own:
     `result["rod"].position`.
 
     >>> import lierb
@@ -166,7 +167,7 @@ class Result(States):
 
     @property
     def failed(self) -> NDArray[np.int64]:
-        """Numbers of the trajectories whose status is not ok, in order."""
+        """Numbers of the trajectories whose status is neither ok nor event, in order."""
         return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
 
     # ---- links ----
@@ -289,7 +290,8 @@ class Result(States):
         options : `trajectories`, `shape`, `trail`, `frames`, `title`, …: see `lierb.animate`, which
             also puts several results side by side.
 
-        Needs the poses over time: `save_every=…, record="state"`. Raises ArgumentError without.
+        Needs the poses over time: `save_every=…` or `save_at=…`, `record="state"`. Raises
+        ArgumentError without.
 
         >>> import lierb
         >>> body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -338,14 +340,14 @@ class Result(States):
     def to_pandas(self, table: str = "summary") -> pandas.DataFrame:
         """A table as a pandas data frame, vectors as a column for each component.
 
-        table : "summary" or "history".
+        table : "summary", "history" or "events".
 
         `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
         `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
         `reaction_force_x` …; `lambda` becomes `lambda_1` …. Of a mechanism the link's or joint's
         name stands before: `rod.position_x`. `attrs["units"]` has their units.
 
-        Raises ArgumentError where there is no history, MissingExtraError without pandas.
+        Raises ArgumentError where there is no such table, MissingExtraError without pandas.
         """
         require("pandas")
         chosen = self._expanded(table)
@@ -356,9 +358,9 @@ class Result(States):
     def to_polars(self, table: str = "summary") -> polars.DataFrame:
         """A table as a polars data frame, its columns as those of `to_pandas`.
 
-        table : "summary" or "history".
+        table : "summary", "history" or "events".
 
-        Raises ArgumentError where there is no history, MissingExtraError without polars.
+        Raises ArgumentError where there is no such table, MissingExtraError without polars.
         """
         require("polars")
         import polars
@@ -371,7 +373,11 @@ class Result(States):
         require_name("table", name, TABLES)
         table = getattr(self, name)
         if table is None:
-            raise ArgumentError("there is no history; save_every= or save_at= keeps one")
+            remedy = {
+                "history": "integrate with save_every= or save_at= for one",
+                "events": "give the problem, or integrate, events= made by lierb.event",
+            }
+            raise ArgumentError(f"there is no table of {name}; {remedy[name]}")
         columns: dict[pa.Field, Any] = {}
         for each in table.schema:
             columns |= _scalars(each, table[each.name])
@@ -388,10 +394,10 @@ class Result(States):
             )
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
-            title += f" {times} ({{cspace}}, {{method}}, ".format(**options)
-            title += f"{steps_told(options)})"
+            told = f" {times} ({{cspace}}, {{method}}, ".format(**options)
+            title += f"{told}{steps_told(options)})"
         failures = Failures.of(self.summary)
-        rows = [("status", "all ok")] if failures is None else [(FAILED, str(failures))]
+        rows = [("status", self._told_ends())] if failures is None else [(FAILED, str(failures))]
         if "steps" in self.summary.column_names:
             rows.append(("steps", self._told_steps()))
         rows += self._largest()
@@ -403,6 +409,12 @@ class Result(States):
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
         rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
         return title, rows
+
+    def _told_ends(self) -> str:
+        """Of trajectories that are fine."""
+        codes, names = as_codes(self.summary["status"])
+        ended = np.count_nonzero(codes == names.index("event")) if "event" in names else 0
+        return f"all ok, {ended} ended by an event" if ended else "all ok"
 
     def _told_steps(self) -> str:
         """How many the trajectories have made, and the share of tries that were rejected."""

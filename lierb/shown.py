@@ -59,9 +59,8 @@ def counted(count: int, what: str, several: str = "") -> str:
 
 
 def steps_told(options: Mapping[str, Any]) -> str:
-    """`dt = 0.001 s`, or of adaptive steps `rtol = 1e-06`, of a run's options."""
-    rtol = options.get("rtol")
-    return f"dt = {options['dt']:g} s" if rtol is None else f"rtol = {rtol:g}"
+    """Of a run: how its steps are, by the options in its metadata."""
+    return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
 
 
 def rounded(error: float) -> str:

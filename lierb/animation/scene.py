@@ -55,8 +55,8 @@ TURN_SEEN = 0.5 * math.pi  # rad from frame to frame: beyond, one does not see w
 CENTRED = 0.02  # of the size: a centre of mass nearer to the joint draws no trail
 RUNAWAY = 1e30  # m: what is farther is not looked at; float32 ends at 3e38
 RECORD = (
-    'an animation needs the poses over time: integrate with save_every=… and record="state", such '
-    "as save_every=10"
+    "an animation needs the poses over time: integrate with save_every=… or save_at=…, and "
+    'record="state", such as save_every=10'
 )
 CURVES = {
     "position_error": "position error [m]",

@@ -40,7 +40,7 @@ def reporter(
     of : what is counted.
 
     progress : True for a bar at once, None for one after two seconds where somebody watches, False
-        for none, or a function of (body-steps done, body-steps in all).
+        for none, or a function of (done, in all).
     """
     if callable(progress):
         tell = progress

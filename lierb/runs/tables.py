@@ -222,7 +222,7 @@ def events_table(output: engine.Output, metadata: str, problem: Problem | Mechan
     found = output.events
     assert found is not None
     names = texts([event.name for event in problem.events])
-    which = numbers(found[:, 1].astype(np.int8))
+    which = numbers(found[:, 1].astype(np.int32))
     columns = {
         "trajectory": numbers(found[:, 0].astype(np.int64)),
         "event": pa.DictionaryArray.from_arrays(which, names),

@@ -20,9 +20,9 @@ from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.stepper import Slopes, rates_at
 
 EPS = 2.0**-52
-SAFETY = 0.9
+SAFETY = 0.8
 SHRINKS, GROWS = 0.2, 6.0  # at most, from one step to the next
-DAMPING = 0.2  # of the PI controller: β = 0.2 / k, α = 1 / k − 0.75 β (Hairer's, for any k)
+DAMPING = 0.1  # of the PI controller: β = 0.1 / k, α = 1 / k − 0.75 β
 LEAST_REMEMBERED = -26.0  # log₂ of a squared error: 1e-8
 SMALLEST, LARGEST = 1e-20, 1e60  # of a squared error: what is beyond changes a step no more
 LEAST_ULPS = 16.0  # of the time, in a step
