@@ -98,7 +98,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--report", type=Path)
     given = parser.parse_args()
-    path = given.report or measured()
+    path = measured() if given.report is None else given.report.resolve()
     stored = json.loads(path.read_text(encoding="utf-8"))
     print(f"drawn: {drawn(stored, path).relative_to(ROOT)}")
     for page in PAGES:
@@ -296,23 +296,25 @@ def _over_rtol(stored: dict[str, Any], method: str, motions: list[str]) -> Itera
             for name in motions for row in stored["motions"][name]
             if row["method"] == method and abs(row.get("rtol", 0.0) / rtol - 1.0) < 1e-9
         ]  # fmt: skip
-        yield f"{max(found):.2g}" if found else "–"
+        yield f"{float(f'{max(found):.2g}'):g}" if found else "–"
 
 
 def size_table(stored: dict[str, Any]) -> str:
-    """µs of CPU time a top, of velocities of all sizes, in multiples of the quickest."""
+    """CPU time of velocities of all sizes, in multiples of the quickest."""
     lines = lines_of(stored["motions"]["all_sizes"])
-    rows = []
-    best = {t: np.nanmin([cost(r, t) for r in lines.values()]) for t in TARGETS}
-    for (method, _, control), own in lines.items():
-        ratios = [cost(own, t) / best[t] for t in TARGETS]
-        rows.append([f"{method}, {control}", *(_span([x]) for x in ratios)])
-    return _table(["", *(f"{t:.0e} rad" for t in TARGETS)], rows)
+    targets = TARGETS[:3]
+    best = {t: np.nanmin([cost(rows, t) for rows in lines.values()]) for t in targets}
+    rows = [
+        [f"{method}, {control}", *(_span([cost(own, t) / best[t]]) for t in targets)]
+        for (method, _, control), own in lines.items()
+    ]
+    return _table(["", *(f"{t:.0e} rad" for t in targets)], rows)
 
 
 def kept_table(stored: dict[str, Any]) -> str:
     rows = [
-        [method, *(f"{each[c]:.0e}" for c in CSPACES)] for method, each in stored["kept"].items()
+        [method, *(f"{each[c]:.0e}" if each[c] else "0" for c in CSPACES)]
+        for method, each in stored["kept"].items()
     ]
     return _table(["", *(NAMES[c] for c in CSPACES)], rows)
 
