@@ -16,7 +16,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 MECHANISMS ?=
 
-.PHONY: help install demo docs picture test test-mechanisms test-oldest lint dist faults bench bench-peers clean
+.PHONY: help install demo docs picture test test-mechanisms test-long test-oldest lint dist faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -59,6 +59,9 @@ dist: $(VENV)/.publish  ## build sdist and wheel, check them, install the wheel 
 
 test-mechanisms: $(VENV)/.dev  ## all mechanisms against the oracle and published motion (10 minutes)
 	$(BIN)/python -m pytest -n auto -m "long or not long" tests/mechanisms
+
+test-long: $(VENV)/.dev  ## what other tests try one of each kind, all of it: forms, methods, joints
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 -m long $(ARGS)
 
 faults: $(VENV)/.dev  ## break what can be broken, and count (docs/faults.md; most of an hour)
 	cd tests && $(abspath $(BIN))/python -m faults --out ../results/faults $(ARGS)

@@ -1,20 +1,53 @@
-"""A controller, and how well it points: what attitude.toml names."""
+"""Wheels, the computer that drives them, and what is watched: what attitude.toml names."""
 
 import numpy as np
 
 import lierb
 
 
-@lierb.wrench(stiffness=0.3, damping=3.0, most=0.05)
-def controller(t, R, r, omega, v, params):
-    """Back to the ground's axes, the shorter way, by wheels of a limited torque, N m, each."""
+@lierb.states(wheels=(0.0, 0.0, 0.0), unit={"wheels": "N m s"})
+def reaction_wheels(controls):
+    """The wheels' angular momentum in the body's axes: it takes what the body is given."""
+    return {"wheels": -controls.torque}
+
+
+@lierb.controller(
+    every=0.1, unit={"torque": "N m"}, stiffness=0.6, damping=4.0, gyro=2e-4, most=0.05,
+)  # fmt: skip
+def computer(R, omega, params):
+    """A PD law back to the ground's axes, the shorter way, ten times a second.
+
+    gyro : its noise, rad/s, in each axis.   most : that the wheels give, N m.
+    """
     turn = lierb.quaternion(R)[1:]
-    torque = -params.stiffness * turn - params.damping * omega
-    return np.clip(torque, -params.most, params.most), np.zeros(3)
+    measured = omega + params.gyro * lierb.noise.normal("gyro", 3)
+    torque = -params.stiffness * turn - params.damping * measured
+    return {"torque": np.clip(torque, -params.most, params.most)}
 
 
-@lierb.observable(unit="rad", axis=(0.0, 0.0, 1.0))
-def pointing_error(R, params):
-    """The angle between an axis of the body and the same one of the ground."""
-    seen = R @ params.axis
-    return np.arctan2(np.linalg.norm(np.cross(params.axis, seen)), params.axis @ seen)
+@lierb.wrench
+def reaction(t, R, r, omega, v, params, states, controls):
+    """What the wheels do to the body: the torque, and their momentum that turns with it."""
+    return controls.torque - np.cross(omega, states.wheels), np.zeros(3)
+
+
+def angle_of(R):
+    """Between the body's third axis and the ground's, rad."""
+    return np.arctan2(np.hypot(R[0, 2], R[1, 2]), R[2, 2])
+
+
+@lierb.observable(unit="rad")
+def pointing_error(R):
+    return angle_of(R)
+
+
+@lierb.event(direction=-1, within=np.radians(1.0))
+def pointed(R, params):
+    """The axis comes within an angle, rad, of where it shall point."""
+    return angle_of(R) - params.within
+
+
+@lierb.event(direction=1, capacity=2.0)
+def saturated(states, params):
+    """The wheels have taken all that they can, N m s."""
+    return states.wheels @ states.wheels - params.capacity**2

@@ -38,6 +38,29 @@ def slow_but(names, *quick) -> list:
     return [n if n in quick else pytest.param(n, marks=pytest.mark.slow) for n in names]
 
 
+def long_but(names, *slow) -> list:
+    """Parameters of which `slow` run in every run of all tests, the others with -m long alone."""
+    return [
+        pytest.param(n, marks=pytest.mark.slow if n in slow else pytest.mark.long) for n in names
+    ]
+
+
+# A row is the same formula in both c-spaces: each joint runs in one, and in both those that other
+# tests compile for both.
+ONCE = (
+    "fixed", "hook", "pin_in_slot_body", "planar_translation", "translation", "helical_planar",
+    "schoenflies", "point_on_line", "point_on_plane",
+)  # fmt: skip
+JOINTS_IN_CSPACES = [
+    pytest.param(
+        cspace, name,
+        marks=pytest.mark.long if cspace == "SO3xR3" and name in ONCE else pytest.mark.slow,
+    )
+    for cspace in ("SE3", "SO3xR3")
+    for name in lierb.joints.JOINTS
+]  # fmt: skip
+
+
 def box(turned: bool = False) -> lierb.Body:
     """The paper's box; `turned`, its inertia is a full matrix."""
     inertia = np.diag(ref.BOX_INERTIA)

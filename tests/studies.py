@@ -82,15 +82,16 @@ def sorted_rows(folder, name="summary") -> list[dict]:
 
 
 def bits(folder, name="summary") -> dict:
-    """Every column of a table, sorted by setting, body and step, as bytes."""
+    """Every column of a table, sorted by setting, body and step or time, as bytes."""
     found = Dataset(folder)
     found.read()
     table = found.table(name).to_table()
-    for column in ("cspace", "method", "status"):
+    for column in ("cspace", "method", "status", "event"):
         if column in table.column_names:
             text = table[column].cast(pa.string())
             table = table.set_column(table.column_names.index(column), column, text)
-    keys = [key for key in ("cspace", "dt", "trajectory", "step") if key in table.column_names]
+    order = ("cspace", "dt", "rtol", "trajectory", "step", "t")
+    keys = [key for key in order if key in table.column_names]
     table = table.sort_by([(key, "ascending") for key in keys]).combine_chunks()
     return {column: _bytes(table[column].combine_chunks()) for column in table.column_names}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from itertools import cycle
 
@@ -9,7 +10,18 @@ import numpy as np
 import oracle
 import pytest
 import reference_numbers as ref
-from cases import GRAVITY, box, column, final, frame, integrate, slow_but, tilted, top
+from cases import (
+    GRAVITY,
+    JOINTS_IN_CSPACES,
+    box,
+    column,
+    final,
+    frame,
+    integrate,
+    slow_but,
+    tilted,
+    top,
+)
 
 import lierb
 from lierb.tableaus import TABLEAUS
@@ -168,10 +180,17 @@ METHODS = [("RK4", *form) for form in FORMS] + [
 ]
 
 
-@pytest.mark.parametrize(
-    ("method", "cspace", "update"),
-    [METHODS[0], *(pytest.param(*m, marks=pytest.mark.slow) for m in METHODS[1:])],
-)
+# All are held against the order conditions (test_tableaus_orders.py): here one of each kind.
+OF_EACH_KIND = ("RK4", "Heun", "DOP853", "CF4")
+
+
+def _forms() -> Iterator:
+    for form in METHODS[1:]:
+        mark = pytest.mark.slow if form[0] in OF_EACH_KIND else pytest.mark.long
+        yield pytest.param(*form, marks=mark)
+
+
+@pytest.mark.parametrize(("method", "cspace", "update"), [METHODS[0], *_forms()])
 def test_method_has_its_order_on_a_free_body(method, cspace, update):
     """A free body in global coordinates is where a wrong ξ̂² term of dexp⁻¹ shows (errata E2)."""
     expected = TABLEAUS[method].order
@@ -196,9 +215,7 @@ SOLVED_EXACTLY = {(name, cspace) for name in STILL_OR_STRAIGHT for cspace in CSP
 FINE = {"point_on_line": 3200, "point_on_plane": 1600, "point_on_sphere": 1600}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize(("cspace", "name"), JOINTS_IN_CSPACES)
 def test_rk4_has_order_four_on_every_joint(name, cspace):
     steps = FINE.get(name, 200)
     errors = [_error(name, n, cspace=cspace) for n in (steps, 2 * steps)]
@@ -208,9 +225,7 @@ def test_rk4_has_order_four_on_every_joint(name, cspace):
         assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.1), errors
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize(("cspace", "name"), JOINTS_IN_CSPACES)
 def test_every_joint_follows_the_world_frame_formulation(name, cspace):
     # RK4 at 1e-4 leaves 1e-12 here, but 1e-8 of a swinging rod; the oracle is good to 1e-11
     steps = 80_000 if name == "point_on_sphere" else 10_000

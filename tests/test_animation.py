@@ -355,7 +355,7 @@ def test_results_without_states_are_refused_with_what_to_record(spun):
     problem, twist0 = top()
     for saved in ({}, {"save_every": 5, "record": ("multipliers", "reaction")}):
         result = lierb.integrate(problem, twist0=twist0, dt=1e-3, t_end=5e-3, **saved)
-        with pytest.raises(ArgumentError, match='save_every=… and record="state"'):
+        with pytest.raises(ArgumentError, match='save_every=… or save_at=…, and record="state"'):
             result.animate()
 
 

@@ -347,7 +347,13 @@ def push(scale=1.0, twice="2.0 * x", branch="pass"):
 
 
 @pytest.mark.slow  # several processes, most of which compile
-@pytest.mark.parametrize("branch", ["pass", "if v[0] > 100.0: t = 0.0"], ids=["packs", "bodies"])
+@pytest.mark.parametrize(
+    "branch",
+    [
+        pytest.param("pass", id="packs"),
+        pytest.param("if v[0] > 100.0: t = 0.0", id="bodies", marks=pytest.mark.long),
+    ],
+)
 def test_function_of_the_user_comes_from_the_cache_until_it_is_edited(copy, branch):
     quiet = {"PYTHONWARNINGS": "ignore"}  # of one that runs body by body
     first, second = (copy.run(push(branch=branch), **quiet) for _ in range(2))

@@ -738,7 +738,7 @@ def test_parts_of_very_many_bodies_are_made_one_by_one(tmp_path):
     parts = parts_of(huge)
     assert parts.total == len(parts) == 10**12 // 8
     assert parts.trajectories == 10**12
-    assert parts.body_steps() == 10**12 * 50
+    assert parts.work() == 10**12 * 50
     seen = []
 
     def stop(done, total):

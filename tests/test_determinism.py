@@ -120,9 +120,13 @@ def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch
     np.testing.assert_array_equal(_bits(_run(TWISTS[:100])), expected[:100])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("cspace", "update"), [("SE3", "global"), ("SO3xR3", "local"), ("SO3xR3", "global")]
+    ("cspace", "update"),
+    [
+        pytest.param("SE3", "global", marks=pytest.mark.long),
+        pytest.param("SO3xR3", "local", marks=pytest.mark.slow),
+        pytest.param("SO3xR3", "global", marks=pytest.mark.slow),
+    ],
 )
 def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):
     """Re-charting too goes lane by lane."""

@@ -12,7 +12,17 @@ import numba
 import numpy as np
 import oracle
 import pytest
-from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, box, column, final, integrate, tilted
+from cases import (
+    BODY_FRAME,
+    GRAVITY,
+    GROUND_FRAME,
+    box,
+    column,
+    final,
+    integrate,
+    long_but,
+    tilted,
+)
 
 import lierb
 from lierb.errors import (
@@ -274,8 +284,7 @@ def rod_problem(lengths=0.5) -> tuple[lierb.Problem, np.ndarray, np.ndarray]:
     return problem, poses, problem.project(np.array((1.0, 2.0, 0.5, 0.1, 0.2, 0.3)), poses)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", long_but(CSPACES, "SE3"))
 def test_constraint_moves_the_body_as_newton_and_euler_say(cspace):
     lengths = np.array((0.4, 0.5, 0.6))
     problem, poses, twists = rod_problem(lengths)
@@ -310,8 +319,7 @@ def crossed(R, r, params):
     return ground[:3, 2] @ (R @ body[:3, 1])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", long_but(CSPACES, "SO3xR3"))
 def test_constraints_are_the_joint_that_they_spell_out(cspace):
     problem, twist0 = tilted("universal")
     spelled = lierb.Problem(

@@ -4,13 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, column, integrate, tilted
+from cases import JOINTS_IN_CSPACES, LENGTH, PITCH, column, integrate, tilted
 from scipy.spatial.transform import Rotation
 
 import lierb
 from lierb.errors import ArgumentError, PoseError
-
-CSPACES = ("SE3", "SO3xR3")
 
 # SE(3): the joint's own group, or the smallest one that holds its motions (Müller, section 5).
 COMPLETION = {
@@ -171,9 +169,7 @@ def drift(problem, twists, cspace, dt):
     }, np.abs(column(run.summary, "position")).max(axis=1)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list(lierb.joints.JOINTS))
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize(("cspace", "name"), JOINTS_IN_CSPACES)
 def test_prediction_agrees_with_the_measured_drift(name, cspace):
     problem, twists, found = random_problems(name, COUNT)
     coarse, reach = drift(problem, twists, cspace, 1e-2)

@@ -196,10 +196,11 @@ OWN = ("turned", "torque")
 CLOCKS = [
     {"dt": 0.0625},  # ends at every tick of itself
     {"dt": 0.1},  # is cut short by ticks
-    pytest.param({"rtol": 1e-4, "method": "BS32"}, marks=pytest.mark.slow),
+    {"rtol": 1e-4, "method": "BS32"},
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", CLOCKS, ids=str)
 def test_end_at_a_tick_goes_on_with_states_memory_and_clocks(options):
     problem, twist0 = braked()
@@ -217,6 +218,7 @@ def test_end_at_a_tick_goes_on_with_states_memory_and_clocks(options):
     assert steps.max() > TIDY_EVERY
 
 
+@pytest.mark.slow
 def test_end_goes_on_with_other_gains():
     """What controllers remember is theirs as long as it means the same."""
     problem, twist0 = braked()
@@ -229,6 +231,7 @@ def test_end_goes_on_with_other_gains():
     assert (np.abs(column(further, "turned")) > 0.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pyarrow.compute as pc
 import pytest
-from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, slow_but, tilted
+from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, long_but, slow_but, tilted
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning
@@ -49,8 +49,9 @@ def test_the_reduced_cspace_takes_the_steps_of_the_gain(name):
     assert gain.history.equals(reduced.history)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["spherical", "revolute", "screw", "planar"])
+@pytest.mark.parametrize(
+    "name", long_but(["spherical", "revolute", "screw", "planar"], "spherical", "screw")
+)
 def test_a_constant_gain_makes_the_saddle_points_motion_in_global_charts(name):
     slow, fast = _history(name, "global", "saddle"), _history(name, "global", "gain")
     for quantity, tolerance in (("rotation", 1e-12), ("position", 1e-12), ("lambda", 1e-10)):

@@ -432,7 +432,7 @@ def test_start_time_is_that_of_the_study():
         found = [np.array(table[name].to_pylist()) for table in tables]
         # rounding is tidied at steps that are counted from 0 s: 1e-15 of 10 rad/s
         np.testing.assert_allclose(*found, rtol=0, atol=1e-13)
-    assert parts_of(runs[1])[0].body_steps(runs[1]) == 8 * 50
+    assert parts_of(runs[1])[0].work(runs[1]) == 8 * 50
 
 
 def test_history_has_its_own_parts(tmp_path):

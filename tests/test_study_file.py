@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from faults.study_files import EVERY_KEY, assert_survives, campaign
+from faults.study_files import EVERY_KEY, EVERY_KEY_OF_TIME, assert_survives, campaign
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -40,8 +40,9 @@ def test_hostile_files_are_studies_or_errors():
     assert outcomes.keys() == {"taken", "refused"}
 
 
-def test_the_file_with_every_key_is_a_study():
-    assert_survives(Study.of(tomllib.loads(EVERY_KEY)))
+@pytest.mark.parametrize("text", [EVERY_KEY, EVERY_KEY_OF_TIME], ids=["grid", "time"])
+def test_the_file_with_every_key_is_a_study(text):
+    assert_survives(Study.of(tomllib.loads(text)))
 
 
 DEEP = "[" * 5000

@@ -49,7 +49,8 @@ def _several(name: str, callback: Any, metavar: str, told: str) -> Any:
 )  # fmt: skip
 @_several(
     "--rtols", _numbers, "TOL,…",
-    "Tolerances of adaptive steps, as 1e-6,1e-9; without --dts there are no fixed steps.",
+    "Tolerances of adaptive steps, as 1e-6,1e-9; without --dts there are no fixed steps.  "
+    "[default: the study's]",
 )  # fmt: skip
 @_several("--cspaces", _words, "NAME,…", "Of SE3, SO3xR3, reduced.  [default: the study's]")
 @click.option(
@@ -110,12 +111,15 @@ def compare(
         click.echo(f"The first {taken} of {count} trajectories; --n takes others.", err=True)
     batch = loaded.batch(0, taken)
     kept = loaded.options(loaded.settings[0])
+    control = _control(loaded, dts, rtols)
+    if left := _left_out(loaded):
+        click.echo(f"Not taken from the study: {', '.join(left)}.", err=True)
     with progress_of_cases() as progress:
         found = convergence(
-            batch.problem, methods or run.method, (dts or (None if rtols else _steps(loaded))),
-            rtols=rtols or None, cspaces=cspaces or run.cspace, twist0=batch.twist0,
-            pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update, solver=run.solver,
-            stabilise=kept["stabilise"], measure_every=run.measure_every, norm=norm,
+            batch.problem, methods or run.method, **control, cspaces=cspaces or run.cspace,
+            twist0=batch.twist0, pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update,
+            solver=run.solver, stabilise=kept["stabilise"], measure_every=run.measure_every,
+            seed=loaded.sample.seed if batch.problem.controllers else 0, norm=norm,
             repeats=repeats, name=name, progress=progress,
         )  # fmt: skip
         progress(0, 1, "files")
@@ -131,6 +135,26 @@ def compare(
     click.echo(
         f"Written to {folder}: {', '.join(path.name for path in files)}", err=form is not None
     )
+
+
+def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, Any]:
+    """Steps and tolerances: those that are asked for, else the study's."""
+    run = study.integrate
+    if not (dts or rtols):
+        if run.is_adaptive:
+            rtols = [setting.step for setting in study.settings]
+        else:
+            dts = _steps(study)
+    atol = run.atol if rtols else None
+    return {"dts": dts or None, "rtols": list(dict.fromkeys(rtols)) or None, "atol": atol}
+
+
+def _left_out(study: Study) -> list[str]:
+    """What [integrate] has that runs of a comparison have not: they are whole, and keep no rows."""
+    run = study.integrate
+    keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record")
+    left = [key for key in keys if getattr(run, key) not in (None, [])]
+    return [*left, "dt"] if run.is_adaptive and run.dt else left
 
 
 def _steps(study: Study) -> list[float]:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 Changes = dict[str, Any]
 FILE = "study.toml"  # lierb.studies.dataset.STUDY, without what that imports
+MOST_EVENTS = 20  # of a trajectory, that are printed
 COPIED = "lierb.copied"  # in a context: the study is from a pipe
 
 
@@ -271,7 +272,7 @@ def predict(study: Path, changes: Changes) -> None:
 
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
-    """A trajectory's history in files of its own, and its row of the summary."""
+    """A trajectory's history in files of its own, its events, and its row of the summary."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -287,6 +288,11 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
         for name, value in row.items():
             if isinstance(value, float):
                 click.echo(f"  {name:27} {value!r}")
+        events = tables["events"].to_pylist() if "events" in tables else []
+        for event in events[:MOST_EVENTS]:
+            click.echo(f"  {event['event']} at t = {event['t']!r} s")
+        if len(events) > MOST_EVENTS:
+            click.echo(f"  and {len(events) - MOST_EVENTS} events more")
 
 
 def _report(dataset: Dataset, path: Path) -> None:
@@ -300,9 +306,11 @@ def _report(dataset: Dataset, path: Path) -> None:
 def _show(dataset: Dataset) -> None:
     from lierb.studies.findings import (
         findings,
+        happened,
         indices,
         quantities,
         table_of,
+        table_of_events,
         table_of_indices,
         table_of_quantities,
     )
@@ -310,6 +318,9 @@ def _show(dataset: Dataset) -> None:
     print_whole(table_of(findings(dataset)))
     click.echo()
     print_whole(table_of_quantities(quantities(dataset)))
+    if events := happened(dataset):
+        click.echo()
+        print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
     if found := indices(dataset):
         click.echo()
         print_whole(table_of_indices(found))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numba
@@ -21,20 +20,21 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
+_plain: dict[tuple[Any, Tag], int] = {}  # with the JIT off: dispatcher and tag, by turns
 _entries: dict[tuple[Any, ...], int] = {}  # by kinds of arguments
 _addresses: dict[tuple[Any, ...], int] = {}  # the same, by their types
 _callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
-    """What `call` takes to run dispatcher(tag, *args): the address of its code.
+    """What `call` takes to run dispatcher(tag, *args): the address of its code, a number.
 
     Code called by its address is compiled once; what calls it is compiled once for all tags. A
     caller that Numba links it to would optimise and translate all of it again, and so would each of
     a parallel loop's wrappers: five times in all.
     """
     if not hasattr(dispatcher, "compile"):  # the JIT is off
-        return partial(dispatcher, tag)
+        return _plain.setdefault((dispatcher, tag), len(_plain) + 1)
     key = kinds_of(dispatcher, tag, *args)
     if key not in _entries:
         undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
@@ -63,7 +63,8 @@ def call(entry: Any, *args: Any) -> int:
 
     Returns 0, or for `raise_again` what was raised: in a parallel loop's thread nobody hears it.
     """
-    entry(*args)
+    function, tag = list(_plain)[int(entry) - 1]
+    function(tag, *args)
     return 0
 
 

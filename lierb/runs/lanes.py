@@ -16,6 +16,19 @@ from lierb.arrays import Array
 from lierb.compiler import calls
 from lierb.compiler.code import compiled
 from lierb.compiler.entries import entry_of
+from lierb.kernels.stepping.crossings import watch
+from lierb.kernels.stepping.desk import (
+    ACTIVE,
+    EVENT_COLUMNS,
+    FATE,
+    LANE_JOB,
+    LOOKS,
+    OWN_ARRAYS,
+    SERVICE,
+    TOLD,
+    desk_of,
+    serve,
+)
 from lierb.kernels.stepping.driver import (
     ARRAYS,
     RESUMED,
@@ -24,17 +37,7 @@ from lierb.kernels.stepping.driver import (
     lane_column,
 )
 from lierb.kernels.stepping.lane_clock import Span
-from lierb.kernels.stepping.lane_driver import (
-    ACTIVE,
-    EVENT_COLUMNS,
-    FATE,
-    LANE_JOB,
-    LOOKS,
-    OWN_ARRAYS,
-    desk_of,
-    integrate_lanes,
-    integrate_lanes_on_threads,
-)
+from lierb.kernels.stepping.lane_driver import integrate_lanes, integrate_lanes_on_threads
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
@@ -154,6 +157,7 @@ class LaneRun:
             "inputs": np.zeros((self.threads, len(places), self.plan.lanes)),
             "carried": nothing,
             "desk": nothing,
+            "told": nothing,
             "save_at": self.times.save_at[None],
             "numbers": np.ascontiguousarray(self.times.numbers[None]),
             "events": nothing,
@@ -175,6 +179,7 @@ class LaneRun:
         arrays = {
             "carried": np.zeros((carried_columns(plan), lanes)),
             "desk": rows,
+            "told": np.zeros((1, TOLD)),
             "events": np.zeros((1 + room, self.events.width)),
         }
         return Desk(output, arrays | output.arrays)
@@ -191,7 +196,11 @@ class LaneRun:
             records.append(self._record(self._arrays | desk.arrays, 0 if is_first else 1, 0, False))
         jobs = np.frombuffer(bytearray(b"".join(records)), LANE_JOB).reshape(self.threads, 2)
         counter = self._counter
-        entry = entry_of(integrate_lanes, self.plan, self._arrays["inputs"][0], counter, jobs[0])
+        given = (self._arrays["inputs"][0], counter, jobs[0])
+        jobs["serve"] = entry_of(serve, SERVICE, *given)
+        if events_of(self.plan):
+            jobs["watch"] = entry_of(watch, SERVICE, *given)
+        entry = entry_of(integrate_lanes, self.plan, *given)
         loop = (entry, counter, self.threads, jobs)
         run = compiled(integrate_lanes_on_threads, *loop)
         with engine.running(self.threads):
@@ -210,7 +219,7 @@ class LaneRun:
         sizes = (
             0, self.inputs.count, begin, turns, self.inputs.differ, self.output.rows,
             len(events_of(plan)), looks, columns["sides"].start, columns["values"].start,
-            columns["signals"].start, lane_column(plan),
+            columns["signals"].start, lane_column(plan), 0, 0,
         )  # fmt: skip
         times = self.times
         return _PACKED.pack(*numbers, *sizes, times.seed, *times.span, *times.tolerances)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from math import prod
 from typing import NamedTuple
 
@@ -11,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.stepping.desk import EVENT_COLUMNS
 from lierb.kernels.stepping.driver import history_measures
-from lierb.kernels.stepping.lane_driver import EVENT_COLUMNS
 from lierb.kernels.stepping.layout import POSE_AND_TWIST
 from lierb.kernels.stepping.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.stepping.observables import KEEPS
@@ -117,6 +117,34 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     own += turned
     ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
     return engine.Output.size(plan, count, rows, with_state) + 8 * ours
+
+
+def history_row_bytes(problem: Problem | Mechanism, recorded: Iterable[str]) -> int:
+    """Of the table that `history_table` makes."""
+    numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
+    joints = _joints_of(problem)
+    numbers_in += len(problem.observables) + len(JOINT_ERRORS) * len(joints)
+    numbers_in += sum(prod(shape) for _, shape, _ in problem.signals)
+    if "state" in recorded:
+        numbers_in += POSE_AND_TWIST.count * len(_links_of(problem))
+    if "multipliers" in recorded:
+        numbers_in += _rows_of(problem)
+    if "reaction" in recorded:
+        numbers_in += 6 * max(len(joints), 1)
+    return 8 * numbers_in
+
+
+def event_row_bytes(problem: Problem | Mechanism) -> int:
+    """Of the table that `events_table` makes: 1 of them tells the event."""
+    signals = sum(prod(shape) for _, shape, _ in problem.signals)
+    return 8 * (2 + POSE_AND_TWIST.count * len(_links_of(problem)) + signals) + 1
+
+
+def _rows_of(problem: Problem | Mechanism) -> int:
+    if isinstance(problem, Problem):
+        return len(problem.rows)
+    held = sum(len(each.joint.rows) for each in problem.held)
+    return held + sum(len(each.rows) for each in problem.places)
 
 
 def summary_table(output: engine.Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:

@@ -25,6 +25,7 @@ from lierb.user_signals import Event
 
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
+ADAPTIVE_METHOD = "DOP853"  # where none is given
 RTOL = 1e-6  # where only atol is given
 ATOL = 1e-3  # of rtol, where only that is given, in SI units of each block
 LEAST_RTOL = 1e-15  # of what steps are held against, too
@@ -167,7 +168,7 @@ def timing_of(
     start = checked_time("t0", t0, after=-math.inf)
     end = checked_time("t_end", t_end, after=start)
     is_adaptive = rtol is not None or atol is not None
-    given = ("DOP853" if is_adaptive else "RK4") if method is None else method
+    given = (ADAPTIVE_METHOD if is_adaptive else "RK4") if method is None else method
     tableau = tableau_of(given)
     if tableau.exponentials and update == "global":
         raise ArgumentError(

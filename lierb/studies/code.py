@@ -29,6 +29,7 @@ from lierb.user_elements import (
     ObservableFunction,
     Wrench,
 )
+from lierb.user_signals import ControllerFunction, EventFunction, StatesFunction
 
 PREFIX = "python:"
 FILE = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.py"
@@ -38,6 +39,9 @@ KINDS: dict[str, tuple[type[Decorated], str]] = {
     "forces": (Wrench, "wrench"),
     "constraints": (ConstraintFunction, "constraint"),
     "observables": (ObservableFunction, "observable"),
+    "events": (EventFunction, "event"),
+    "states": (StatesFunction, "states"),
+    "controllers": (ControllerFunction, "controller"),
 }
 
 Code = Mapping[str, str]  # the text of each file, by its name
@@ -189,7 +193,7 @@ def _line_of(error: BaseException, place: str) -> str:
 def function_of(table: str, kind: str, code: Code) -> Any:
     """The decorated function that a type of a table of the problem names.
 
-    table : "forces", "constraints" or "observables".   Raises StudyError.
+    table : of KINDS.   Raises StudyError.
     """
     there = named(kind)
     if there is None:

@@ -28,6 +28,7 @@ from lierb.runs.failures import Failures, told_elsewhere
 from lierb.runs.mechanisms import told_cspace
 from lierb.runs.progress import check_progress, reporter
 from lierb.runs.provenance import machine
+from lierb.runs.timing import checked_seed
 from lierb.shown import counted, rounded
 from lierb.studies.comparison import FLOOR, QUANTITIES, Comparison, comparison
 from lierb.studies.reference import (
@@ -91,6 +92,7 @@ def convergence(
     solver: str = "auto",
     stabilise: str | Stabilisation | None = None,
     measure_every: int = 1,
+    seed: int = 0,
     reference: Any = None,
     norm: str = "largest",
     repeats: int = 3,
@@ -99,8 +101,9 @@ def convergence(
 ) -> Comparison:
     """Compare methods, c-spaces and steps: orders, errors over work, drifts.
 
-    problem, twist0, pose0, t_end, t0, update, solver, stabilise, measure_every : as `integrate`
-        takes them; a batch is integrated as one.
+    problem, twist0, pose0, t_end, t0, update, solver, stabilise, measure_every, seed : as
+        `integrate` takes them; a batch is integrated as one, each trajectory with the same noise in
+        every run.
     methods : names or tableaus.   cspaces : as `integrate` takes one. Default: its default.
     dts : fixed steps, s, each a part of t_end − t0.   rtols : tolerances of adaptive steps, for the
         methods with an embedded pair; atol goes with them, as in `integrate`. One of both at least.
@@ -152,6 +155,7 @@ def convergence(
     for run in runs:
         _check(problem, run, t0, t_end, atol, measure_every, kept)
     start = {"twist0": twist0, "pose0": pose0, "t_end": t_end, "t0": t0, "progress": False}
+    start["seed"] = checked_seed(seed)
     options = kept | {"measure_every": measure_every} | start
     length = float(t_end) - float(t0)
     given = None if reference is None else given_reference(reference, problem, float(t_end))

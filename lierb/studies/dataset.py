@@ -3,7 +3,7 @@
     DIR/study.toml            as it was run
     DIR/FILE.py               each Python file that the study names, as it was run
     DIR/manifest.json         digest of the study, versions, every finished part with its checksums
-    DIR/summary/part-*.parquet, DIR/history/part-*.parquet
+    DIR/summary/part-*.parquet, DIR/history/part-*.parquet, DIR/events/part-*.parquet
     DIR/.lock
 
 A file is written under another name, synced, renamed, and then entered; a process may die at any
@@ -42,7 +42,7 @@ from filelock import FileLock, Timeout
 
 from lierb.errors import LierbError, StudyError, StudyFileError
 from lierb.extras import require
-from lierb.runs.failures import COLUMNS, Failures
+from lierb.runs.failures import COLUMNS, FINE, Failures
 from lierb.runs.provenance import machine
 from lierb.shown import FAILED, Lines, Shown
 from lierb.studies.code import FILE, Code, read_code, sha256_of_text
@@ -61,13 +61,19 @@ from lierb.studies.files import (
 from lierb.studies.manifest import (
     FORMAT,
     PART,
-    TABLES,
     claims_of,
     file_of,
     read_manifest,
     sealed,
 )
-from lierb.studies.study import Setting, Study, settings_told
+from lierb.studies.study import (
+    TABLES,
+    IntegrateSection,
+    Setting,
+    Study,
+    settings_told,
+    tables_of_study,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,6 +94,7 @@ LOCKABLE = (
 PARQUET = b"PAR1"  # how such a file begins
 MANIFEST_SHARE = 0.05  # of the time, at most, that is spent on writing a large manifest
 QUICK_SECONDS = 0.05  # to write one that is not large
+IS_FINE = pc.field("status").isin(FINE)  # of rows: to the end, or to an event that ends it
 
 
 @dataclass(frozen=True)
@@ -352,8 +359,7 @@ class Dataset(Shown):
 
         Returns whether it is one of that study; else nothing is changed.
         """
-        tables = TABLES if study.integrate.save_every else TABLES[:1]
-        claims = claims_of(self.folder / MANIFEST, study.digest(), tables)
+        claims = claims_of(self.folder / MANIFEST, study.digest(), study.table_names)
         if claims is None:
             return False
         if claims.get("text") != sha256_of(self.folder / STUDY):
@@ -459,11 +465,11 @@ class Dataset(Shown):
         ]
         if not failing:
             return None
-        columns = ["cspace", "method", "dt", *COLUMNS]
         self._require_whole([failing[0][0]])
         table = ds.dataset(str(self.folder / failing[0][0]), format="parquet")
-        (first,) = table.head(1, columns=columns, filter=pc.field("status") != "ok").to_pylist()
-        setting = Setting(*(first.pop(name) for name in columns[:3]))
+        columns = [*setting_columns(table.schema), *COLUMNS]
+        (row,) = table.head(1, columns=columns, filter=~IS_FINE).to_pylist()
+        setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
         counts: Counter[str] = Counter()
         for _, failed in failing:
             counts.update(failed)
@@ -473,9 +479,9 @@ class Dataset(Shown):
         """A figure of the study's results, finished or not; needs `lierb[plot]`.
 
         name : "distribution", errors over the bodies; "time", over time; "recorded", what else the
-            history has, such as energy and observables; "quantities", what else the summary has;
-            "order", errors over dt; "parameters", over what was sampled. Default: "time" where
-            there is a history, else "distribution".
+            history has, such as energy and observables; "events", when each first happened;
+            "quantities", what else the summary has; "order", errors over dt; "parameters", over
+            what was sampled. Default: "time" where there is a history, else "distribution".
 
         `lierb plot FOLDER` writes them all. Raises UnknownNameError for one that the study has
         nothing for, MissingExtraError without Matplotlib.
@@ -495,17 +501,21 @@ class Dataset(Shown):
         if not self.manifest:
             return f"lierb.Dataset of {self.folder}, not read", []
         study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
-        run = study["integrate"]
         lines = [
-            ("settings", settings_told(run["cspace"], run["method"], run["dt"])),
+            ("settings", settings_told(IntegrateSection.model_construct(**study["integrate"]))),
             ("trajectories", str(self.trajectories)),
             ("parts", f"{done} of {asked}{self.rest('resume=True does the rest')}"),
         ]
         if failed := sum(sum(entry.get("failed", {}).values()) for _, entry in self._summaries()):
             lines.append((FAILED, f"{failed} of {self.trajectories}; failures() says more"))
-        tables = ("summary", "history") if run["save_every"] else ("summary",)
+        tables = tables_of_study(study)
         lines.append(("tables", ", ".join(f'.table("{name}")' for name in tables)))
         return f"lierb.Dataset of {self.folder}: study {study['name']!r}", lines
+
+
+def setting_columns(schema: pa.Schema) -> list[str]:
+    """The columns of a study's table that say in which setting a row is."""
+    return ["cspace", "method", "rtol" if "rtol" in schema.names else "dt"]
 
 
 def _fresh(digest: str, study: dict[str, Any], asked: int) -> dict[str, Any]:

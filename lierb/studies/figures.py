@@ -29,6 +29,7 @@ from lierb.studies.findings import (
     some_rows,
     study_of,
 )
+from lierb.studies.occurrences import event_names, first_times
 from lierb.studies.panels import (
     MOST_KEYS,
     NO_TIMES,
@@ -44,6 +45,7 @@ from lierb.studies.panels import (
     order_lines,
     positive,
     ridges,
+    step_sizes,
 )
 from lierb.studies.sizes import as_array
 from lierb.studies.statistics import percentiles_over_time
@@ -68,7 +70,7 @@ PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # at each time
 POINTS = 4000  # of a scatter plot, at most
 RANKS = 2000  # points of a distribution function, at most
 KNOWN = {  # columns that other figures have, or that are no results
-    "trajectory", "status", "cspace", "method", "dt", "step", "t",
+    "trajectory", "status", "cspace", "method", "dt", "rtol", "step", "t", "dt_last",
     "rotation", "position", "omega", "v", "lambda", "reaction",
 }  # fmt: skip
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
@@ -80,6 +82,7 @@ CAPTIONS = {
     "recorded": "What else was recorded: median (line) and 5 to 95 % of the bodies (band).",
     "quantities": "What else the bodies' summaries have: a histogram for each setting.",
     "order": "Median, 95 % and largest of the bodies over the step; grey: the method's order.",
+    "events": "The share of the bodies to which an event has happened by a time.",
     "parameters": "A dot is a body: its largest error against each sampled number; zeros on the "
     "lower edge.",
 }
@@ -90,11 +93,17 @@ def omitted(dataset: Dataset) -> dict[str, str]:
     study = study_of(dataset)
     rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
     reasons = {
-        "time": (study.integrate.save_every is None, "save_every is not set"),
-        "order": (len(set(study.integrate.dt)) < 2, "there is one dt"),
+        "time": (not study.integrate.saves, "neither save_every nor save_at is set"),
+        "order": _no_order(study),
         "parameters": (not list(labelled(drawn, rows, study)), "no numbers are sampled"),
     }
     return {name: why for name, (is_left_out, why) in reasons.items() if is_left_out}
+
+
+def _no_order(study: Study) -> tuple[bool, str]:
+    if study.integrate.is_adaptive:
+        return True, "steps are adaptive"
+    return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 
 def sheets(dataset: Dataset) -> Iterator[tuple[str, Sheet]]:
@@ -218,7 +227,7 @@ def time_sheet(dataset: Dataset, study: Study) -> Sheet:
 def recorded_sheet(dataset: Dataset, study: Study) -> Sheet:
     """Other columns of the history over time, such as the energy and observables."""
     shown = looks(study)
-    if study.integrate.save_every is None:
+    if not study.integrate.saves:
         return Sheet("", ())
     fields = _others(_schema(dataset, "history"), IN_HISTORY)
     panels = [partial(_draw_column, dataset, shown, each.name, _axis(each)) for each in fields]
@@ -304,8 +313,8 @@ def _draw_orders(
     lines: dict[int, float] = {}  # where each order's line begins
     for n, ((cspace, method), key) in enumerate(spaces):
         of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
-        of.sort(key=lambda f: f.setting.dt)
-        dts = np.array([f.setting.dt for f in of])
+        of.sort(key=lambda f: f.setting.step)
+        dts = np.array([f.setting.step for f in of])
         drawn = positive([f.quantiles[kind] for f in of], least)
         if np.isfinite([f.quantiles[kind] for f in of]).all() and not np.isfinite(drawn).any():
             zeros.append(key.label)
@@ -337,7 +346,7 @@ def parameter_sheet(dataset: Dataset, study: Study) -> Sheet:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
     drawn = drawn_columns(dataset)
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
-    largest = [s for s in study.settings if s.dt == max(study.integrate.dt)]
+    largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
     found = []
     for look in shown:
@@ -381,10 +390,40 @@ def _draw_dots(
                        transform=panel.get_xaxis_transform(), clip_on=False)  # fmt: skip
 
 
+# ---- events ------------------------------------------------------------------------------------
+
+
+def event_sheet(dataset: Dataset, study: Study) -> Sheet:
+    """To how many bodies each event has happened, over time."""
+    shown = looks(study)
+    panels = [partial(_draw_event, dataset, study, shown, name) for name in event_names(study)]
+    keys = [look.key for look in shown]
+    return Sheet("when each event first happened", panels, keys, across=3)
+
+
+def _draw_event(dataset: Dataset, study: Study, shown: list[Look], name: str, panel: Axes) -> None:
+    run = study.integrate
+    for look in shown:
+        first, _ = first_times(dataset, look.setting, name)
+        if not first.size:
+            continue
+        had = first[np.isfinite(first)]
+        ranks = np.unique(np.linspace(1, len(had), RANKS).astype(int))[: len(had)]
+        times = np.concatenate([[run.t0], had[ranks - 1], [run.t_end]])
+        share = np.concatenate([[0], ranks, [len(had)]]) / len(first)
+        panel.step(times, share, where="post", color=look.key.colour, linestyle=look.key.dash,
+                   linewidth=look.width)  # fmt: skip
+    panel.set_xlabel("time [s]")
+    panel.set_ylabel(f"share with: {name.replace('_', ' ')}", parse_math=False)
+    panel.locator_params(axis="x", nbins=6)
+    panel.set_ylim(-0.02, 1.02)
+
+
 KINDS: dict[str, Callable[[Dataset, Study], Sheet]] = {
     "distribution": distribution_sheet,
     "time": time_sheet,
     "recorded": recorded_sheet,
+    "events": event_sheet,
     "quantities": quantity_sheet,
     "order": order_sheet,
     "parameters": parameter_sheet,

@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from pydantic import ValidationError
 
 from lierb.arrays import Array
 from lierb.errors import StudyError
 from lierb.magnitudes import kinds_of
+from lierb.runs.failures import has_failed
 from lierb.shown import rounded
 from lierb.studies.convergence import Order, observed_order
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset
+from lierb.studies.occurrences import Occurred, occurrences
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of, sizes_of
 from lierb.studies.statistics import (
@@ -80,7 +81,7 @@ def findings(dataset: Dataset) -> list[Found]:
 def _found(dataset: Dataset, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
-    ok = pc.equal(rows["status"].cast(pa.string()), "ok").to_numpy()
+    ok = ~has_failed(rows)
     quantiles, intervals = {}, {}
     for kind, name in ERRORS.items():
         values = rows[name].to_numpy()[ok] if kind in kinds else np.empty(0)
@@ -101,6 +102,11 @@ def quantities(dataset: Dataset) -> list[Spread]:
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
 
 
+def happened(dataset: Dataset) -> list[Occurred]:
+    """How often each event of the problem happened, and when first; [] without events."""
+    return list(occurrences(dataset, study_of(dataset)))
+
+
 def indices(dataset: Dataset) -> list[Sensitivity]:
     """Sobol's indices of what observables, or else the errors, depend on; [] for other designs."""
     study = study_of(dataset)
@@ -114,8 +120,8 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
         f for f in found
         if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)
     ]  # fmt: skip
-    dts = [f.setting.dt for f in same]
-    if len(set(dts)) < 2:
+    dts = [f.setting.dt for f in same if f.setting.dt is not None]
+    if len(set(dts)) < 2 or len(dts) < len(same):
         return dict.fromkeys(ERRORS)
     return {
         kind: observed_order(
@@ -130,9 +136,7 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
 
 def ok_columns(dataset: Dataset, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(
-        columns=names, filter=rows_of(setting) & (pc.field("status") == "ok")
-    )
+    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
     return {name: as_array(table, name) for name in names}
 
 
@@ -183,14 +187,15 @@ def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
 
 def table_of(found: list[Found]) -> Table:
     """For a terminal."""
-    words = ("c-space", "method", "dt/s", "bodies", "failed", "largest error of")
+    step = "dt/s" if all(each.setting.rtol is None for each in found) else "rtol"
+    words = ("c-space", "method", step, "bodies", "failed", "largest error of")
     table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
     for each in found:
         seen, setting = orders(found, each), each.setting
         heads = [
             setting.cspace,
             setting.method,
-            f"{setting.dt:g}",
+            f"{setting.step:g}",
             str(each.bodies),
             str(each.failed),
         ]
@@ -207,6 +212,15 @@ def quantile_told(quantile: Quantile) -> tuple[str, str]:
     """The quantile, and its interval, with three digits; a dash where there is none."""
     value, low, high = (
         "–" if np.isnan(x) else f"{x:.3g}" for x in (quantile.value, quantile.low, quantile.high)
+    )
+    return value, f"{low}…{high}"
+
+
+def first_told(quantile: Quantile, t_end: float) -> tuple[str, str]:
+    """A quantile of a time that may be later than the run; its interval."""
+    value, low, high = (
+        "–" if np.isnan(x) else f"> {t_end:g}" if np.isinf(x) else f"{x:.3g}"
+        for x in (quantile.value, quantile.low, quantile.high)
     )
     return value, f"{low}…{high}"
 
@@ -230,6 +244,23 @@ def table_of_quantities(found: list[Spread]) -> Table:
         values, intervals = zip(*map(quantile_told, each.quantiles), strict=True)
         table.add_row(f"  {with_unit(each)}", *values)
         table.add_row("", *intervals)
+    return table
+
+
+def table_of_events(found: list[Occurred], t_end: float) -> Table:
+    """For a terminal."""
+    words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
+    table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
+    before = None
+    for each in found:
+        if each.setting != before:
+            table.add_section()
+            table.add_row(each.setting.label)
+            before = each.setting
+        values, intervals = zip(*(first_told(q, t_end) for q in each.first), strict=True)
+        bodies = f"{each.bodies} of {each.of}"
+        table.add_row(f"  {each.name}", str(each.crossings), bodies, *values)
+        table.add_row("", "", "", *intervals)
     return table
 
 

@@ -13,6 +13,7 @@ from lierb.arrays import Array
 from lierb.errors import ArgumentError, StudyError, told, unknown_name
 from lierb.joints import JOINTS, Joint
 from lierb.kernels.functions.function import Function
+from lierb.kernels.mechanics.elements import INITIAL
 from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.stepping.mechanism import Stabilisation
 from lierb.mechanism import Mechanism
@@ -53,7 +54,8 @@ def study_of(
     initial : how all bodies start, but for what is drawn: omega, twist, coordinates, … as the table
         [initial] has them. Of a mechanism by link: {"crank": {"coordinates": 0.3}}; what that
         leaves open is closed, to the nearest poses and twists, unless it has close="never".
-    settings : keys of [integrate], such as dt and t_end, and of [output]: part, compression.
+    settings : keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
+        compression.
 
     The functions with `@lierb.wrench` and the like must be at the top of a file, from which they
     can be loaded again. Raises StudyError for what no file can say.
@@ -244,7 +246,7 @@ def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
     shapes = element.kind.shapes
     parameters = {
-        name: _one(f"{element.name}.{name}", array, len(shapes[name]))
+        name.removeprefix(INITIAL): _one(f"{element.name}.{name}", array, len(shapes[name]))
         for name, array in element.parameters.items()
     }
     placed = {"on": list(element.at)} if element.at else {}

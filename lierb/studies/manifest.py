@@ -25,9 +25,9 @@ from pydantic import (
 
 from lierb.errors import StudyError, StudyFileError
 from lierb.studies.code import FILE
+from lierb.studies.study import tables_of_study
 
 FORMAT = 3
-TABLES = ("summary", "history")
 PART = "[0-9]{2,}-[0-9]{10,}"  # setting and first body, as `lierb.studies.parts` names them
 CHECKSUM = "checksum"
 ANEW = "restore it, or run the study anew into another folder"
@@ -63,13 +63,22 @@ class _Integrate(BaseModel):
     cspace: list[str]
     method: list[str]
     dt: list[float]
+    rtol: list[float] = []
     save_every: PositiveInt | None
+    save_at: list[float] | dict[str, float] | None = None
+
+
+class _Problem(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    events: list[dict[str, Any]] = []
 
 
 class _Study(BaseModel):
     model_config = ConfigDict(strict=True)
 
     name: str
+    problem: _Problem = _Problem()
     integrate: _Integrate
 
 
@@ -97,7 +106,7 @@ class _Manifest(_Checked):
 
     @model_validator(mode="after")
     def _has_whole_parts(self) -> _Manifest:
-        tables = TABLES if self.study.integrate.save_every else TABLES[:1]
+        tables = tables_of_study(self.study.model_dump())
         for part, files in self.parts.items():
             if files.keys() != {file_of(table, part) for table in tables}:
                 raise ValueError(f"part {part} has the files {list(files)}")

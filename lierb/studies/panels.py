@@ -122,7 +122,7 @@ def _handle(key: Key) -> Line2D:
 
 @dataclass(frozen=True)
 class Look:
-    """How a setting is drawn: a colour for each c-space and method, a dash for each dt.
+    """How a setting is drawn: a colour for each c-space and method, a dash for each dt or rtol.
 
     width : of its line; the first ones are thicker, so that a line that lies on another shows both.
     """
@@ -132,10 +132,15 @@ class Look:
     width: float
 
 
+def step_sizes(study: Study) -> list[float]:
+    """The steps, or tolerances, of a study's settings, the largest first."""
+    return sorted({setting.step for setting in study.settings}, reverse=True)
+
+
 def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]:
     """Of the settings that are drawn."""
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
-    dts = sorted(set(study.integrate.dt), reverse=True)
+    sizes = step_sizes(study)
     colours = dict(zip(spaces, colours_of([cspace for cspace, _ in spaces])))
     several = len({method for _, method in spaces}) > 1
     shown = list(settings or study.settings)[:MOST_SETTINGS]
@@ -144,8 +149,9 @@ def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]
         colour = colours[setting.cspace, setting.method]
         parts = [MATH_NAMES.get(setting.cspace, setting.cspace)]
         parts += [setting.method] if several else []
-        parts += [f"Δt = {setting.dt:g} s"] if len(dts) > 1 else []
-        key = Key(", ".join(parts), colour, DASHES[dts.index(setting.dt) % len(DASHES)])
+        step = f"Δt = {setting.dt:g} s" if setting.rtol is None else setting.step_told
+        parts += [step] if len(sizes) > 1 else []
+        key = Key(", ".join(parts), colour, DASHES[sizes.index(setting.step) % len(DASHES)])
         found.append(Look(setting, key, 1.2 + 1.6 * (len(shown) - 1 - n) / len(shown)))
     return found
 

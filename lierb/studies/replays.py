@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import pyarrow.compute as pc
+import pyarrow as pa
 
 from lierb.animation import Animation
 from lierb.animation.scene import scene_of
 from lierb.colours import CSPACE_NAMES
 from lierb.result import Result
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset
 from lierb.studies.findings import ERRORS, errors_seen, ok_columns
 from lierb.studies.parts import Part
 from lierb.studies.sizes import rows_of
@@ -54,17 +55,15 @@ def chosen(dataset: Dataset, study: Study) -> Chosen | None:
     if worst is not None:
         return Chosen(worst[2], _beside(study, worst[1]), kind)
     for setting in study.settings:
-        rows = dataset.table().head(
-            1, columns=["trajectory"], filter=rows_of(setting) & (pc.field("status") != "ok")
-        )
+        rows = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting) & ~IS_FINE)
         if rows.num_rows:
             return Chosen({"failed": rows["trajectory"][0].as_py()}, _beside(study, setting), None)
     return None
 
 
 def _beside(study: Study, setting: Setting) -> list[Setting]:
-    """The setting, and the other c-spaces with its method and dt."""
-    alike = [s for s in study.settings if (s.method, s.dt) == (setting.method, setting.dt)]
+    """The setting, and the other c-spaces with its method and step."""
+    alike = [s for s in study.settings if (s.method, s.step) == (setting.method, setting.step)]
     others = [s for s in alike if s != setting][: MOST_SPACES - 1]
     return [s for s in alike if s == setting or s in others]
 
@@ -78,25 +77,35 @@ def replayed(study: Study, picked: Chosen) -> Animation:
             tables = Part("", setting, trajectory, 1).tables(
                 _with_states(study, setting), study.design, None
             )
-            result = Result(tables["summary"], tables["history"])
+            result = Result(_without_draws(tables["summary"]), tables["history"])
             ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
             space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
             label = f"{what}: {trajectory}, {space}"
             label += "" if status == "ok" else f", {status} at {t:g} s"
             views.append((label, result, problem, 0))
     run = picked.settings[0]
-    title = f"{study.name}: {run.method}, dt = {run.dt:g} s"
+    title = f"{study.name}: {run.method}, {run.step_told}"
     return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
+
+
+def _without_draws(summary: pa.Table) -> pa.Table:
+    """As `integrate` makes it: a rotation that was drawn is no link's."""
+    return summary.select([n for n in summary.column_names if not n.startswith("sample.")])
 
 
 def _with_states(study: Study, setting: Setting) -> Study:
     """The study that records states, and nothing for which a kernel would have to be compiled."""
     run = study.integrate
-    steps = round((run.t_end - run.t0) / setting.dt)
-    every = max(1, steps // FRAMES)
     kept = [name for name in run.record if name not in ("energy", "state")]
-    record = ["state", *kept] if run.save_every else ["state"]
-    changed = run.model_copy(update={"save_every": every, "record": record})
+    changes: dict[str, Any] = {"record": ["state", *kept] if run.saves else ["state"]}
+    if study.has_lane_clocks:
+        length = (run.t_end - run.t0) / FRAMES
+        changes |= {"save_every": None, "save_at": {"every": length}}
+    else:
+        assert setting.dt is not None
+        steps = round((run.t_end - run.t0) / setting.dt)
+        changes["save_every"] = max(1, steps // FRAMES)
+    changed = run.model_copy(update=changes)
     return study.model_copy(update={"integrate": changed})
 
 

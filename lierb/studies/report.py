@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.compute as pc
 
 from lierb.arrays import Array
 from lierb.errors import LierbError
 from lierb.extras import require
 from lierb.prediction import Prediction, joint_by_joint, predict
 from lierb.shown import rounded
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset, setting_columns
 from lierb.studies.files import write_whole
 from lierb.studies.findings import (
     LABELS,
@@ -25,6 +24,8 @@ from lierb.studies.findings import (
     drawn_columns,
     errors_seen,
     findings,
+    first_told,
+    happened,
     index_told,
     indices,
     least_drawn,
@@ -39,6 +40,7 @@ from lierb.studies.findings import (
 from lierb.studies.parts import parts_of
 from lierb.studies.quantiles import CONFIDENCE
 from lierb.studies.replays import chosen, replayed, told
+from lierb.studies.sizes import as_array
 from lierb.studies.statistics import PROBABILITIES
 from lierb.studies.study import Setting, Study
 from lierb.studies.symbols import labelled
@@ -50,7 +52,7 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.plots import save  # noqa: E402
 from lierb.studies.figures import AXES, CAPTIONS, omitted, sheets  # noqa: E402
-from lierb.studies.panels import MOST_KEYS, Key, Sheet, looks, panels_of  # noqa: E402
+from lierb.studies.panels import MOST_KEYS, Key, Sheet, looks, panels_of, step_sizes  # noqa: E402
 
 TEMPLATE = "report.html"
 SYMBOLS = ("circle", "diamond", "square", "x")  # from the largest dt to the smallest
@@ -95,7 +97,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         done=len(dataset.parts),
         asked=dataset.manifest["asked"],
         bodies=len(study.design),
-        body_steps=parts_of(study).body_steps(dataset.parts),
+        body_steps=_steps_done(dataset, study),
         failed=dataset.failures(),
         predictions=_predictions(study),
         quantiles=[*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
@@ -104,6 +106,10 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         quantities=[
             (each.setting, with_unit(each), [quantile_told(q) for q in each.quantiles])
             for each in quantities(dataset)
+        ],
+        events=[
+            (each, [first_told(q, study.integrate.t_end) for q in each.first])
+            for each in happened(dataset)
         ],
         indices=[
             (
@@ -116,6 +122,7 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
             for each in indices(dataset)
         ],
         ordered=len(set(study.integrate.dt)) > 1,
+        step="rtol" if study.integrate.is_adaptive else "dt, s",
         errors=[_error_rows(found, each) for each in found],
         figures=[_drawn_sheet(name, sheet) for name, sheet in sheets(dataset)],
         omitted=omitted(dataset),
@@ -127,6 +134,15 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
     path = Path(path)
     write_whole(path, page.encode())
     return path
+
+
+def _steps_done(dataset: Dataset, study: Study) -> int:
+    """Of all bodies, those that were refused among them."""
+    table = dataset.table()
+    if not study.has_lane_clocks:
+        return parts_of(study).work(dataset.parts)
+    counts = table.to_table(columns=["steps", "rejected"])
+    return int(as_array(counts, "steps").sum() + as_array(counts, "rejected").sum())
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
@@ -198,15 +214,10 @@ def _drawn(draw: Any) -> str:
 
 def _failures(dataset: Dataset) -> list[dict[str, Any]]:
     """The first of the bodies that failed."""
-    table = dataset.table().head(
-        FAILED,
-        columns=["cspace", "method", "dt", "trajectory", "status", "t"],
-        filter=pc.field("status") != "ok",
-    )
-    rows: list[dict[str, Any]] = table.to_pylist()
-    return [
-        {"setting": Setting(row["cspace"], row["method"], row["dt"]).label, **row} for row in rows
-    ]
+    table = dataset.table()
+    columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
+    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_FINE).to_pylist()
+    return [{"setting": Setting.of_row(row).label, **row} for row in rows]
 
 
 # ---- the interactive figure --------------------------------------------------------------------
@@ -218,7 +229,7 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
     across: list[dict[str, Array]] = []
     up: list[dict[str, Array]] = []
     figure = go.Figure()
-    dts = sorted(set(study.integrate.dt), reverse=True)
+    sizes = step_sizes(study)
     for look in looks(study):
         rows = ok_columns(dataset, look.setting, ["trajectory", *seen.values(), *drawn])
         some = _chosen([rows[name] for name in seen.values()])
@@ -227,7 +238,7 @@ def _explorer(dataset: Dataset, study: Study, seen: dict[str, str]) -> str:
         figure.add_scatter(
             mode="markers", name=look.setting.label, customdata=rows["trajectory"][some],
             marker={"size": 5, "opacity": 0.5, "color": look.key.colour,
-                    "symbol": SYMBOLS[dts.index(look.setting.dt) % len(SYMBOLS)]},
+                    "symbol": SYMBOLS[sizes.index(look.setting.step) % len(SYMBOLS)]},
             hovertemplate="trajectory %{customdata}<br>%{x:.4g}, %{y:.2e}",
         )  # fmt: skip
     if not any(numbers.size for x in across for numbers in x.values()):

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+import numpy as np
 import pyarrow as pa
 
 from lierb.api import integrate
@@ -19,7 +20,7 @@ from lierb.errors import ArgumentError, StudyError, StudyWarning
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.failures import Failures, told_elsewhere, warn_of
-from lierb.runs.progress import Progress, check_progress, reporter
+from lierb.runs.progress import BODY_STEPS, Progress, check_progress, reporter
 from lierb.runs.provenance import machine
 from lierb.sampling import Design
 from lierb.studies.changes import written
@@ -36,6 +37,7 @@ from lierb.studies.study_file import plain_changes
 if TYPE_CHECKING:
     from distributed import Client
 
+REPLAYED = 1000  # parts of the time of a trajectory with adaptive steps, that is replayed
 REPLAY = (
     "lierb.studies.running.replay, or `lierb run STUDY --only NUMBER`, shows all that one of them "
     "did"
@@ -100,8 +102,8 @@ def run(
 
     study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
     problem, design : a lierb.Problem or lierb.Mechanism and the lierb.sampling.Design that draws
-        its numbers; with dt, t_end and other settings of `lierb.study_of`, which says more. The
-        files with the problem's own functions are copied into the folder.
+        its numbers; with dt or rtol, t_end and other settings of `lierb.study_of`, which says
+        more. The files with the problem's own functions are copied into the folder.
     changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
         folder's study.toml has the study as it was run, its manifest also what was changed.
     resume : go on where an earlier run of the same study stopped: finished parts are kept, those
@@ -144,8 +146,9 @@ def run(
         parts = _opened(dataset, given, text, changes or {}, resume)
         in_turn = InTurn(given, parts, dataset)
         in_turn.enter({})
-        done, left = parts.body_steps(dataset.parts), in_turn.left()
-        with reporter(progress, parts.body_steps()) as report, _interruptible() as stopping:
+        done, left = parts.work(dataset.parts), in_turn.left()
+        of = "trajectories" if given.has_lane_clocks else BODY_STEPS
+        with reporter(progress, parts.work(), of) as report, _interruptible() as stopping:
 
             def tell(within: int) -> None:
                 report(done + within)
@@ -156,7 +159,7 @@ def run(
                 finished = spread(client, given, left, dataset, threads, gather, stopping)
             with closing(finished):
                 for name, files in finished:
-                    done += parts.body_steps(in_turn.enter({name: files}))
+                    done += parts.work(in_turn.enter({name: files}))
                     tell(0)
         if not in_turn.is_complete:
             raise KeyboardInterrupt
@@ -284,7 +287,8 @@ def integrate_batches(
 ) -> pa.RecordBatchReader:
     """A study's results as a stream, for those who want no files.
 
-    table : "summary", or "history" if the study has `save_every`.
+    table : "summary", "history" if the study has `save_every` or `save_at`, or "events" if its
+        problem has events.
     Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for. At the end
     one FailedTrajectoryWarning says how many trajectories failed, if any did.
 
@@ -300,9 +304,11 @@ def integrate_batches(
     5
     """
     given, _ = _loaded(study, {})
-    known = ("summary", "history") if given.integrate.save_every else ("summary",)
-    if table not in known:
-        raise ArgumentError(f'table={table!r}; expected "summary", or "history" with save_every')
+    if table not in given.table_names:
+        raise ArgumentError(
+            f'table={table!r}; expected "summary", "history" with save_every or save_at, or '
+            '"events" of a problem with events'
+        )
     design, parts, rule = given.design, parts_of(given), given.stopping_rule
     seen: Failures | None = None
 
@@ -342,7 +348,11 @@ def compile_for(
     batch = given.batch(0, 1)
     took = []
     for setting in given.settings:
-        options = given.options(setting) | {"t0": 0.0, "t_end": setting.dt}
+        options = given.options(setting)
+        if given.has_lane_clocks:
+            options |= {"max_steps": 1}
+        else:
+            options |= {"t0": 0.0, "t_end": setting.dt}
         began = time.perf_counter()
         with told_elsewhere():  # of one step
             integrate(
@@ -357,7 +367,10 @@ def replay(
 ) -> list[tuple[Setting, dict[str, pa.Table]]]:
     """One trajectory of a study alone, with everything recorded, in each of the study's settings.
 
-    Its row of the summary is that of the study, bit for bit.
+    save_every : steps between rows of its history; with adaptive steps there are REPLAYED and one
+        of them at equal distances, beside those of the study.
+
+    Its row of the summary, and its events, are those of the study, bit for bit.
     """
     given, _ = _loaded(study, {})
     last = len(given.design) - 1
@@ -372,8 +385,15 @@ def replay(
 
 def replace_integrate(study: Study, save_every: int) -> Study:
     """The study with the whole history recorded."""
-    record = ["state", "energy", "multipliers", "reaction"]
-    changed = study.integrate.model_copy(update={"save_every": save_every, "record": record})
+    run = study.integrate
+    changes: dict[str, Any] = {"save_every": save_every, "save_at": None}
+    if run.is_adaptive:
+        times = np.linspace(run.t0, run.t_end, REPLAYED + 1)
+        if run.times is not None:
+            times = np.union1d(times, np.clip(run.times, run.t0, run.t_end))
+        changes = {"save_every": None, "save_at": times.tolist()}
+    changes["record"] = ["state", "energy", "multipliers", "reaction"]
+    changed = run.model_copy(update=changes)
     return study.model_copy(update={"integrate": changed})
 
 

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from lierb.arrays import Array, components, pose_matrix
 from lierb.magnitudes import magnitudes
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset
 from lierb.studies.study import Setting, Study
 
 BODIES = 64  # that are looked at: the order of magnitude of a median is all that is needed
@@ -22,7 +22,7 @@ def rows_of(setting: Setting) -> pc.Expression:
     return (
         (pc.field("cspace") == setting.cspace)
         & (pc.field("method") == setting.method)
-        & (pc.field("dt") == setting.dt)
+        & (pc.field(setting.column) == setting.step)
     )
 
 
@@ -49,7 +49,7 @@ def sizes_of(dataset: Dataset, study: Study, setting: Setting) -> dict[str, floa
             "trajectory",
             *(f"{prefix}{name}" for prefix in _prefixes(links) for name in STATE),
         ],
-        filter=rows_of(setting) & (pc.field("status") == "ok"),
+        filter=rows_of(setting) & IS_FINE,
     )
     ended = as_array(rows, "trajectory")
     first = int(ended.min()) if rows.num_rows else 0

@@ -13,12 +13,13 @@ from lierb.arrays import Array
 from lierb.errors import require_name
 from lierb.extras import require
 from lierb.kernels.stepping.observables import KEEPS
-from lierb.studies.dataset import Dataset
+from lierb.studies.dataset import IS_FINE, Dataset
 from lierb.studies.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.sizes import as_array, rows_of
 from lierb.studies.study import Setting, Study
 
 PROBABILITIES = (0.05, 0.5, 0.95)
+NO_RESULTS = ("t", "dt", "rtol")  # of a history's columns of numbers
 MOST_NUMBERS = 2**24  # of a history that are looked at together, 128 MB
 
 
@@ -64,8 +65,7 @@ def spreads(
 
 def _ok_values(dataset: Dataset, setting: Setting, name: str) -> Array:
     """A column of the bodies that are ok in a setting."""
-    is_ok = pc.field("status") == "ok"
-    table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & is_ok)
+    table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & IS_FINE)
     return as_array(table, name)
 
 
@@ -91,7 +91,7 @@ def percentiles_over_time(
     """
     history = dataset.table("history")
     schema = history.schema
-    scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in ("t", "dt")]
+    scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in NO_RESULTS]
     require_name("name", name, scalar)
     probabilities = np.asarray(percentiles, dtype=float) / 100.0
     rows = rows_of(setting)
@@ -180,7 +180,7 @@ def sensitivities(dataset: Dataset, study: Study, columns: Sequence[str]) -> Ite
     for setting in study.settings:
         for column in columns:
             values = np.full(design.n, np.nan)
-            is_ok = rows_of(setting) & (pc.field("status") == "ok")
+            is_ok = rows_of(setting) & IS_FINE
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
             values[as_array(table, "trajectory")] = as_array(table, column)
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)

@@ -25,6 +25,7 @@ from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.columns import as_array
 from lierb.runs.failures import has_failed
+from lierb.runs.tables import COUNTS
 from lierb.studies.quantiles import quantile_of, share_width
 
 FAILED = "failed"
@@ -56,8 +57,11 @@ class Rule(NamedTuple):
         return found.width < self.bound * (abs(found.value) if self.is_relative else 1.0)
 
 
-def rule_of(text: str, problem: Problem | Mechanism) -> Rule:
-    """The rule that a text says, of a column of the problem's summaries. Raises StudyError."""
+def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = False) -> Rule:
+    """The rule that a text says, of a column of the problem's summaries. Raises StudyError.
+
+    has_lane_clocks : whether each trajectory has steps of its own, and columns that count them.
+    """
     found = FORM.fullmatch(text)
     share, column, bound, percent = found.groups("") if found else ("",) * 4
     if not found or (share == "") != (column == FAILED) or (column == FAILED and percent):
@@ -67,6 +71,8 @@ def rule_of(text: str, problem: Problem | Mechanism) -> Rule:
         raise StudyError(f"sample.stop_when: {share}%; expected more than 0 and less than 100")
     names = [f"{measure.name}_{how}" for measure, how in KEPT]
     names += [f"{each.name}_{how}" for each in problem.observables for how in KEEPS]
+    names += [name for name, shape, _ in problem.signals if shape == ()]
+    names += [*COUNTS, "dt_last", "t"] if has_lane_clocks else []
     if isinstance(problem, Mechanism):
         kept = [f"{measure.name}_{how}" for measure, how in JOINT_KEPT]
         names += [f"{each.name}.{name}" for each in problem.held for name in kept]

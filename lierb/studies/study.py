@@ -2,10 +2,11 @@
 
     [body]         mass, inertia, com; or solid = "box" … with its size and density
     [joint]        type and frames, as `lierb.joints` takes them
-    [problem]      gravity, forces, constraints, observables; for a mechanism also links and loops
+    [problem]      gravity, forces, constraints, observables, events, states, controllers; for a
+                   mechanism also links and loops
     [initial]      omega, point_velocity, twist, velocities; coordinates, rotation, place
     [sample]       n, seed, method; and for each sampled quantity a table [sample.SECTION.KEY]
-    [integrate]    cspace, method, dt: one value or several, run as a product; t_end, record, …
+    [integrate]    cspace, method, dt or rtol: one value or several, run as a product; t_end, …
     [output]       bodies in a part, compression
 
 A file is checked as a whole before anything runs; what is wrong is named with its line and key.
@@ -45,12 +46,14 @@ from lierb import api, bodies, forces, joints
 from lierb.arrays import Array, as_floats
 from lierb.errors import ArgumentError, LierbError, PoseError, StudyError, unknown_name
 from lierb.joints import Joint
+from lierb.kernels.mechanics.elements import INITIAL
 from lierb.links import GROUND, Link, Loop
 from lierb.mechanism import Mechanism
 from lierb.mechanism_checks import violation
 from lierb.model import Body, Problem
 from lierb.runs import checks
 from lierb.runs.mechanisms import baumgarte
+from lierb.runs.timing import ADAPTIVE_METHOD, MOST_SEED, RTOL
 from lierb.sampling import Design, inertia_of
 from lierb.sampling.distributions import DISTRIBUTIONS, as_distribution
 from lierb.shown import FAILED, Lines, Shown, counted
@@ -77,9 +80,12 @@ from lierb.studies.study_file import (
     shortened,
     tables_in,
 )
+from lierb.studies.times import SaveAt, saved_times
 
+TABLES = ("summary", "history", "events")
+NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at")
 NOTHING = "nothing"  # a design draws something
-ELEMENTS = ("forces", "constraints", "observables")
+ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
 HELD = ("links", "loops")  # what has a joint
 OF_LINK = ("body", "joint", "initial")  # what can be drawn of a link; of a loop its joint
 MOST_LINKS = 1000
@@ -217,7 +223,7 @@ def _one_or_several(kind: str) -> tuple[Any, Any]:
 
 
 Names = Annotated[list[str], *_one_or_several("string")]
-Seconds = Annotated[list[float], *_one_or_several("number")]
+Several = Annotated[list[float], *_one_or_several("number")]
 
 
 class ElementSection(BaseModel):
@@ -270,6 +276,28 @@ class ObservableSection(ElementSection):
         return made.named(self.name) if self.name else made
 
 
+class EventSection(ElementSection):
+    """A function with `@lierb.event` in a file beside the study; `name` is its in the tables."""
+
+    table = "events"
+
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        made = super().make(sampled, code)
+        return made.named(self.name) if self.name else made
+
+
+class StatesSection(ElementSection):
+    """A function with `@lierb.states` in a file beside the study; with initial values."""
+
+    table = "states"
+
+
+class ControllerSection(ElementSection):
+    """A function with `@lierb.controller` in a file beside the study; with `every` and the like."""
+
+    table = "controllers"
+
+
 class LinkStart(Section):
     """How a link starts. Its pose: coordinates, or rotation and place, or pose; its velocities.
 
@@ -313,6 +341,9 @@ class ProblemSection(Section):
     forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
     constraints: Annotated[list[ConstraintSection], Field(max_length=MOST_FORCES)] = []
     observables: Annotated[list[ObservableSection], Field(max_length=MOST_FORCES)] = []
+    events: Annotated[list[EventSection], Field(max_length=MOST_FORCES)] = []
+    states: Annotated[list[StatesSection], Field(max_length=MOST_FORCES)] = []
+    controllers: Annotated[list[ControllerSection], Field(max_length=MOST_FORCES)] = []
 
     def elements(self) -> Iterator[tuple[str, ElementSection]]:
         """Each with the name of its list."""
@@ -375,6 +406,9 @@ class SampleSection(BaseModel):
     forces: dict[str, dict[str, Any]] = {}
     constraints: dict[str, dict[str, Any]] = {}
     observables: dict[str, dict[str, Any]] = {}
+    events: dict[str, dict[str, Any]] = {}
+    states: dict[str, dict[str, Any]] = {}
+    controllers: dict[str, dict[str, Any]] = {}
     initial: dict[str, Any] = {}
 
     def quantities(self) -> dict[str, Any]:
@@ -434,19 +468,54 @@ class Baumgarte(Section):
 
 
 class IntegrateSection(Section):
-    """As `lierb.integrate` takes it; cspace, method and dt may be lists, run as a product."""
+    """As `lierb.integrate` takes it; cspace, method, dt and rtol may be lists, run as a product.
+
+    With rtol or atol steps are adaptive, and dt is the first of them.
+    """
+
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={"anyOf": [{"required": [key]} for key in ("dt", "rtol", "atol")]}
+    )
 
     t_end: float
     t0: float = 0.0
-    dt: Seconds = Field(min_length=1)
+    dt: Several = []
+    rtol: Several = []
+    atol: float | dict[str, float] | None = None
+    dt_min: float | None = None
+    dt_max: float | None = None
+    max_steps: Count | None = None
     cspace: Names = Field(default=["SE3"], min_length=1)
     method: Names = Field(default=["RK4"], min_length=1)
     update: str = "local"
     solver: str = "auto"
     stabilise: Literal["project"] | Baumgarte | None = None
     save_every: Count | None = None
+    save_at: SaveAt | None = None
     measure_every: Count = 1
     record: list[str] = []
+
+    @property
+    def is_adaptive(self) -> bool:
+        return bool(self.rtol) or self.atol is not None
+
+    @property
+    def saves(self) -> bool:
+        """Whether there is a history."""
+        return self.save_every is not None or self.save_at is not None
+
+    @property
+    def times(self) -> Array | None:
+        """Of the rows of the history, s; None where they are not chosen by time."""
+        return None if self.save_at is None else saved_times(self.save_at, self.t0, self.t_end)
+
+    @property
+    def steps(self) -> list[tuple[float | None, float | None]]:
+        """Each dt, or of adaptive steps each rtol with the first step."""
+        if not self.is_adaptive:
+            return [(dt, None) for dt in self.dt]
+        first = self.dt[0] if self.dt else None
+        return [(first, rtol) for rtol in self.rtol or [RTOL]]
 
 
 class OutputSection(Section):
@@ -460,11 +529,33 @@ class Setting:
 
     cspace: str
     method: str
-    dt: float
+    dt: float | None  # of adaptive steps the first, None to have it chosen
+    rtol: float | None = None  # None of fixed steps
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Setting:
+        """That of a row of a study's table."""
+        return cls(row["cspace"], row["method"], row.get("dt"), row.get("rtol"))
+
+    @property
+    def column(self) -> str:
+        """What tables tell steps by."""
+        return "dt" if self.rtol is None else "rtol"
+
+    @property
+    def step(self) -> float:
+        """dt, s, or rtol: the number in that column."""
+        found = self.dt if self.rtol is None else self.rtol
+        assert found is not None
+        return found
+
+    @property
+    def step_told(self) -> str:
+        return f"dt = {self.dt:g} s" if self.rtol is None else f"rtol = {self.rtol:g}"
 
     @property
     def label(self) -> str:
-        return f"{self.cspace}, {self.method}, dt = {self.dt:g} s"
+        return f"{self.cspace}, {self.method}, {self.step_told}"
 
 
 @dataclass(frozen=True)
@@ -560,7 +651,7 @@ class Study(Shown, Section):
     @classmethod
     def _as_in_a_file(cls, given: Any) -> Any:
         """What a study is made of can be written, however it was made."""
-        return given if isinstance(given, Study) else _on_subgroups(plain(given))
+        return given if isinstance(given, Study) else _with_defaults(plain(given))
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
@@ -583,7 +674,7 @@ class Study(Shown, Section):
             design = self.design
             batch = self.batch(0, min(PREVIEW, len(design)), design)
         if self.sample.stop_when is not None:
-            rule_of(self.sample.stop_when, batch.problem)
+            rule_of(self.sample.stop_when, batch.problem, self.has_lane_clocks)
         for table in ELEMENTS:
             labels = [each.label.lower() for each in getattr(self.problem, table)]  # as SQL has it
             if len(set(labels)) < len(labels):
@@ -593,8 +684,13 @@ class Study(Shown, Section):
         with _at("initial"), np.errstate(all="ignore"):
             self._check_start(batch)
         for setting in self.settings:
-            with _at("integrate"):
+            with _at_key("integrate", (*NEW_KEYS, "save_every")):
                 api.check_options(batch.problem, **self.options(setting))
+        if self.problem.controllers and self.sample.seed >= MOST_SEED:
+            raise StudyError(
+                f"sample.seed: is {self.sample.seed}; expected less than 2**53 with controllers, "
+                "whose noise is drawn by it"
+            )
 
     def _check_kind(self) -> None:
         """Whether it is of one body, or of a mechanism."""
@@ -643,15 +739,23 @@ class Study(Shown, Section):
 
     def _check_settings(self) -> None:
         run = self.integrate
-        for key in ("cspace", "method", "dt"):
+        if not (run.dt or run.is_adaptive):
+            raise StudyError("integrate.dt: is missing; without rtol it is the step, s")
+        if run.is_adaptive and len(run.dt) > 1:
+            raise StudyError(
+                f"integrate.dt: has {len(run.dt)} values; with rtol it is the first step, one of "
+                "them or none: give several rtol, or leave rtol and atol out"
+            )
+        for key in ("cspace", "method", "dt", "rtol"):
             listed = getattr(run, key)
             if len(set(listed)) < len(listed):
                 twice = next(each for n, each in enumerate(listed) if each in listed[:n])
                 raise StudyError(f"integrate.{key}: {twice!r} is given twice; once will do")
-        count = prod(len(each) for each in (run.cspace, run.method, run.dt))
+        count = prod(len(each) for each in (run.cspace, run.method, run.steps))
         if count > MOST_SETTINGS:
+            step = "rtol" if run.is_adaptive else "dt"
             raise StudyError(
-                f"integrate: cspace, method and dt make {count} settings; expected at most "
+                f"integrate: cspace, method and {step} make {count} settings; expected at most "
                 f"{MOST_SETTINGS}: several studies, each in a folder of its own"
             )
 
@@ -678,9 +782,10 @@ class Study(Shown, Section):
 
     def _shown(self) -> tuple[str, Lines]:
         run = self.integrate
-        tables = "summary and history" if run.save_every else "summary"
+        *some, last = self.table_names
+        tables = f"{', '.join(some)} and {last}" if some else last
         rows = [
-            ("settings", settings_told(run.cspace, run.method, run.dt)),
+            ("settings", settings_told(run)),
             ("times", f"{run.t0:g} … {run.t_end:g} s"),
             ("tables", f"{tables}, in parts of at most {counted(self.output.part, *BODIES)}"),
         ]
@@ -716,7 +821,16 @@ class Study(Shown, Section):
     @property
     def settings(self) -> list[Setting]:
         run = self.integrate
-        return [Setting(*each) for each in product(run.cspace, run.method, run.dt)]
+        each = product(run.cspace, run.method, run.steps)
+        return [Setting(cspace, method, *step) for cspace, method, step in each]
+
+    @property
+    def has_lane_clocks(self) -> bool:
+        """Whether each trajectory has steps of its own."""
+        run, has = self.integrate, self.problem
+        own_time = has.events or has.states or has.controllers
+        is_timed = run.is_adaptive or run.save_at is not None or run.max_steps is not None
+        return bool(own_time) or is_timed
 
     def options(self, setting: Setting) -> dict[str, Any]:
         """What `lierb.integrate` is called with, beside the batch."""
@@ -726,9 +840,15 @@ class Study(Shown, Section):
             "stabilise": baumgarte(**kept.model_dump()) if isinstance(kept, Baumgarte) else kept,
             "cspace": setting.cspace, "method": setting.method, "dt": setting.dt,
             "t_end": run.t_end, "t0": run.t0, "update": run.update, "solver": run.solver,
-            "save_every": run.save_every, "measure_every": run.measure_every,
-            "record": tuple(run.record),
+            "save_every": run.save_every, "save_at": run.times, "measure_every": run.measure_every,
+            "record": tuple(run.record), "rtol": setting.rtol, "atol": run.atol,
+            "dt_min": run.dt_min, "dt_max": run.dt_max, "max_steps": run.max_steps,
         }  # fmt: skip
+
+    @property
+    def table_names(self) -> tuple[str, ...]:
+        """The tables that it leaves."""
+        return tables_of_study(self.model_dump())
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -745,7 +865,9 @@ class Study(Shown, Section):
     def stopping_rule(self) -> Rule | None:
         """With how many bodies it ends before its time."""
         text = self.sample.stop_when
-        return None if text is None else rule_of(text, self.batch(0, 1).problem)
+        if text is None:
+            return None
+        return rule_of(text, self.batch(0, 1).problem, self.has_lane_clocks)
 
     def with_code(self, code: Code) -> Study:
         """The study with these texts of its Python files."""
@@ -797,7 +919,8 @@ class Study(Shown, Section):
                 drawn = own.pop(f"{table}.{element.label}", {})
                 made[table].append(element.make(drawn, self._code))
             for key, values in drawn.items():
-                shape = made[table][-1].kind.shapes[key]
+                shapes = made[table][-1].kind.shapes
+                shape = shapes[key] if key in shapes else shapes[f"{INITIAL}{key}"]
                 _require_shape(f"{table}.{element.label}.{key}", values.shape[1:], shape)
         return made
 
@@ -862,7 +985,10 @@ class Study(Shown, Section):
         return tomli_w.dumps(self._tables())
 
     def _tables(self) -> dict[str, Any]:
-        return self.model_dump(exclude_none=True, exclude_defaults=True)
+        tables = self.model_dump(exclude_none=True, exclude_defaults=True)
+        if self.problem.links:  # whose default is another one
+            tables["integrate"]["cspace"] = self.integrate.cspace
+        return tables
 
     def _check_shape(self, path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
         """Whether a draw is what its key takes: else bodies might be taken for components."""
@@ -879,7 +1005,7 @@ class Study(Shown, Section):
         tables = self.model_dump(exclude={"name"})
         for table, keys in _news(tables):
             for key in keys:
-                if not table[key]:  # studies without have the digest that they had
+                if table[key] in (None, [], {}):  # studies without have the digest they had
                     del table[key]
         if self.sample.stop_when is None:
             del tables["sample"]["stop_when"]
@@ -896,10 +1022,10 @@ class Study(Shown, Section):
 def _news(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
     """Keys that studies have not had at first, with the table that each is in."""
     for section in ("problem", "sample"):
-        yield tables[section], ("constraints", "observables")
+        yield tables[section], ELEMENTS[1:]
     yield tables["problem"], HELD
     yield tables["initial"], ("close",)
-    yield tables["integrate"], ("stabilise",)
+    yield tables["integrate"], ("stabilise", *NEW_KEYS)
     for key in ("body", "joint"):
         if tables[key] is None:
             yield tables, (key,)
@@ -910,21 +1036,35 @@ def _news(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, .
         yield tables["joint"], ("parent_point", "parent_frame")
 
 
-def _on_subgroups(tables: Any) -> Any:
-    """A mechanism is integrated on its joints' subgroups where no c-space is given."""
+def _with_defaults(tables: Any) -> Any:
+    """A mechanism is integrated on its joints' subgroups where no c-space is given; adaptive steps
+    are DOP853's where no method is.
+    """
     match tables:
         case {"problem": {"links": [*_]}, "integrate": {**run}} if "cspace" not in run:
-            return tables | {"integrate": run | {"cspace": ["reduced"]}}
+            tables = tables | {"integrate": run | {"cspace": ["reduced"]}}
+    match tables:
+        case {"integrate": {**run}} if "method" not in run and {"rtol", "atol"} & run.keys():
+            tables = tables | {"integrate": run | {"method": [ADAPTIVE_METHOD]}}
     return tables
 
 
 BODIES = ("body", "bodies")
 
 
-def settings_told(cspaces: list[str], methods: list[str], dts: list[float]) -> str:
+def settings_told(run: IntegrateSection) -> str:
     """The settings as the product that they are."""
-    lists = [", ".join(each) for each in (cspaces, methods, [f"{dt:g}" for dt in dts])]
-    return f"{lists[0]} × {lists[1]} × dt = {lists[2]} s"
+    steps = ", ".join(f"{dt if rtol is None else rtol:g}" for dt, rtol in run.steps)
+    told = f"rtol = {steps}" if run.is_adaptive else f"dt = {steps} s"
+    return f"{', '.join(run.cspace)} × {', '.join(run.method)} × {told}"
+
+
+def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
+    """The tables that it leaves, of its own tables as `model_dump` has them."""
+    run = study["integrate"]
+    saves = run["save_every"] is not None or run.get("save_at") is not None
+    is_there = (True, saves, bool(study.get("problem", {}).get("events")))
+    return tuple(name for name, there in zip(TABLES, is_there, strict=True) if there)
 
 
 NOT_DRAWN = ("type", "rows", "body_frame", "ground_frame", "parent_frame")
@@ -991,6 +1131,20 @@ class _at:
     def __exit__(self, _kind: Any, error: Any, _traceback: Any) -> None:
         if isinstance(error, LierbError) and not isinstance(error, StudyError):
             raise StudyError(f"{self.table}: {error}") from None
+
+
+class _at_key(_at):
+    """The same, and of the key that they begin with, if it is one of `keys`."""
+
+    def __init__(self, table: str, keys: Collection[str]) -> None:
+        super().__init__(table)
+        self.keys = keys
+
+    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
+        first = re.match(r"\w+", str(error))
+        if first and first[0] in self.keys:
+            self.table = f"{self.table}.{first[0]}"
+        super().__exit__(kind, error, traceback)
 
 
 def _called(table: str, function: Any, values: dict[str, Any]) -> Any:

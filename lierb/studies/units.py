@@ -26,7 +26,14 @@ def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     problem : the study's, the coordinates of whose joints are angles or lengths.
     """
     section, _, key = quantity.rpartition(".")
-    if section.partition(".")[0] in ELEMENTS:
+    table, _, label = section.partition(".")
+    if table == "controllers" and key == "every":
+        return "s"
+    if table == "states":
+        labels = [each.label for each in study.problem.states]
+        states = problem.states[labels.index(label)]
+        return states.units.get(key, "1") if key in dict(states.columns) else ""
+    if table in ELEMENTS:
         types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
         return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
     if key in ("coordinates", "velocities"):

@@ -84,6 +84,28 @@ part = 10
 compression = "zstd"
 """
 
+# The same with steps of each trajectory's own.
+EVERY_KEY_OF_TIME = f"""{EVERY_KEY.partition("[integrate]")[0]}
+[integrate]
+cspace = ["SE3", "SO3xR3"]
+method = ["Tsit5"]
+rtol = [1e-6, 1e-9]
+dt = 0.01
+dt_min = 1e-9
+dt_max = 0.5
+max_steps = 1e6
+t0 = 0.0
+t_end = 1.0
+record = ["state"]
+[integrate.atol]
+rotation = 1e-9
+omega = 1e-9
+[integrate.save_at]
+every = 0.1
+from = 0.5
+to = 1.0
+"""
+
 NASTY = (  # values as a file has them
     "0", "-0", "-0.0", "1", "-1", "3", "1e-320", "1e308", "-1e308", "1e400", "inf", "-inf", "nan",
     "1e18", "9223372036854775807", "9223372036854775808", "18446744073709551615",
@@ -95,6 +117,8 @@ NASTY = (  # values as a file has them
     '"universal"', '"motor"', '"drag"', "1979-05-27", "1979-05-27T07:32:00Z", "07:32:00",
     "1979-13-40", "[]", "[[]]", "[1]", "[1, 2]", "[1, 2, 3]", "[0, 0, 0]", "[1e300, 1e300, 1e300]",
     "[1, 'x', 3]", "[1, [2], 3]", "[nan, 0, 0]", "[true, false, true]", "[1, 2, 3, 4, 5, 6]",
+    "[0.1, 0.2, 1.0]", "{ every = 0.1 }", "{ every = 1e-300 }", "{ from = 0, to = 1 }",
+    "{ every = 1, from = nan }", "{ every = 0.1, from = 1e308, to = -1e308 }", "1e-6", "[1e-6]",
     "[[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "[[1, 2], [3]]", "[1979-05-27]", "[{}]", "{}",
     "{ x = 1 }", "{ distribution = 'normal', mean = 0.0, std = 1.0 }",
     "{ distribution = 'uniform', low = 1, high = 2 }",
@@ -114,12 +138,14 @@ KEYS = (
     "twist", "velocities", "coordinates", "rotation", "place", "n", "seed", "method", "body",
     "joint", "initial", "dt", "t_end", "t0", "cspace", "save_every", "record", "part", "mean",
     "std", "low", "high", "values", "distribution", "stiffness", "'a.b'", '""', "'\\u0000'",
+    "rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "every", "from", "to", "events",
     "a.b.c", "sample.n", '"é"', "0", "k" * 1500,
 )  # fmt: skip
 HEADERS = (
     "[body]", "[[body]]", "[[sample]]", "[sample.body.mass]", "[[sample.body.mass]]", "[initial]",
     "[sample.forces.drag.linear]", "[sample.forces]", "[[problem.forces]]", "[problem.forces]",
-    "[integrate.dt]", "[sample.n]", "[a.b.c]", "[]", "[", "[[x]", "[sample.initial.coordinates]",
+    "[integrate.dt]", "[integrate.save_at]", "[[problem.events]]",
+    "[sample.n]", "[a.b.c]", "[]", "[", "[[x]", "[sample.initial.coordinates]",
     "[" + "a." * 31 + "a]",
 )  # fmt: skip
 
@@ -224,7 +250,7 @@ IN_BYTES: tuple[Callable[[random.Random, bytearray], None], ...] = (
 def _bases() -> list[Lines]:
     """The shipped examples and one with every key, of few bodies each: all are made."""
     texts = [path.read_text(encoding="utf-8") for path in sorted(EXAMPLES.glob("*.toml"))]
-    lines = [text.splitlines() for text in (*texts, EVERY_KEY, EVERY_KEY)]
+    lines = [text.splitlines() for text in (*texts, EVERY_KEY, EVERY_KEY_OF_TIME)]
     return [["n = 2" if line.startswith("n = ") else line for line in each] for each in lines]
 
 

@@ -92,7 +92,7 @@ def _worst(result: lierb.Result, chain: lierb.Mechanism) -> tuple[float, float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [1e-3, 1e-2])
-@pytest.mark.parametrize("method", ["RK4", "Euler"])
+@pytest.mark.parametrize("method", ["RK4", pytest.param("Euler", marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", CHAINS)
 def test_trees_on_reduced_coordinates_keep_every_joint(name, method, dt):
     chain = _chain(tuple(CHAINS[name]))

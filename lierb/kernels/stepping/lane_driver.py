@@ -12,15 +12,14 @@ handed over to its place in the results. Between two calls all that the lanes ca
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple
 
 import numba
-import numpy as np
 from numba import prange
 
 from lierb.compiler.code import OPTIONS, cached
 from lierb.compiler.entries import call, raise_again, take_turn
-from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
+from lierb.compiler.loops import histories_at, numbers_at
 from lierb.compiler.trace import kernel
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import Noise
@@ -39,8 +38,44 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.crossings import (
+    BEGINNING,
+    DIPPING,
+    ENDING,
+    GOING_ON,
+    LOOKING,
+    NARROWING,
+    NOTING,
+    NOTING_DIP,
+    NOTING_EVENTS,
+    SEARCHING,
+    SHOWING,
+    STARTING,
+)
+from lierb.kernels.stepping.desk import (
+    ACTIVE,
+    ANSWER,
+    ASKED,
+    DUE,
+    FATE,
+    FRESH,
+    HANDING_ENDS,
+    HANDING_ROW,
+    IS_NEW,
+    LAST,
+    LENGTH,
+    LOOKS,
+    MARK,
+    NUMBER,
+    START,
+    TAKING,
+    TASK,
+    THETA,
+    TOOK,
+    TURN,
+    desk_of,
+)
 from lierb.kernels.stepping.driver import (
-    ARRAYS,
     NAN,
     RESUMED,
     UNSEEN,
@@ -80,18 +115,15 @@ from lierb.kernels.stepping.lane_clock import (
     to_tidy,
     trial_of,
 )
-from lierb.kernels.stepping.layout import LANE_END, Columns, Field
-from lierb.kernels.stepping.measures import SUMMARY
+from lierb.kernels.stepping.layout import LANE_END
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import (
     controllers_of,
     events_of,
     lane_end,
-    memory_of,
     memory_slices,
     output_slices,
     outputs_of,
-    signals_width,
     states_of,
 )
 from lierb.kernels.stepping.state import State
@@ -99,83 +131,6 @@ from lierb.kernels.stepping.status import EVENT, MAX_STEPS, OK
 from lierb.kernels.stepping.step_size import EPS, Tolerances, squared_error
 from lierb.kernels.stepping.stepper import between, extended, trial_step
 from lierb.kernels.stepping.systems import system_of
-
-# Rows of a desk that loops over lanes read and write.
-(
-    TRAJECTORY,  # whose the lane is; −1 for nobody's
-    NUMBER,  # of the trajectory, for noise
-    MARK,  # 1 where something is to be done
-    ACTIVE,  # 1 where a trajectory is on its way
-    FRESH,  # 1 where one has just started, or a step has been accepted
-    FATE,  # 0 where it goes on; where it has ended, its status and 1
-    NEXT, DUE,  # row of the history, and when it is due, s
-    START, LENGTH,  # of the step, s
-    THETA,
-    TOOK,  # 1 where the step has been accepted
-    CURSOR,  # of the search for crossings: how many looks have been gone through
-    WHICH,  # of the events
-    LOW, HIGH, AT_LOW, AT_HIGH,  # of a crossing: θ and the event's value at both ends
-    LAST,  # θ of the first terminal event in the step; 2 for none
-    ROWS,
-) = range(20)  # fmt: skip
-LOOKS = 4  # at events in a step, where the method has a continuous extension
-STARTS = SUMMARY.index("starts")  # which is known before
-SEARCHES = 120  # at most; every third one halves
-NEAR = 0.125  # of an event's range in a step: how near to zero it must come to be looked at there
-# What the state between a step's ends is asked for: events' values, to look for crossings, first at
-# equal distances, then where an event seems to come nearest to zero and to go back; and to find
-# one; a crossing, to note it; the end of a trajectory; a row of its history.
-LOOKING, DIPPING, SEARCHING, NOTING, ENDING, SHOWING = range(6)
-EVENT_COLUMNS = 3  # trajectory, event, t
-
-
-OWN_ARRAYS = ("desk", "save_at", "numbers", "events", "kinds")
-_SIZES = (
-    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
-    "signals", "own_summary",
-)  # fmt: skip
-LANE_JOB = np.dtype(
-    (
-        np.record,
-        [
-            *((name, np.int64, (4,)) for name in (*ARRAYS, *OWN_ARRAYS)),
-            *((name, np.int64) for name in _SIZES),
-            ("seed", np.float64),
-            *get_type_hints(Span).items(),
-            *get_type_hints(Tolerances).items(),
-        ],
-    )
-)
-"""As `lierb.kernels.stepping.driver.JOB`, of the batch or of a desk.
-
-desk : [row][lane], of `desk_of`.   save_at : [1][row of the history], s.   numbers : [1][n].
-events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
-kinds : [direction, is terminal][event].
-first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how
-often each is asked in a step.
-sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
-"""
-
-
-def desk_of(plan: AnyPlan) -> Columns:
-    """The rows of a desk: what loops over lanes need; of each event its side, its values at the
-    looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
-    then what lanes carry.
-    """
-    events, signals = len(events_of(plan)), signals_width(plan)
-    return Columns(
-        Field("rows", (ROWS,)),
-        Field("sides", (events,)),
-        Field("values", (LOOKS + 1, events)),
-        Field("searched", (events,)),
-        Field("dips", (2, events)),
-        Field("signals", (signals,)),
-        Field("clock", (len(LaneClock._fields),)),
-        Field("controls", (size_of(outputs_of(plan)),)),
-        Field("memory", (size_of(memory_of(plan)),)),
-        Field("ticks", (len(controllers_of(plan)),)),
-    )
-
 
 # ---- formulas on all lanes -----------------------------------------------------------------------
 
@@ -578,371 +533,6 @@ for _formula in (
     kernel(_formula)
 
 
-# ---- loops over lanes ----------------------------------------------------------------------------
-
-
-@shared
-def hand_over_row(desk, own, job, lanes):
-    """A row of the history, where MARK says, from the desk to its place; the next one is due."""
-    history, shown = histories_at(job.history), histories_at(own.history)
-    multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
-    reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)
-    save_at = numbers_at(job.save_at)
-    rows = save_at.shape[1]
-    for lane in range(lanes):
-        if desk[MARK, lane] == 0.0:
-            continue
-        column, row = int(desk[TRAJECTORY, lane]), int(desk[NEXT, lane])
-        for c in range(shown.shape[0]):
-            history[c, row, column] = shown[c, 0, lane]
-        if own_multipliers.shape[0] > 0:
-            for c in range(own_multipliers.shape[2]):
-                multipliers[row, column, c] = own_multipliers[0, lane, c]
-        for joint in range(own_reactions.shape[0]):
-            for c in range(6):
-                reactions[joint * rows + row, column, c] = own_reactions[joint, lane, c]
-        if job.rows > 1:
-            hand_over_state(own, job, lane, column, row)
-        desk[NEXT, lane] = row + 1
-        desk[DUE, lane] = save_at[0, row + 1] if row + 1 < rows else np.inf
-
-
-@shared
-def hand_over_state(own, job, lane, column, row):
-    """Of all links."""
-    copy_links(histories_at(own.rotation), histories_at(job.rotation), lane, column, row, job.rows)
-    copy_links(histories_at(own.position), histories_at(job.position), lane, column, row, job.rows)
-    copy_links(histories_at(own.omega), histories_at(job.omega), lane, column, row, job.rows)
-    copy_links(histories_at(own.v), histories_at(job.v), lane, column, row, job.rows)
-
-
-@shared
-def copy_links(shown, array, lane, column, row, rows):
-    for link in range(shown.shape[0]):
-        for c in range(shown.shape[2]):
-            array[link * rows + row, column, c] = shown[link, lane, c]
-
-
-@shared
-def hand_over_ends(desk, own, job, lanes):
-    """What trajectories that have ended come to."""
-    summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
-    ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
-    for lane in range(lanes):
-        if desk[FATE, lane] > 0.0:
-            column = int(desk[TRAJECTORY, lane])
-            for c in range(own_summary.shape[0]):
-                if c != STARTS:
-                    summary[c, column] = own_summary[c, lane]
-            for c in range(own_ends.shape[0]):
-                ends[c, column] = own_ends[c, lane]
-            hand_over_state(own, job, lane, column, job.rows - 1)
-
-
-@shared
-def take_next(desk, job, inputs, counter, lanes, is_new):
-    """Lanes whose trajectory has ended take the next ones; MARK says which have one. Whether there
-    is any on its way.
-    """
-    places, varying = integers_at(job.places), integers_at(job.varying)
-    save_at, numbers = numbers_at(job.save_at), numbers_at(job.numbers)
-    going = False
-    for lane in range(lanes):
-        desk[MARK, lane] = 0.0
-        if desk[FATE, lane] > 0.0:
-            desk[FATE, lane] = 0.0
-            taken = take_turn(counter)
-            is_one = taken < job.stop
-            desk[MARK, lane] = 1.0 if is_one else 0.0
-            desk[ACTIVE, lane] = desk[MARK, lane]
-            if is_one or is_new:
-                trajectory = min(taken, job.stop - 1)  # a lane without one has harmless numbers
-                for i in range(inputs.shape[0] if is_new else varying.shape[1]):
-                    c = i if is_new else varying[0, i]
-                    inputs[c, lane] = number_at(places[c, 0] + places[c, 1] * trajectory)
-                desk[TRAJECTORY, lane] = trajectory
-                desk[NUMBER, lane] = numbers[0, trajectory]
-                desk[NEXT, lane] = 0.0
-                desk[DUE, lane] = save_at[0, 0] if save_at.shape[1] > 0 else np.inf
-        going = going or desk[ACTIVE, lane] > 0.0
-    return going
-
-
-# ---- events ----
-
-
-@shared
-def side_of(value):
-    return 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0
-
-
-@shared
-def note_starts(desk, own, lanes):
-    """Of trajectories that have just started: on which side of zero each event is; 0 on it."""
-    for lane in range(lanes):
-        if desk[MARK, lane] > 0.0:
-            for event in range(own.watched):
-                value = desk[own.values + own.watched * own.looks + event, lane]
-                desk[own.sides + event, lane] = side_of(value)
-                desk[own.values + event, lane] = value
-
-
-@shared
-def begin_looks(desk, own, lanes):
-    """Before crossings are looked for in an accepted step; the first thing to be done for it."""
-    for lane in range(lanes):
-        desk[CURSOR, lane] = 0.0
-        desk[LAST, lane] = 2.0
-    return LOOKING if own.watched > 0 else SHOWING
-
-
-@shared
-def next_task(desk, own, kinds, events, first, task, turn, lanes):
-    """What is to be done next at a state between, and THETA, where that is; and the task's turn.
-
-    first : place of the first event that is noted in this step.
-    """
-    if task == LOOKING:
-        if turn + 1 < own.looks:
-            for lane in range(lanes):
-                desk[THETA, lane] = (turn + 1) / own.looks
-            return LOOKING, turn + 1
-        find_dips(desk, own, lanes)
-        task, turn = DIPPING, -1
-    if task == DIPPING:
-        turn = next_dip(desk, own, turn + 1, lanes)
-        if turn < own.watched:
-            return DIPPING, turn
-        task = NOTING  # of nothing so far
-    elif task == SEARCHING:
-        if turn + 1 < SEARCHES and next_thetas(desk, lanes, turn + 1):
-            return SEARCHING, turn + 1
-        for lane in range(lanes):
-            desk[THETA, lane] = desk[HIGH, lane] if desk[MARK, lane] > 0.0 else 0.0
-        return NOTING, 0
-    if task == NOTING:
-        if next_crossings(desk, own, kinds, lanes):
-            next_thetas(desk, lanes, 0)
-            return SEARCHING, 0
-        end_search(desk, own, lanes)
-        if drop_later(desk, events, first, lanes):
-            for lane in range(lanes):
-                desk[THETA, lane] = desk[LAST, lane] if desk[LAST, lane] <= 1.0 else 0.0
-            return ENDING, 0
-    return SHOWING, 0
-
-
-@shared
-def find_dips(desk, own, lanes):
-    """Of each event the θ at which it seems to come nearest to zero and to go back, between two
-    looks of one sign: the least of the cubic by values and slopes there, which are those of the
-    quartic through all looks. 2 where there is none.
-    """
-    count = own.watched
-    dips = own.values + (LOOKS + 2) * count
-    for lane in range(lanes):
-        for event in range(count):
-            desk[dips + event, lane] = 2.0
-            if own.looks == LOOKS and desk[TOOK, lane] > 0.0:
-                desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane)
-
-
-@shared
-def dip_of(desk, first, every, lane):
-    a, b, c = desk[first, lane], desk[first + every, lane], desk[first + 2 * every, lane]
-    d, e = desk[first + 3 * every, lane], desk[first + 4 * every, lane]
-    values = (a, b, c, d, e)
-    slopes = (  # of the quartic, by θ / 4
-        (-25.0 * a + 48.0 * b - 36.0 * c + 16.0 * d - 3.0 * e) / 12.0,
-        (-3.0 * a - 10.0 * b + 18.0 * c - 6.0 * d + e) / 12.0,
-        (a - 8.0 * b + 8.0 * d - e) / 12.0,
-        (3.0 * e + 10.0 * d - 18.0 * c + 6.0 * b - a) / 12.0,
-        (25.0 * e - 48.0 * d + 36.0 * c - 16.0 * b + 3.0 * a) / 12.0,
-    )
-    found, nearest = 2.0, NEAR * (max(values) - min(values))
-    for look in range(LOOKS):
-        side = side_of(values[look])
-        low, high = side * values[look], side * values[look + 1]
-        falls, rises = side * slopes[look], side * slopes[look + 1]
-        if high > 0.0 and falls < 0.0 and rises > 0.0:
-            bend = 3.0 * (low - high) + falls + rises
-            root = np.sqrt(bend * bend - falls * rises)
-            share = 1.0 - (rises + root - bend) / (rises - falls + 2.0 * root)
-            least = low + share * (falls + share * (share * (falls + rises + 2.0 * (low - high))
-                    + 3.0 * (high - low) - 2.0 * falls - rises))  # fmt: skip
-            if least < nearest and 0.0 < share < 1.0:
-                found, nearest = (look + share) / LOOKS, least
-    return found
-
-
-@shared
-def next_dip(desk, own, event, lanes):
-    """The next event, from this one on, that dips somewhere, and THETA; the count of events if none
-    does.
-    """
-    dips = own.values + (LOOKS + 2) * own.watched
-    while event < own.watched:
-        found = False
-        for lane in range(lanes):
-            theta = desk[dips + event, lane]
-            desk[THETA, lane] = theta if theta < 1.0 else 0.0
-            found = found or theta < 1.0
-        if found:
-            break
-        event += 1
-    return event
-
-
-@shared
-def note_dip(desk, own, event, lanes):
-    """Of this event, its value at THETA."""
-    searched = own.values + (LOOKS + 1) * own.watched
-    dips = searched + own.watched
-    for lane in range(lanes):
-        desk[dips + own.watched + event, lane] = desk[searched + event, lane]
-
-
-@shared
-def next_crossings(desk, own, kinds, lanes):
-    """The next crossing in each lane, as MARK, WHICH, LOW, HIGH, AT_LOW and AT_HIGH; whether there
-    is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
-    and from there on neither side is the one that was left.
-    """
-    found, looks, count = False, own.looks, own.watched
-    dips = own.values + (LOOKS + 2) * count
-    for lane in range(lanes):
-        desk[MARK, lane] = 0.0
-        if desk[TOOK, lane] == 0.0:
-            continue
-        cursor = int(desk[CURSOR, lane])
-        while cursor < 2 * looks * count and desk[MARK, lane] == 0.0:
-            # From one look to the next; or to a dip between them, and from there on.
-            half, look, event = cursor % 2, cursor // 2 // count + 1, cursor // 2 % count
-            cursor += 1
-            low, high = (look - 1) / looks, look / looks
-            before = desk[own.values + (look - 1) * count + event, lane]
-            value = desk[own.values + look * count + event, lane]
-            dip, at_dip = desk[dips + event, lane], desk[dips + count + event, lane]
-            if low < dip < high:
-                if half == 0:
-                    high, value = dip, at_dip
-                else:
-                    low, before = dip, at_dip
-            elif half == 0:
-                continue
-            side = desk[own.sides + event, lane]
-            if side * value < 0.0 or (side != 0.0 and value == 0.0):
-                direction = kinds[0, event]
-                if direction == 0.0 or direction == -side:
-                    found = True
-                    desk[MARK, lane] = 1.0
-                    desk[WHICH, lane] = event
-                    desk[LOW, lane], desk[HIGH, lane] = low, high
-                    # What is held may have made it jump.
-                    desk[AT_LOW, lane] = before if side * before > 0.0 else 0.0
-                    desk[AT_HIGH, lane] = value
-                desk[own.sides + event, lane] = side_of(value)
-            elif side == 0.0:
-                desk[own.sides + event, lane] = side_of(value)
-        desk[CURSOR, lane] = cursor
-    return found
-
-
-@shared
-def next_thetas(desk, lanes, search):
-    """Where the crossings are looked for next, between both ends: by the secant, each end's value
-    halved once it has stayed twice (Illinois), and by halves every third time. Whether any is.
-    """
-    busy = False
-    for lane in range(lanes):
-        low, high = desk[LOW, lane], desk[HIGH, lane]
-        desk[THETA, lane] = high if desk[MARK, lane] > 0.0 else 0.0
-        if desk[MARK, lane] == 0.0:
-            continue
-        length, at = desk[LENGTH, lane], abs(desk[START, lane]) + desk[LENGTH, lane]
-        least = max(4.0 * EPS, 2.0 * EPS * at / length if length > 0.0 else 1.0)
-        if high - low <= least:
-            continue
-        busy = True
-        theta, slope = 0.5 * (low + high), desk[AT_HIGH, lane] - desk[AT_LOW, lane]
-        if search % 3 != 2 and slope != 0.0:
-            secant = high - desk[AT_HIGH, lane] * (high - low) / slope
-            if low < secant < high:
-                theta = min(max(secant, low + 0.5 * least), high - 0.5 * least)
-        desk[THETA, lane] = theta
-    return busy
-
-
-@shared
-def narrow(desk, own, lanes):
-    """With the events' values at THETA."""
-    searched = own.values + (LOOKS + 1) * own.watched
-    for lane in range(lanes):
-        theta = desk[THETA, lane]
-        if desk[MARK, lane] == 0.0 or theta >= desk[HIGH, lane] or theta <= desk[LOW, lane]:
-            continue
-        value = desk[searched + int(desk[WHICH, lane]), lane]
-        before, after = desk[AT_LOW, lane], desk[AT_HIGH, lane]
-        is_after = value * after > 0.0 or value == 0.0 if after != 0.0 else value * before <= 0.0
-        if is_after:
-            desk[HIGH, lane], desk[AT_HIGH, lane] = theta, value
-            desk[AT_LOW, lane] = 0.5 * before
-        else:
-            desk[LOW, lane], desk[AT_LOW, lane] = theta, value
-            desk[AT_HIGH, lane] = 0.5 * after
-
-
-@shared
-def note_events(desk, own, events, kinds, lanes):
-    """One row for each crossing that has been found, with the state there, which is on the desk."""
-    rotation, position = histories_at(own.rotation), histories_at(own.position)
-    omega, v = histories_at(own.omega), histories_at(own.v)
-    for lane in range(lanes):
-        if desk[MARK, lane] == 0.0:
-            continue
-        place, event, theta = int(events[0, 0]) + 1, int(desk[WHICH, lane]), desk[HIGH, lane]
-        events[0, 0] = place
-        events[place, 0], events[place, 1] = desk[TRAJECTORY, lane], event
-        events[place, 2] = desk[START, lane] + theta * desk[LENGTH, lane]
-        column = EVENT_COLUMNS
-        for link in range(rotation.shape[0]):
-            for part in (rotation, position, omega, v):
-                for c in range(part.shape[2]):
-                    events[place, column] = part[link, lane, c]
-                    column += 1
-        for row in range(own.signals, own.signals + events.shape[1] - column):
-            events[place, column] = desk[row, lane]
-            column += 1
-        if kinds[1, event] > 0.0:
-            desk[LAST, lane] = min(desk[LAST, lane], theta)
-
-
-@shared
-def drop_later(desk, events, first, lanes):
-    """Have nothing known of events of this step, from place `first` on, that come after their
-    trajectory's end. Whether any ends.
-    """
-    ends = False
-    for lane in range(lanes):
-        if desk[LAST, lane] <= 1.0:
-            ends = True
-            last = desk[START, lane] + desk[LAST, lane] * desk[LENGTH, lane]
-            for place in range(first, int(events[0, 0]) + 1):
-                if events[place, 0] == desk[TRAJECTORY, lane] and events[place, 2] > last:
-                    events[place, 0] = -1.0
-    return ends
-
-
-@shared
-def end_search(desk, own, lanes):
-    """The values at the end of an accepted step are those at the start of the next."""
-    for lane in range(lanes):
-        if desk[TOOK, lane] > 0.0:
-            for event in range(own.watched):
-                last = desk[own.values + own.looks * own.watched + event, lane]
-                desk[own.values + event, lane] = last
-
-
 # ---- the loops over steps and over trajectories --------------------------------------------------
 
 
@@ -1010,7 +600,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         job.dt, job.rtol, job.rotation_atol, job.position_atol, job.omega_atol, job.v_atol,
         job.states_atol, job.dt_min, job.dt_max, job.max_steps,
     )  # fmt: skip
-    carried, events, kinds = numbers_at(own.carried), numbers_at(own.events), numbers_at(job.kinds)
+    carried, events, told = numbers_at(own.carried), numbers_at(own.events), numbers_at(own.told)
     room = events.shape[0] - lanes * own.watched * (own.looks + 1) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs)
@@ -1023,11 +613,13 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if not is_new:
                 put_row(plan, desk, FATE, fate)
                 _store_ends(plan, body, inputs, state, record, clock, held, fate, span, own)
-                hand_over_ends(desk, own, job, lanes)
-            going = take_next(desk, job, inputs, counter, lanes, is_new)
+                told[0, ASKED] = HANDING_ENDS
+                call(job.serve, inputs, counter, jobs)
+            told[0, ASKED], told[0, IS_NEW] = TAKING, 1.0 if is_new else 0.0
+            call(job.serve, inputs, counter, jobs)
             active, fresh = row_of(plan, desk, ACTIVE), row_of(plan, desk, MARK)
             fate = row_of(plan, desk, FATE)
-            if not going:
+            if told[0, ANSWER] == 0.0:
                 break
             if is_new or job.differ:
                 body = load_body(plan, inputs)
@@ -1044,7 +636,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if own.watched > 0:
                 at_end = own.values + own.looks * own.watched
                 put_values(plan, body, state, held, clock.t, desk, at_end)
-                note_starts(desk, own, lanes)
+                told[0, ASKED] = STARTING
+                call(job.watch, inputs, counter, jobs)
         else:
             if turns == 0 or events[0, 0] > room:
                 break
@@ -1057,14 +650,18 @@ def integrate_lanes(plan, inputs, counter, jobs):
             moved = made.state
             if own.watched > 0 or is_due_between(plan, clock, accepted):
                 put_trial(plan, desk, trial, accepted)
+                slopes = slopes_between(plan, seen, state, made, trial)
+                task, turn = SHOWING, 0
                 if own.watched > 0:
                     at_end = own.values + own.looks * own.watched
                     put_values(plan, seen, moved, held, trial.end, desk, at_end)
-                slopes = slopes_between(plan, seen, state, made, trial)
-                first, turn = int(events[0, 0]) + 1, 0
-                task = begin_looks(desk, own, lanes)
+                    told[0, ASKED], task = BEGINNING, LOOKING
+                    call(job.watch, inputs, counter, jobs)
                 while True:
-                    task, turn = next_task(desk, own, kinds, events, first, task, turn, lanes)
+                    if task != SHOWING:
+                        told[0, ASKED] = GOING_ON
+                        call(job.watch, inputs, counter, jobs)
+                        task, turn = int(told[0, TASK]), int(told[0, TURN])
                     if task == SHOWING:
                         if not is_due_between(plan, clock, accepted):
                             break
@@ -1076,14 +673,14 @@ def integrate_lanes(plan, inputs, counter, jobs):
                         look = turn if task == LOOKING else LOOKS + 1
                         row, time = own.values + look * own.watched, time_between(trial, theta)
                         put_values(plan, seen, there, held, time, desk, row)
-                        if task == SEARCHING:
-                            narrow(desk, own, lanes)
-                        elif task == DIPPING:
-                            note_dip(desk, own, turn, lanes)
+                        if task != LOOKING:
+                            told[0, ASKED] = NARROWING if task == SEARCHING else NOTING_DIP
+                            call(job.watch, inputs, counter, jobs)
                     elif task == NOTING:
                         _store_state(plan, body, inputs, there, record, own)
                         put_signals(plan, there, held, desk)
-                        note_events(desk, own, events, kinds, lanes)
+                        told[0, ASKED] = NOTING_EVENTS
+                        call(job.watch, inputs, counter, jobs)
                     elif task == ENDING:
                         moved, clock, fate = ended_between(
                             plan, desk, there, made, trial, clock, fate
@@ -1093,7 +690,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
                         shown, record = shown_between(plan, at, there, held, record, clock)
                         due = clock.due
                         _store_row(plan, at, inputs, there, record, shown, own, job.rows, due)
-                        hand_over_row(desk, own, job, lanes)
+                        told[0, ASKED] = HANDING_ROW
+                        call(job.serve, inputs, counter, jobs)
                         clock = with_due(plan, desk, clock)
             state = taken(accepted, moved, state)
             fresh = taken(failed, failed, accepted)
@@ -1106,7 +704,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
             fate = fate_now(clock, span, limits, record, fresh, fate)
             if mark_due(plan, desk, clock, fresh):
                 _store_row(plan, seen, inputs, state, record, shown, own, job.rows, clock.t)
-                hand_over_row(desk, own, job, lanes)
+                told[0, ASKED] = HANDING_ROW
+                call(job.serve, inputs, counter, jobs)
                 clock = with_due(plan, desk, clock)
         if is_to_tidy(clock, span, fresh, fate):
             state = tidied(plan, body, state, clock, span, fresh, fate)

@@ -1,0 +1,335 @@
+"""Crossings of zero by events in a step: looked for, found to rounding, and noted on the desk."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lierb.compiler.code import cached
+from lierb.compiler.loops import histories_at, numbers_at, shared
+from lierb.kernels.stepping.desk import (
+    ASKED,
+    AT_HIGH,
+    AT_LOW,
+    CURSOR,
+    EVENT_COLUMNS,
+    FIRST,
+    HIGH,
+    LAST,
+    LENGTH,
+    LOOKS,
+    LOW,
+    MARK,
+    START,
+    TASK,
+    THETA,
+    TOOK,
+    TRAJECTORY,
+    TURN,
+    WHICH,
+)
+from lierb.kernels.stepping.step_size import EPS
+
+STARTING, BEGINNING, GOING_ON, NARROWING, NOTING_DIP, NOTING_EVENTS = range(6)  # of `watch`
+SEARCHES = 120  # at most; every third one halves
+NEAR = 0.125  # of an event's range in a step: how near to zero it must come to be looked at there
+# What the state between a step's ends is asked for: events' values, to look for crossings, first at
+# equal distances, then where an event seems to come nearest to zero and to go back; and to find
+# one; a crossing, to note it; the end of a trajectory; a row of its history.
+LOOKING, DIPPING, SEARCHING, NOTING, ENDING, SHOWING = range(6)
+
+
+@cached()
+def watch(service, inputs, counter, jobs):
+    """What is asked for: as `lierb.kernels.stepping.desk.serve`. GOING_ON says what comes next, and
+    its turn.
+    """
+    job, own = jobs[0], jobs[1]
+    desk, told, lanes = numbers_at(own.desk), numbers_at(own.told), inputs.shape[1]
+    kinds, events = numbers_at(job.kinds), numbers_at(own.events)
+    asked, turn = told[0, ASKED], int(told[0, TURN])
+    if asked == STARTING:
+        note_starts(desk, own, lanes)
+    elif asked == BEGINNING:
+        begin_looks(desk, lanes)
+        told[0, TASK], told[0, TURN], told[0, FIRST] = LOOKING, 0.0, events[0, 0] + 1.0
+    elif asked == GOING_ON:
+        first, task = int(told[0, FIRST]), int(told[0, TASK])
+        task, turn = next_task(desk, own, kinds, events, first, task, turn, lanes)
+        told[0, TASK], told[0, TURN] = task, turn
+    elif asked == NARROWING:
+        narrow(desk, own, lanes)
+    elif asked == NOTING_DIP:
+        note_dip(desk, own, turn, lanes)
+    else:
+        note_events(desk, own, events, kinds, lanes)
+
+
+@shared
+def side_of(value):
+    return 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0
+
+
+@shared
+def note_starts(desk, own, lanes):
+    """Of trajectories that have just started: on which side of zero each event is; 0 on it."""
+    for lane in range(lanes):
+        if desk[MARK, lane] > 0.0:
+            for event in range(own.watched):
+                value = desk[own.values + own.watched * own.looks + event, lane]
+                desk[own.sides + event, lane] = side_of(value)
+                desk[own.values + event, lane] = value
+
+
+@shared
+def begin_looks(desk, lanes):
+    """Before crossings are looked for in an accepted step."""
+    for lane in range(lanes):
+        desk[CURSOR, lane] = 0.0
+        desk[LAST, lane] = 2.0
+
+
+@shared
+def next_task(desk, own, kinds, events, first, task, turn, lanes):
+    """What is to be done next at a state between, and THETA, where that is; and the task's turn.
+
+    first : place of the first event that is noted in this step.
+    """
+    if task == LOOKING:
+        if turn + 1 < own.looks:
+            for lane in range(lanes):
+                desk[THETA, lane] = (turn + 1) / own.looks
+            return LOOKING, turn + 1
+        find_dips(desk, own, lanes)
+        task, turn = DIPPING, -1
+    if task == DIPPING:
+        turn = next_dip(desk, own, turn + 1, lanes)
+        if turn < own.watched:
+            return DIPPING, turn
+        task = NOTING  # of nothing so far
+    elif task == SEARCHING:
+        if turn + 1 < SEARCHES and next_thetas(desk, lanes, turn + 1):
+            return SEARCHING, turn + 1
+        for lane in range(lanes):
+            desk[THETA, lane] = desk[HIGH, lane] if desk[MARK, lane] > 0.0 else 0.0
+        return NOTING, 0
+    if task == NOTING:
+        if next_crossings(desk, own, kinds, lanes):
+            next_thetas(desk, lanes, 0)
+            return SEARCHING, 0
+        end_search(desk, own, lanes)
+        if drop_later(desk, events, first, lanes):
+            for lane in range(lanes):
+                desk[THETA, lane] = desk[LAST, lane] if desk[LAST, lane] <= 1.0 else 0.0
+            return ENDING, 0
+    return SHOWING, 0
+
+
+@shared
+def find_dips(desk, own, lanes):
+    """Of each event the θ at which it seems to come nearest to zero and to go back, between two
+    looks of one sign: the least of the cubic by values and slopes there, which are those of the
+    quartic through all looks. 2 where there is none.
+    """
+    count = own.watched
+    dips = own.values + (LOOKS + 2) * count
+    for lane in range(lanes):
+        for event in range(count):
+            desk[dips + event, lane] = 2.0
+            if own.looks == LOOKS and desk[TOOK, lane] > 0.0:
+                desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane)
+
+
+@shared
+def dip_of(desk, first, every, lane):
+    a, b, c = desk[first, lane], desk[first + every, lane], desk[first + 2 * every, lane]
+    d, e = desk[first + 3 * every, lane], desk[first + 4 * every, lane]
+    values = (a, b, c, d, e)
+    slopes = (  # of the quartic, by θ / 4
+        (-25.0 * a + 48.0 * b - 36.0 * c + 16.0 * d - 3.0 * e) / 12.0,
+        (-3.0 * a - 10.0 * b + 18.0 * c - 6.0 * d + e) / 12.0,
+        (a - 8.0 * b + 8.0 * d - e) / 12.0,
+        (3.0 * e + 10.0 * d - 18.0 * c + 6.0 * b - a) / 12.0,
+        (25.0 * e - 48.0 * d + 36.0 * c - 16.0 * b + 3.0 * a) / 12.0,
+    )
+    found, nearest = 2.0, NEAR * (max(values) - min(values))
+    for look in range(LOOKS):
+        side = side_of(values[look])
+        low, high = side * values[look], side * values[look + 1]
+        falls, rises = side * slopes[look], side * slopes[look + 1]
+        if high > 0.0 and falls < 0.0 and rises > 0.0:
+            bend = 3.0 * (low - high) + falls + rises
+            root = np.sqrt(bend * bend - falls * rises)
+            share = 1.0 - (rises + root - bend) / (rises - falls + 2.0 * root)
+            least = low + share * (falls + share * (share * (falls + rises + 2.0 * (low - high))
+                    + 3.0 * (high - low) - 2.0 * falls - rises))  # fmt: skip
+            if least < nearest and 0.0 < share < 1.0:
+                found, nearest = (look + share) / LOOKS, least
+    return found
+
+
+@shared
+def next_dip(desk, own, event, lanes):
+    """The next event, from this one on, that dips somewhere, and THETA; the count of events if none
+    does.
+    """
+    dips = own.values + (LOOKS + 2) * own.watched
+    while event < own.watched:
+        found = False
+        for lane in range(lanes):
+            theta = desk[dips + event, lane]
+            desk[THETA, lane] = theta if theta < 1.0 else 0.0
+            found = found or theta < 1.0
+        if found:
+            break
+        event += 1
+    return event
+
+
+@shared
+def note_dip(desk, own, event, lanes):
+    """Of this event, its value at THETA."""
+    searched = own.values + (LOOKS + 1) * own.watched
+    dips = searched + own.watched
+    for lane in range(lanes):
+        desk[dips + own.watched + event, lane] = desk[searched + event, lane]
+
+
+@shared
+def next_crossings(desk, own, kinds, lanes):
+    """The next crossing in each lane, as MARK, WHICH, LOW, HIGH, AT_LOW and AT_HIGH; whether there
+    is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
+    and from there on neither side is the one that was left.
+    """
+    found, looks, count = False, own.looks, own.watched
+    dips = own.values + (LOOKS + 2) * count
+    for lane in range(lanes):
+        desk[MARK, lane] = 0.0
+        if desk[TOOK, lane] == 0.0:
+            continue
+        cursor = int(desk[CURSOR, lane])
+        while cursor < 2 * looks * count and desk[MARK, lane] == 0.0:
+            # From one look to the next; or to a dip between them, and from there on.
+            half, look, event = cursor % 2, cursor // 2 // count + 1, cursor // 2 % count
+            cursor += 1
+            low, high = (look - 1) / looks, look / looks
+            before = desk[own.values + (look - 1) * count + event, lane]
+            value = desk[own.values + look * count + event, lane]
+            dip, at_dip = desk[dips + event, lane], desk[dips + count + event, lane]
+            if low < dip < high:
+                if half == 0:
+                    high, value = dip, at_dip
+                else:
+                    low, before = dip, at_dip
+            elif half == 0:
+                continue
+            side = desk[own.sides + event, lane]
+            if side * value < 0.0 or (side != 0.0 and value == 0.0):
+                direction = kinds[0, event]
+                if direction == 0.0 or direction == -side:
+                    found = True
+                    desk[MARK, lane] = 1.0
+                    desk[WHICH, lane] = event
+                    desk[LOW, lane], desk[HIGH, lane] = low, high
+                    # What is held may have made it jump.
+                    desk[AT_LOW, lane] = before if side * before > 0.0 else 0.0
+                    desk[AT_HIGH, lane] = value
+                desk[own.sides + event, lane] = side_of(value)
+            elif side == 0.0:
+                desk[own.sides + event, lane] = side_of(value)
+        desk[CURSOR, lane] = cursor
+    return found
+
+
+@shared
+def next_thetas(desk, lanes, search):
+    """Where the crossings are looked for next, between both ends: by the secant, each end's value
+    halved once it has stayed twice (Illinois), and by halves every third time. Whether any is.
+    """
+    busy = False
+    for lane in range(lanes):
+        low, high = desk[LOW, lane], desk[HIGH, lane]
+        desk[THETA, lane] = high if desk[MARK, lane] > 0.0 else 0.0
+        if desk[MARK, lane] == 0.0:
+            continue
+        length, at = desk[LENGTH, lane], abs(desk[START, lane]) + desk[LENGTH, lane]
+        least = max(4.0 * EPS, 2.0 * EPS * at / length if length > 0.0 else 1.0)
+        if high - low <= least:
+            continue
+        busy = True
+        theta, slope = 0.5 * (low + high), desk[AT_HIGH, lane] - desk[AT_LOW, lane]
+        if search % 3 != 2 and slope != 0.0:
+            secant = high - desk[AT_HIGH, lane] * (high - low) / slope
+            if low < secant < high:
+                theta = min(max(secant, low + 0.5 * least), high - 0.5 * least)
+        desk[THETA, lane] = theta
+    return busy
+
+
+@shared
+def narrow(desk, own, lanes):
+    """With the events' values at THETA."""
+    searched = own.values + (LOOKS + 1) * own.watched
+    for lane in range(lanes):
+        theta = desk[THETA, lane]
+        if desk[MARK, lane] == 0.0 or theta >= desk[HIGH, lane] or theta <= desk[LOW, lane]:
+            continue
+        value = desk[searched + int(desk[WHICH, lane]), lane]
+        before, after = desk[AT_LOW, lane], desk[AT_HIGH, lane]
+        is_after = value * after > 0.0 or value == 0.0 if after != 0.0 else value * before <= 0.0
+        if is_after:
+            desk[HIGH, lane], desk[AT_HIGH, lane] = theta, value
+            desk[AT_LOW, lane] = 0.5 * before
+        else:
+            desk[LOW, lane], desk[AT_LOW, lane] = theta, value
+            desk[AT_HIGH, lane] = 0.5 * after
+
+
+@shared
+def note_events(desk, own, events, kinds, lanes):
+    """One row for each crossing that has been found, with the state there, which is on the desk."""
+    rotation, position = histories_at(own.rotation), histories_at(own.position)
+    omega, v = histories_at(own.omega), histories_at(own.v)
+    for lane in range(lanes):
+        if desk[MARK, lane] == 0.0:
+            continue
+        place, event, theta = int(events[0, 0]) + 1, int(desk[WHICH, lane]), desk[HIGH, lane]
+        events[0, 0] = place
+        events[place, 0], events[place, 1] = desk[TRAJECTORY, lane], event
+        events[place, 2] = desk[START, lane] + theta * desk[LENGTH, lane]
+        column = EVENT_COLUMNS
+        for link in range(rotation.shape[0]):
+            for part in (rotation, position, omega, v):
+                for c in range(part.shape[2]):
+                    events[place, column] = part[link, lane, c]
+                    column += 1
+        for row in range(own.signals, own.signals + events.shape[1] - column):
+            events[place, column] = desk[row, lane]
+            column += 1
+        if kinds[1, event] > 0.0:
+            desk[LAST, lane] = min(desk[LAST, lane], theta)
+
+
+@shared
+def drop_later(desk, events, first, lanes):
+    """Have nothing known of events of this step, from place `first` on, that come after their
+    trajectory's end. Whether any ends.
+    """
+    ends = False
+    for lane in range(lanes):
+        if desk[LAST, lane] <= 1.0:
+            ends = True
+            last = desk[START, lane] + desk[LAST, lane] * desk[LENGTH, lane]
+            for place in range(first, int(events[0, 0]) + 1):
+                if events[place, 0] == desk[TRAJECTORY, lane] and events[place, 2] > last:
+                    events[place, 0] = -1.0
+    return ends
+
+
+@shared
+def end_search(desk, own, lanes):
+    """The values at the end of an accepted step are those at the start of the next."""
+    for lane in range(lanes):
+        if desk[TOOK, lane] > 0.0:
+            for event in range(own.watched):
+                last = desk[own.values + own.looks * own.watched + event, lane]
+                desk[own.values + event, lane] = last

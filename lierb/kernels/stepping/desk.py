@@ -1,0 +1,219 @@
+"""A thread's desk: what the lanes of a driver have between them, and whose they are.
+
+It is one time of L trajectories, in the same arrays as the results of the batch; what a lane has to
+show is written there by formulas, and handed over to its place in the results. What is done lane by
+lane knows nothing of a plan: it is compiled once for all of them, and called by its address.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_type_hints
+
+import numpy as np
+
+from lierb.compiler.code import cached
+from lierb.compiler.entries import take_turn
+from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
+from lierb.compiler.tags import Tag
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.stepping.driver import ARRAYS
+from lierb.kernels.stepping.lane_clock import LaneClock, Span
+from lierb.kernels.stepping.layout import Columns, Field
+from lierb.kernels.stepping.measures import SUMMARY
+from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import (
+    controllers_of,
+    events_of,
+    memory_of,
+    outputs_of,
+    signals_width,
+)
+from lierb.kernels.stepping.step_size import Tolerances
+
+# Rows of a desk that loops over lanes read and write.
+(
+    TRAJECTORY,  # whose the lane is; −1 for nobody's
+    NUMBER,  # of the trajectory, for noise
+    MARK,  # 1 where something is to be done
+    ACTIVE,  # 1 where a trajectory is on its way
+    FRESH,  # 1 where one has just started, or a step has been accepted
+    FATE,  # 0 where it goes on; where it has ended, its status and 1
+    NEXT, DUE,  # row of the history, and when it is due, s
+    START, LENGTH,  # of the step, s
+    THETA,
+    TOOK,  # 1 where the step has been accepted
+    CURSOR,  # of the search for crossings: how many looks have been gone through
+    WHICH,  # of the events
+    LOW, HIGH, AT_LOW, AT_HIGH,  # of a crossing: θ and the event's value at both ends
+    LAST,  # θ of the first terminal event in the step; 2 for none
+    ROWS,
+) = range(20)  # fmt: skip
+# What a loop asks of a service, and is told by it.
+ASKED, TASK, TURN, FIRST, IS_NEW, ANSWER, TOLD = range(7)
+TAKING, HANDING_ENDS, HANDING_ROW = range(3)  # of `serve`
+LOOKS = 4  # at events in a step, where the method has a continuous extension
+STARTS = SUMMARY.index("starts")  # which is known before
+EVENT_COLUMNS = 3  # trajectory, event, t
+
+
+OWN_ARRAYS = ("desk", "told", "save_at", "numbers", "events", "kinds")
+_SIZES = (
+    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
+    "signals", "own_summary", "serve", "watch",
+)  # fmt: skip
+LANE_JOB = np.dtype(
+    (
+        np.record,
+        [
+            *((name, np.int64, (4,)) for name in (*ARRAYS, *OWN_ARRAYS)),
+            *((name, np.int64) for name in _SIZES),
+            ("seed", np.float64),
+            *get_type_hints(Span).items(),
+            *get_type_hints(Tolerances).items(),
+        ],
+    )
+)
+"""As `lierb.kernels.stepping.driver.JOB`, of the batch or of a desk.
+
+desk : [row][lane], of `desk_of`.   told : of a desk, [1][TOLD].   numbers : [1][n].
+save_at : [1][row of the history], s.
+events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
+kinds : [direction, is terminal][event].
+first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how
+often each is asked in a step.
+sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
+serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch`.
+"""
+
+
+def desk_of(plan: AnyPlan) -> Columns:
+    """The rows of a desk: what loops over lanes need; of each event its side, its values at the
+    looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
+    then what lanes carry.
+    """
+    events, signals = len(events_of(plan)), signals_width(plan)
+    return Columns(
+        Field("rows", (ROWS,)),
+        Field("sides", (events,)),
+        Field("values", (LOOKS + 1, events)),
+        Field("searched", (events,)),
+        Field("dips", (2, events)),
+        Field("signals", (signals,)),
+        Field("clock", (len(LaneClock._fields),)),
+        Field("controls", (size_of(outputs_of(plan)),)),
+        Field("memory", (size_of(memory_of(plan)),)),
+        Field("ticks", (len(controllers_of(plan)),)),
+    )
+
+
+@dataclass(frozen=True)
+class Service(Tag):
+    """Of all plans alike."""
+
+
+SERVICE = Service()
+
+
+@cached()
+def serve(service, inputs, counter, jobs):
+    """What is asked for: as of `lierb.kernels.stepping.lane_driver.integrate_lanes`, of whose
+    arguments the others are.
+    """
+    job, own = jobs[0], jobs[1]
+    desk, told, lanes = numbers_at(own.desk), numbers_at(own.told), inputs.shape[1]
+    asked = told[0, ASKED]
+    if asked == TAKING:
+        going = take_next(desk, job, inputs, counter, lanes, told[0, IS_NEW] > 0.0)
+        told[0, ANSWER] = 1.0 if going else 0.0
+    elif asked == HANDING_ENDS:
+        hand_over_ends(desk, own, job, lanes)
+    else:
+        hand_over_row(desk, own, job, lanes)
+
+
+@shared
+def hand_over_row(desk, own, job, lanes):
+    """A row of the history, where MARK says, from the desk to its place; the next one is due."""
+    history, shown = histories_at(job.history), histories_at(own.history)
+    multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
+    reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)
+    save_at = numbers_at(job.save_at)
+    rows = save_at.shape[1]
+    for lane in range(lanes):
+        if desk[MARK, lane] == 0.0:
+            continue
+        column, row = int(desk[TRAJECTORY, lane]), int(desk[NEXT, lane])
+        for c in range(shown.shape[0]):
+            history[c, row, column] = shown[c, 0, lane]
+        if own_multipliers.shape[0] > 0:
+            for c in range(own_multipliers.shape[2]):
+                multipliers[row, column, c] = own_multipliers[0, lane, c]
+        for joint in range(own_reactions.shape[0]):
+            for c in range(6):
+                reactions[joint * rows + row, column, c] = own_reactions[joint, lane, c]
+        if job.rows > 1:
+            hand_over_state(own, job, lane, column, row)
+        desk[NEXT, lane] = row + 1
+        desk[DUE, lane] = save_at[0, row + 1] if row + 1 < rows else np.inf
+
+
+@shared
+def hand_over_state(own, job, lane, column, row):
+    """Of all links."""
+    copy_links(histories_at(own.rotation), histories_at(job.rotation), lane, column, row, job.rows)
+    copy_links(histories_at(own.position), histories_at(job.position), lane, column, row, job.rows)
+    copy_links(histories_at(own.omega), histories_at(job.omega), lane, column, row, job.rows)
+    copy_links(histories_at(own.v), histories_at(job.v), lane, column, row, job.rows)
+
+
+@shared
+def copy_links(shown, array, lane, column, row, rows):
+    for link in range(shown.shape[0]):
+        for c in range(shown.shape[2]):
+            array[link * rows + row, column, c] = shown[link, lane, c]
+
+
+@shared
+def hand_over_ends(desk, own, job, lanes):
+    """What trajectories that have ended come to."""
+    summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
+    ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
+    for lane in range(lanes):
+        if desk[FATE, lane] > 0.0:
+            column = int(desk[TRAJECTORY, lane])
+            for c in range(own_summary.shape[0]):
+                if c != STARTS:
+                    summary[c, column] = own_summary[c, lane]
+            for c in range(own_ends.shape[0]):
+                ends[c, column] = own_ends[c, lane]
+            hand_over_state(own, job, lane, column, job.rows - 1)
+
+
+@shared
+def take_next(desk, job, inputs, counter, lanes, is_new):
+    """Lanes whose trajectory has ended take the next ones; MARK says which have one. Whether there
+    is any on its way.
+    """
+    places, varying = integers_at(job.places), integers_at(job.varying)
+    save_at, numbers = numbers_at(job.save_at), numbers_at(job.numbers)
+    going = False
+    for lane in range(lanes):
+        desk[MARK, lane] = 0.0
+        if desk[FATE, lane] > 0.0:
+            desk[FATE, lane] = 0.0
+            taken = take_turn(counter)
+            is_one = taken < job.stop
+            desk[MARK, lane] = 1.0 if is_one else 0.0
+            desk[ACTIVE, lane] = desk[MARK, lane]
+            if is_one or is_new:
+                trajectory = min(taken, job.stop - 1)  # a lane without one has harmless numbers
+                for i in range(inputs.shape[0] if is_new else varying.shape[1]):
+                    c = i if is_new else varying[0, i]
+                    inputs[c, lane] = number_at(places[c, 0] + places[c, 1] * trajectory)
+                desk[TRAJECTORY, lane] = trajectory
+                desk[NUMBER, lane] = numbers[0, trajectory]
+                desk[NEXT, lane] = 0.0
+                desk[DUE, lane] = save_at[0, 0] if save_at.shape[1] > 0 else np.inf
+        going = going or desk[ACTIVE, lane] > 0.0
+    return going
