@@ -19,7 +19,8 @@ PAGES = [
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if not page.is_relative_to(BUILT)),
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md")),
 ]
-QUICK = [page for page in PAGES if page.stem not in ("forces", "theory")]  # these: nine kernels
+KERNELS = ("forces", "theory", "events", "control", "output")  # have some of their own
+QUICK = [page for page in PAGES if page.stem not in KERNELS]
 
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
