@@ -16,6 +16,7 @@ from peers import heavy_top as top
 from peers.heavy_top import Final, Form
 
 ACCURACIES = (1e-5, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13)  # relative tolerances
+ADAPTIVE = {"": "DOP853", "-tsit5": "Tsit5", "-verner87": "Verner87", "-verner98": "Verner98"}
 FORMS = {
     "reduced": Form("reduced", 65536, "lierb, reduced"),
     "gain": Form("reduced", 65536, "lierb, SE(3), constant gain"),
@@ -28,7 +29,7 @@ FORMS = {
             "reduced", 65536, f"lierb, reduced, {method}, adaptive", adaptive=True, accuracy=1e-8,
             accuracies=ACCURACIES if end == "" else (), threads=(1, 2) if end == "" else (1,),
         )
-        for end, method in (("", "DOP853"), ("-tsit5", "Tsit5"), ("-verner98", "Verner98"))
+        for end, method in ADAPTIVE.items()
     },
     "saddle": Form("general", 16384, "lierb, SE(3), saddle point"),
     "saddle-so3xr3": Form("general", 16384, "lierb, SO(3)×ℝ³, saddle point"),
@@ -46,9 +47,10 @@ OPTIONS = {
     "reduced": {"cspace": "reduced"},
     "gain": {},
     "reduced-dop853": {"cspace": "reduced", "method": "DOP853"},
-    "reduced-adaptive": {"cspace": "reduced", "method": "DOP853"},
-    "reduced-adaptive-tsit5": {"cspace": "reduced", "method": "Tsit5"},
-    "reduced-adaptive-verner98": {"cspace": "reduced", "method": "Verner98"},
+    **{
+        f"reduced-adaptive{end}": {"cspace": "reduced", "method": method}
+        for end, method in ADAPTIVE.items()
+    },
     "saddle": {"solver": "saddle"},
     "saddle-so3xr3": {"cspace": "SO3xR3"},
 }

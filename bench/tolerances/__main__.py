@@ -25,7 +25,8 @@ RESULTS, README = BENCH / "results", BENCH / "README.md"
 TIMEOUT = 1200  # s, for one measurement: SciPy takes minutes to tune
 ENTRIES = {
     "lierb": (
-        "reduced-adaptive", "reduced-adaptive-tsit5", "reduced-adaptive-verner98", "reduced-dop853",
+        "reduced-adaptive", "reduced-adaptive-tsit5", "reduced-adaptive-verner87",
+        "reduced-adaptive-verner98", "reduced-dop853",
     ),
     "heyoka_taylor": ("reduced", "reduced-as-they-come"),
     "numbalsoda_dop853": ("reduced",),
