@@ -18,7 +18,7 @@ from lierb.result import Result
 from lierb.runs.mechanisms import baumgarte
 from lierb.runs.provenance import package_version
 from lierb.studies.comparing import convergence
-from lierb.tableaus import ButcherTableau
+from lierb.tableaus import TABLEAUS, ButcherTableau
 from lierb.user_elements import constraint, observable, wrench
 from lierb.user_signals import controller, event, states
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 __version__ = package_version()
 __all__ = [
+    "TABLEAUS",
     "Body",
     "ButcherTableau",
     "Link",

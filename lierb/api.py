@@ -97,10 +97,10 @@ def integrate(
     dt : of fixed steps, s; from t0 to t_end there must be a whole number of them. Of adaptive steps
         the first one; default: Hairer's choice.
     rtol, atol : either makes steps adaptive, each trajectory's its own: the error of a step by the
-        method's embedded one is, in each block, at most √(atol² + rtol² size²). Blocks: rotation
-        (size 1 rad), position, omega, v, and each of the user's states. atol is a number, in SI
-        units, or a dictionary by block ("states" for all of these). Default: rtol 1e-6, atol
-        1e-3 rtol.
+        method's embedded one is, in each block, at most √(atol² + rtol² size²), over the method's
+        `ButcherTableau.calibration`. Blocks: rotation (size 1 rad), position, omega, v, and each of
+        the user's states. atol is a number, in SI units, or a dictionary by block ("states" for all
+        of these). Default: rtol 1e-6, atol 1e-3 rtol.
     dt_min, dt_max : of adaptive steps, s. One that would have to be shorter ends the trajectory
         with status "dt_min". Default: rounding of t, and no bound.
     max_steps : tried steps, after which a trajectory ends with status "max_steps". Default: none.

@@ -19,6 +19,7 @@ from peers import heavy_top, reference, report  # noqa: E402
 from peers.__main__ import NOT_PEERS  # noqa: E402
 from tolerances import tops  # noqa: E402
 from tolerances import worker as tolerances_worker  # noqa: E402
+from work_precision import tables as work_precision_tables  # noqa: E402
 
 STORED = sorted((BENCH / "results").glob("peers-*.json"))
 
@@ -225,3 +226,19 @@ def test_theory_shows_the_stored_rounding():
     assert (
         max(max(run[f"{key} RᵀR"]) for run in stored.values() for key in ("saddle", "auto")) < 4e-15
     )
+
+
+# ---------------------------------------------------------------- docs/howto/choosing.md
+
+
+def test_choosing_shows_the_stored_work_and_precision():
+    stored = max((BENCH / "results").glob("choosing-*.json"))
+    shown = work_precision_tables(json.loads(stored.read_text(encoding="utf-8")))
+    docs = BENCH.parent / "docs"
+    pages = dict.fromkeys(shown, docs / "howto" / "choosing.md") | {"kept": docs / "theory.md"}
+    assert len(shown) == 5
+    for name, table in shown.items():
+        page = pages[name].read_text(encoding="utf-8")
+        assert table in page, name
+        assert stored.name in page
+    assert stored.with_suffix(".png").name in pages["methods"].read_text(encoding="utf-8")

@@ -19,7 +19,8 @@ PAGES = [
     *sorted(page for page in (ROOT / "docs").rglob("*.md") if not page.is_relative_to(BUILT)),
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "bench/README.md")),
 ]
-QUICK = [page for page in PAGES if page.stem not in ("forces", "theory")]  # these: nine kernels
+KERNELS = ("forces", "theory", "events", "control", "output")  # have some of their own
+QUICK = [page for page in PAGES if page.stem not in KERNELS]
 
 SPAN = re.compile(r"`([^`\n]+)`")
 NAME = re.compile(r'\b(lierb(?:\.\w+)+)(?:\["(\w+)"\])?')
@@ -118,7 +119,7 @@ def test_readme_examples_print_what_they_say(capsys):
     number = re.compile(r"[0-9.]+e[+-][0-9]+")
     names: dict = {}
     examples = re.findall(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL)
-    assert len(examples) == 2
+    assert len(examples) == 3
     for code, shown in examples:
         exec(compile(code, "README.md", "exec"), names)
         lines = capsys.readouterr().out.splitlines()

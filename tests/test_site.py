@@ -27,7 +27,7 @@ DIRECTIVE = re.compile(
 def _public() -> dict[str, object]:
     """Everything that a user is to find, by its dotted name."""
     names = {f"lierb.{name}": getattr(lierb, name) for name in (*lierb.__all__, *lierb._STUDIES)}
-    for module in (lierb.joints, lierb.forces, lierb.sampling):
+    for module in (lierb.joints, lierb.forces, lierb.noise, lierb.sampling):
         names |= {f"{module.__name__}.{name}": getattr(module, name) for name in module.__all__}
     for module in (lierb.bodies, lierb.errors):
         for name, item in vars(module).items():
@@ -56,6 +56,7 @@ WITHOUT_EXAMPLE = {
     "lierb.bodies.from_mesh",  # needs a mesh, and trimesh
     "lierb.sampling.Distribution",  # what all distributions have in common
     "lierb.joints.JOINTS",
+    "lierb.TABLEAUS",
 }
 
 

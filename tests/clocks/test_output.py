@@ -15,7 +15,7 @@ ORDER |= {"Euler": 1, "Heun": 2, "RK4": 4}
 
 def heavy_top(**options) -> lierb.Result:
     problem, twist0 = problem_of("heavy_top")
-    record = ("state",) if "save_at" in options else ()
+    record = ("state",) if {"save_at", "save_every"} & set(options) else ()
     options = {"t_end": 1.0, "record": record} | options
     return lierb.integrate(problem, twist0=twist0, **options)
 

@@ -184,7 +184,7 @@ def judged(
         return Verdict(
             where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved
         )
-    meets = fine & (square <= 1.0)  # false for NaN
+    meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
     accepted = going & meets & ~raised
     refused = going & ~meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
+from lierb.kernels.numbers.arithmetic import fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.words import rough_exp2, rough_log2
 from lierb.kernels.numbers.zero import ZERO, is_zero
@@ -228,7 +228,8 @@ def first_step(
     wanted = rough_exp2((0.5 / _power_of(plan)) * level)
     wanted = where(still, maximum(1e-6 * length, guess * 1e-3), wanted)
     wanted = minimum(100.0 * guess, wanted)
-    return where(absolute(wanted) < length, wanted, length)  # NaN: a trial will tell
+    # NaN: a trial will tell. Nothing, where nothing is allowed: growing finds what is.
+    return where(wanted < length, maximum(wanted, 1e-12 * length), length)
 
 
 def _parts(of: Any) -> tuple[Vec, Vec, Vec]:
