@@ -40,9 +40,13 @@ def slow_but(names, *quick) -> list:
 
 def long_but(names, *slow) -> list:
     """Parameters of which `slow` run in every run of all tests, the others with -m long alone."""
-    return [
-        pytest.param(n, marks=pytest.mark.slow if n in slow else pytest.mark.long) for n in names
-    ]
+    return tiered(names, (), slow)
+
+
+def tiered(names, quick, slow) -> list:
+    """Parameters: `quick` ones, those that are `slow`, and the others, that run with -m long."""
+    marks = {n: pytest.mark.slow if n in slow else pytest.mark.long for n in names}
+    return [n if n in quick else pytest.param(n, marks=marks[n]) for n in names]
 
 
 # A row is the same formula in both c-spaces: each joint runs in one, and in both those that other

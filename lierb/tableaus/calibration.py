@@ -14,6 +14,9 @@ from collections.abc import Sequence
 from lierb.kernels.stepping.step_size import DOP853_MIX, SAFETY
 
 TURNS = 30.0  # after so many, the error is the tolerance: 30 times less after one, more after 900
+# Long steps of high orders may be far worse than they seem: those of Verner's 8(7) on a universal
+# joint by a factor of 100, which a uniform rotation does not show.
+LEAST = 10.0
 _TOLERANCE = 1e-8  # where errors are as their leading terms, and rounding is not seen
 _LONGEST = 3.0  # rad, in a step
 _HALVINGS = 60
@@ -24,7 +27,7 @@ Rows = Sequence[Sequence[float]]
 
 def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -> float:
     """By how much less than a tolerance the estimate of a step must be, for an error of the
-    tolerance after TURNS turns; at least 1, to two digits.
+    tolerance after TURNS turns; at least LEAST, to two digits.
     """
     aim = _TOLERANCE * SAFETY ** (error_order + 1)
     low, high = 0.0, _LONGEST
@@ -33,7 +36,7 @@ def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -
         low, high = (low, h) if _turned(A, b, error, h)[1] > aim else (h, high)
     defect, _ = _turned(A, b, error, high)
     total = 2.0 * math.pi * TURNS / high * defect / _TOLERANCE
-    return float(f"{min(max(total, 1.0), _LARGEST):.2g}")
+    return float(f"{min(max(total, LEAST), _LARGEST):.2g}")
 
 
 def _turned(A: Rows, b: Sequence[float], error: Rows, h: float) -> tuple[float, float]:

@@ -160,9 +160,14 @@ def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
 @pytest.mark.parametrize(
     "form",
     [
-        {"method": "DOP853"}, {"solver": "saddle"}, {"cspace": "SO3xR3"},
-        {"cspace": "SO3xR3", "update": "global"}, {"update": "global"}, {"cspace": "reduced"},
-        {"method": "BS32", "rtol": 1e-4},
+        {"method": "DOP853"}, {"cspace": "reduced"}, {"cspace": "SO3xR3", "update": "global"},
+        *(
+            pytest.param(form, marks=pytest.mark.long)
+            for form in (
+                {"solver": "saddle"}, {"cspace": "SO3xR3"}, {"update": "global"},
+                {"method": "BS32", "rtol": 1e-4},
+            )
+        ),
     ],
     ids=str,
 )  # fmt: skip

