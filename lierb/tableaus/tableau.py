@@ -254,7 +254,8 @@ class ButcherTableau:
     @cached_property
     def calibration(self) -> float:
         """By how much less than a tolerance a step's estimated error must be, for the motion to be
-        off by the tolerance: after thirty turns of a uniform rotation. At least 10; 1 without `error`.
+        off by the tolerance: after thirty turns of a uniform rotation. At least 10; 1 without
+        `error`.
         """
         if self.error is None or self.error_order is None:
             return 1.0
