@@ -45,7 +45,7 @@ from lierb.runs.progress import Progress, check_progress
 from lierb.runs.provenance import described_array, provenance
 from lierb.runs.starts import ready_body
 from lierb.runs.tables import events_table, history_table, size_of_tables, summary_table
-from lierb.runs.timing import Timing, checked_numbers, checked_seed, timing_of
+from lierb.runs.timing import Timing, check_periods, checked_numbers, checked_seed, timing_of
 from lierb.tableaus import ButcherTableau
 from lierb.user_signals import Event
 
@@ -278,10 +278,11 @@ def check_options(
         has_own_time=bool(problem.events or problem.states or problem.controllers),
         **dict.fromkeys(ADAPTIVE) | adaptive,
     )  # fmt: skip
+    check_periods(problem.controllers, timing)
     if isinstance(problem, Mechanism):
         cspaces_of(problem, cspace)
         check_mechanism_options(problem, update, solver, stabilise)
-        return recorded, timing, "tree"
+        return recorded, timing, "auto"
     if stabilise is not None:
         raise ArgumentError(
             f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "

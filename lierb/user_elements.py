@@ -350,7 +350,8 @@ def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
     and in any order, each as in `lierb.wrench`, and returns one number. For
     `Problem(observables=…)`. It is asked where measures are taken (`measure_every`, `save_every`),
-    and changes nothing of the motion.
+    and changes nothing of the motion. Steps of a tolerance are long: for a fine mean there give
+    `dt_max`, or integrate the number as a state (`lierb.states`).
 
     `history` has its values in a column of its name; `summary` has, under that name and over the
     measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and

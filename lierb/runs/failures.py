@@ -47,7 +47,7 @@ REMEDIES = {
     "raised": "raised: a function of yours that runs body by body raised an exception; return "
     "numbers there instead, or end the run before",
     "max_steps": "max_steps: as many steps were tried as max_steps allows; a larger one, a shorter "
-    "run or a larger rtol helps",
+    "run, longer steps or a larger rtol help",
     "dt_min": "dt_min: the error would have asked for a shorter step than dt_min, or than rounding "
     "of t allows; a force that jumps, a singularity ahead or rtol near rounding does that",
 }

@@ -278,6 +278,7 @@ def integrate(
         output.history.fill(np.nan)  # of what comes after an end
     for array in (*output.states, output.multipliers, output.reactions):
         array.fill(np.nan)
+    output.summary[SUMMARY.index("raised")] = calls.CLEAR  # `hear` looks at those on their way, too
     width = EVENT_COLUMNS + output.links * POSE_AND_TWIST.count + signals_width(plan)
     run = LaneRun(plan, inputs, times, output, used, Events([], width))
     if check is not None:

@@ -21,9 +21,10 @@ from lierb.runs.continuation import counted
 from lierb.runs.lanes import LaneTime
 from lierb.runs.provenance import described_array
 from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
-from lierb.user_signals import Event
+from lierb.user_signals import Controller, Event
 
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
+MOST_TICKS = 2.0**48  # beyond, steps between them would be a few roundings of t long
 BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
 ADAPTIVE_METHOD = "DOP853"  # where none is given
 RTOL = 1e-6  # where only atol is given
@@ -318,6 +319,18 @@ def _check_counts(save_every: Any, measure_every: Any) -> None:
         if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
             raise TimeGridError(
                 f"{name}={told(every)}; expected a whole number of steps, at least 1"
+            )
+
+
+def check_periods(controllers: Iterable[Controller], timing: Timing) -> None:
+    """Raise TimeGridError where a controller's ticks are so many that they have no numbers."""
+    latest = max(abs(timing.t0), abs(timing.t_end))
+    for each in controllers:
+        shortest = float(np.min(each.parameters["every"], initial=math.inf))
+        if latest / shortest > MOST_TICKS:
+            raise TimeGridError(
+                f"{each.name} ticks every {shortest!r} s, which is below what t = {latest!r} s is "
+                "rounded to; give a longer every=, or times nearer to 0 s"
             )
 
 

@@ -10,7 +10,7 @@ from cases import slow_but
 
 import lierb
 from clocks.shared import bits, spread_tops, table_bits, top_problem
-from lierb.runs import lanes, starts
+from lierb.runs import engine, lanes, starts
 
 TWISTS = spread_tops()
 TIMES = (0.0, 0.05, 0.1234567, 0.25)
@@ -215,3 +215,61 @@ def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without()
     names = ("rotation", "position", "omega", "v", "t")
     seen = [table_bits(x.summary.select(names)) for x in (plain, saved)]
     np.testing.assert_array_equal(*seen)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
+def test_marks_of_functions_that_raise_are_of_ends_alone(monkeypatch):
+    """What memory held before is no exception: calls end while trajectories are on their way."""
+
+    @lierb.wrench
+    def damping(t, R, r, omega, v, params):
+        return (np.zeros(3) if v[0] > 0 else 1e-3 * omega), np.zeros(3)
+
+    empty = engine.Output.empty
+
+    def used(*args, **options):
+        output = empty(*args, **options)
+        output.summary.fill(1e300)
+        return output
+
+    monkeypatch.setattr(engine.Output, "empty", staticmethod(used))
+    monkeypatch.setattr(lanes, "FIRST_TURNS", 3)
+    body = lierb.Body(1.0, (0.1, 0.2, 0.25))
+    problem = lierb.Problem(body, lierb.joints.free(), (0, 0, 0), forces=[damping()])
+    result = run(np.tile([1.0, 20.0, 3.0, 0, 0, 0], (8, 1)), problem, rtol=1e-4)
+    assert result.summary["status"].to_pylist() == ["ok"] * 8
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
+@pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
+def test_a_lane_after_one_that_has_raised_starts_anew():
+    """And what raises in a lane is not lost when a neighbour ends."""
+
+    @lierb.wrench(end=9.0)
+    def damping(t, R, r, omega, v, params):
+        if t > params.end:
+            raise ValueError("over")
+        return -0.1 * omega, np.zeros(3)
+
+    @lierb.event(terminal=True, end=9.0)
+    def stop(t, params):
+        return t - params.end
+
+    body = lierb.Body(1.0, (0.1, 0.2, 0.25))
+
+    def summary(raises, ends):
+        problem = lierb.Problem(
+            body, lierb.joints.free(), (0, 0, 0), forces=[damping(end=raises)],
+            events=[stop(end=ends)],
+        )  # fmt: skip
+        return run(np.tile([1.0, 2.0, 3.0, 0, 0, 0], (len(raises), 1)), problem, t_end=1.0)
+
+    never = np.full(24, 9.0)
+    alone = bits(summary(never, never), "end")
+    early = np.r_[np.full(8, 0.1), never[8:]]
+    mixed = summary(early, np.r_[never[:8], np.linspace(0.09, 0.12, 8), never[16:]])
+    expected = ["raised"] * 8 + ["event"] * 8 + ["ok"] * 8
+    assert mixed.summary["status"].to_pylist() == expected
+    np.testing.assert_array_equal(bits(mixed, "end")[16:], alone[16:])

@@ -312,3 +312,14 @@ def test_an_unknown_control_is_told_with_those_there_are():
             lierb.Body(100.0, MOMENTS), lierb.joints.spherical(), forces=[wrong()],
             controllers=[pid()],
         )  # fmt: skip
+
+
+def test_ticks_beyond_the_rounding_of_time_are_told():
+    @lierb.controller(every=1e-7)
+    def nothing(t):
+        return {"torque": 0.0 * t}
+
+    body = lierb.Body(1.0, (0.1, 0.2, 0.25))
+    problem = lierb.Problem(body, lierb.joints.free(), controllers=[nothing()])
+    with pytest.raises(lierb.errors.TimeGridError, match="nothing ticks every 1e-07 s"):
+        lierb.integrate(problem, twist0=np.zeros(6), t0=1e9, t_end=1e9 + 1, dt=0.25)

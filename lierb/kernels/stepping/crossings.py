@@ -275,7 +275,9 @@ def narrow(desk, own, lanes):
             continue
         value = desk[searched + int(desk[WHICH, lane]), lane]
         before, after = desk[AT_LOW, lane], desk[AT_HIGH, lane]
-        is_after = value * after > 0.0 or value == 0.0 if after != 0.0 else value * before <= 0.0
+        side = side_of(value)  # no products of values: they may be too small for one
+        beyond = side != side_of(before) if after == 0.0 else side == side_of(after)
+        is_after = side == 0.0 or beyond
         if is_after:
             desk[HIGH, lane], desk[AT_HIGH, lane] = theta, value
             desk[AT_LOW, lane] = 0.5 * before

@@ -204,7 +204,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     seen = system.measured(body, state, system.seen(body, state, nothing), nothing)
     energy = seen.values["energy"]
     dropped = system.dropped(body, state)
-    if plan.calls_functions:
+    if plan.calls_functions and not plan.has_lane_clocks:
         calls.set_marks(nothing + float(calls.CLEAR))
     watched = nothing_kept(plan, nothing)
     joints = (nothing,) * joint_columns(plan)
@@ -235,8 +235,10 @@ def load_record(plan: AnyPlan, carried: Any, first: Any) -> Record:
     record = Record(kept, energy, status, step, dropped, *seen)
     if plan.calls_functions:
         before = load(carried, (marks, first), plan.lanes)
-        pending = where(before > calls.SILENT, float(calls.HEARD), float(calls.CLEAR))
-        calls.set_marks(where(record.status == OK, pending, float(calls.SILENT)))
+        # Lanes with clocks of their own are heard once they have handed over their ends.
+        known = before if plan.has_lane_clocks else where(before > 0.0, float(calls.HEARD), before)
+        fine = where(record.status == OK, float(calls.CLEAR), float(calls.SILENT))
+        calls.set_marks(where(before > calls.SILENT, known, fine))
     return record
 
 

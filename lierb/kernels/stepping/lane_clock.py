@@ -172,8 +172,9 @@ def judged(
         raised = going & (calls.marks(clock.t) > calls.SILENT)
     steps = clock.steps
     if plan.embedded is None:
-        accepted = going & fine & ~raised
-        failed = where(going & ~accepted, worse, float(OK))
+        moves = trial.end > trial.start
+        accepted = going & fine & moves & ~raised
+        failed = where(going & ~accepted, where(moves, worse, float(DT_MIN)), float(OK))
         counted = clock._replace(steps=where(accepted, steps + 1.0, steps))
         cut = accepted & (trial.lands > 0.5)
         moved = counted._replace(

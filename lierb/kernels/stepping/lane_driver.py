@@ -90,8 +90,11 @@ from lierb.kernels.stepping.lane_formulas import (
     put_signals,
     put_trial,
     put_values,
+    renewed,
+    restored,
     row_of,
     shown_between,
+    silenced,
     slopes_between,
     started,
     state_between,
@@ -196,6 +199,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 break
             if is_new or job.differ:
                 body = load_body(plan, inputs)
+            marks = renewed(plan, fresh)
             if job.begin == RESUMED:
                 state = taken(fresh, resumed_state(plan, body, inputs), state)
             else:
@@ -211,6 +215,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 put_values(plan, body, state, held, clock.t, desk, at_end)
                 told[0, ASKED] = STARTING
                 call(job.watch, inputs, counter, jobs)
+            restored(plan, marks, fresh)
         else:
             if turns == 0 or events[0, 0] > room:
                 break
@@ -223,6 +228,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             moved = made.state
             if own.watched > 0 or is_due_between(plan, clock, accepted):
                 put_trial(plan, desk, trial, accepted)
+                marks = silenced(plan, accepted)
                 slopes = slopes_between(plan, seen, state, made, trial)
                 task, turn = SHOWING, 0
                 if own.watched > 0:
@@ -259,13 +265,17 @@ def integrate_lanes(plan, inputs, counter, jobs):
                             plan, desk, there, made, trial, clock, fate
                         )
                     else:
+                        due = row_of(plan, desk, MARK)
+                        others = silenced(plan, due)
                         at = with_signals(plan, body, there, held)
                         shown, record = shown_between(plan, at, there, held, record, clock)
-                        due = clock.due
-                        _store_row(plan, at, inputs, there, record, shown, own, job.rows, due)
+                        time = clock.due
+                        _store_row(plan, at, inputs, there, record, shown, own, job.rows, time)
+                        restored(plan, others, due)
                         told[0, ASKED] = HANDING_ROW
                         call(job.serve, inputs, counter, jobs)
                         clock = with_due(plan, desk, clock)
+                restored(plan, marks, accepted)
             state = taken(accepted, moved, state)
             fresh = taken(failed, failed, accepted)
         if is_tick(plan, body, clock, held, fresh):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from lierb.compiler import calls
 from lierb.compiler.trace import kernel
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.functions.signals import Noise
@@ -117,6 +118,35 @@ def store_lanes(plan: AnyPlan, desk: Any, clock: LaneClock, held: Held) -> None:
     _put_rows(plan, desk, "clock", clock)
     for name, numbers in held._asdict().items():
         _put_rows(plan, desk, name, numbers)
+
+
+# ---- functions that are called body by body, and what they raise ----
+
+
+def silenced(plan: AnyPlan, known: Any) -> Any:
+    """The marks so far; from now on functions are called where `known` is 1 alone. What is but
+    computed beside the others, of no state that a trajectory has, shall raise nothing.
+    """
+    if not plan.calls_functions:
+        return known
+    before = calls.marks(known)
+    calls.set_marks(where(known > 0.5, before, float(calls.SILENT)))
+    return before
+
+
+def renewed(plan: AnyPlan, fresh: Any) -> Any:
+    """The same before trajectories start: of these nothing has raised."""
+    if not plan.calls_functions:
+        return fresh
+    before = calls.marks(fresh)
+    calls.set_marks(where(fresh > 0.5, float(calls.CLEAR), float(calls.SILENT)))
+    return before
+
+
+def restored(plan: AnyPlan, before: Any, known: Any) -> None:
+    """The marks where `known` is not 1."""
+    if plan.calls_functions:
+        calls.set_marks(where(known > 0.5, calls.marks(known), before))
 
 
 # ---- a trajectory's start ----
@@ -471,6 +501,7 @@ for _formula in (
     ticked, fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended,
     next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
     slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
-    put_signals, put_trial, ended_between, with_signals, goes_on, store_lane_end,
+    put_signals, put_trial, ended_between, with_signals, goes_on, store_lane_end, silenced, renewed,
+    restored,
 ):  # fmt: skip
     kernel(_formula)
