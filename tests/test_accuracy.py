@@ -176,7 +176,8 @@ def _error(name: str, steps: int, **options) -> float:
 # A step reads its tableau in the same way in every form: RK4 shows all, the others one in turn.
 FORMS = [(cspace, update) for cspace in CSPACES for update in ("local", "global")]
 METHODS = [("RK4", *form) for form in FORMS] + [
-    (method, *form) for method, form in zip(sorted(TABLEAUS.keys() - {"RK4"}), cycle(FORMS))
+    (method, cspace, "local" if TABLEAUS[method].exponentials else update)
+    for method, (cspace, update) in zip(sorted(TABLEAUS.keys() - {"RK4"}), cycle(FORMS))
 ]
 
 

@@ -49,7 +49,7 @@ POINT, ANCHOR = (0.05, 0.02, 0.01), (0.1, 0.2, 0.3)
 LOOPS = {  # code of Numba's, and what it works on
     "groups.lie_functions.apply", "stepping.driver.integrate_blocks",
     "stepping.driver.integrate_on_threads", "stepping.driver.pack", "stepping.driver.job_of",
-    "stepping.clock.Clock.end", "stepping.clock.time_of",
+    "stepping.clock.Clock.end", "stepping.clock.Clock.saved_times", "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
@@ -71,6 +71,22 @@ OF_MECHANISMS = (
     "stepping.mechanism.",
     "stepping.mechanism_inputs.",
     "stepping.systems.",
+)
+
+# What lanes with clocks of their own ask: what chooses steps and finds crossings decides, and is no
+# function of a motion to differentiate; the rest sees such a lane alone. tests/clocks holds it
+# against truths.
+OF_CLOCKS = (
+    "stepping.formulations.OnOneChart.places",
+    "stepping.held.",
+    "stepping.stepper.between",
+    "stepping.stepper.extended",
+    "stepping.crossings.",
+    "stepping.desk.",
+    "stepping.lane_clock.",
+    "stepping.lane_driver.",
+    "stepping.lane_formulas.",
+    "stepping.step_size.",
 )
 
 in_python = pytest.mark.skipif(not config.DISABLE_JIT, reason="run below, with the JIT off")
@@ -110,7 +126,7 @@ FUNCTIONS = {
     name: f
     for package in (groups, mechanics, stepping)
     for name, f in public(package)
-    if not name.startswith(OF_MECHANISMS)
+    if not name.startswith((*OF_MECHANISMS, *OF_CLOCKS))
 }
 
 

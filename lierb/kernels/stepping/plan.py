@@ -67,11 +67,6 @@ class AnyPlan(Tag):
         raise NotImplementedError
 
     @cached_property
-    def nodes(self) -> tuple[float, ...]:
-        """c of the Butcher tableau: when each stage is."""
-        return tuple(sum(weights) for weights in self.stages)
-
-    @cached_property
     def last_stage(self) -> int:
         """How many stages a step needs that nobody looks into."""
         asked = [i for i, weight in enumerate(self.weights) if weight != 0.0]
