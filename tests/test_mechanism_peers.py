@@ -16,7 +16,8 @@ BENCH = Path(__file__).parent.parent / "bench"
 sys.path.insert(0, str(BENCH))
 
 from linkages import cases, report  # noqa: E402
-from linkages.__main__ import NOT_PEERS, keep  # noqa: E402
+from linkages.__main__ import NOT_PEERS, better  # noqa: E402
+from measuring import keep  # noqa: E402
 
 STORED = sorted((BENCH / "results").glob("mechanisms-*.json"))
 RK4 = 1e-9  # m: what it leaves of two links at 1 ms
@@ -131,7 +132,7 @@ def test_of_several_runs_the_best_counts_and_the_largest_error():
         ENTRY | {"cpu_s": 1.0, "error_m": 1e-8},
         {"failed": "no"},
     ):
-        keep(entries, "a/x", dict(found))
+        keep(entries, "a/x", dict(found), better)
     assert (entries["a/x"]["cpu_s"], entries["a/x"]["error_m"]) == (1.0, 1e-8)
 
 

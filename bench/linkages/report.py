@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from measuring import around_marks, headline
 from peers.report import _three as three
 
 STEPS = 1000  # a simulated second counts as so many steps, whatever a method takes itself
@@ -14,7 +15,6 @@ TITLES = {
     "chain8": "8 revolute links",
     "fourbar": "Four-bar with a loop",
 }
-BEGIN, END = "<!-- mechanisms -->\n", "<!-- /mechanisms -->"
 
 
 def rate(entry: dict[str, Any]) -> float:
@@ -28,12 +28,7 @@ def is_right(entry: dict[str, Any]) -> bool:
 
 
 def markdown(run: dict[str, Any]) -> str:
-    machine, before, after = run["machine"], run["before"], run["after"]
-    lines = [
-        f"{machine['cpu']}, {machine['lanes']} lanes, one core, {before['clock_ghz']:.2f} GHz; "
-        f"measured peak {before['peak_gflops']:.0f} GFLOP/s before the run, "
-        f"{after['peak_gflops']:.0f} after it; {run['time'][:10]}.",
-    ]
+    lines = [headline(run)]
     for mechanism, title in TITLES.items():
         rows = _rows(run, mechanism)
         if rows:
@@ -83,8 +78,5 @@ def _versions(run: dict[str, Any]) -> str:
 
 def embedded(text: str, run: dict[str, Any]) -> str:
     """`text` with this run's tables between its two marks."""
-    before, mark, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (mark and end):
-        raise ValueError(f"no place for the tables: {BEGIN.strip()} and {END} are missing")
-    return f"{before}{mark}{markdown(run)}\n{end}{after}"
+    before, after = around_marks(text, "mechanisms")
+    return f"{before}{markdown(run)}\n{after}"

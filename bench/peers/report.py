@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from measuring import around_marks
 
 STEPS = 1000  # a simulated second counts as so many body-steps, whatever the method's own steps
 
@@ -41,11 +42,8 @@ def rate(found: dict[str, Any], seconds: str) -> float:
 
 def embedded(text: str, run: dict[str, Any], figure: str) -> str:
     """`text` with this run's tables and figure between its two marks."""
-    before, mark, rest = text.partition("<!-- peers -->\n")
-    _, end, after = rest.partition("<!-- /peers -->")
-    if not (mark and end):
-        raise ValueError("no place for the tables: <!-- peers --> and <!-- /peers --> are missing")
-    return f"{before}{mark}{markdown(run)}\n\n![Work and precision]({figure})\n{end}{after}"
+    before, after = around_marks(text, "peers")
+    return f"{before}{markdown(run)}\n\n![Work and precision]({figure})\n{after}"
 
 
 def markdown(run: dict[str, Any]) -> str:

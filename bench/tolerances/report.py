@@ -4,27 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from measuring import around_marks, headline
+
 TARGETS = ("1e-06", "1e-09", "1e-12")
 TITLES = {"lognormal": "Velocities of all sizes", "one": "One velocity for all"}
-MARKS = ("<!-- tolerances -->\n", "<!-- /tolerances -->")
 
 
 def embedded(text: str, run: dict[str, Any]) -> str:
     """`text` with this run's tables between its two marks."""
-    before, mark, rest = text.partition(MARKS[0])
-    _, end, after = rest.partition(MARKS[1])
-    if not (mark and end):
-        raise ValueError(f"no place for the tables: {MARKS[0].strip()} and {MARKS[1]} are missing")
-    return f"{before}{mark}{markdown(run)}\n{end}{after}"
+    before, after = around_marks(text, "tolerances")
+    return f"{before}{markdown(run)}\n{after}"
 
 
 def markdown(run: dict[str, Any]) -> str:
-    machine, before, after = run["machine"], run["before"], run["after"]
-    lines = [
-        f"{machine['cpu']}, {machine['lanes']} lanes, one core, {before['clock_ghz']:.2f} GHz; "
-        f"measured peak {before['peak_gflops']:.0f} GFLOP/s before the run, "
-        f"{after['peak_gflops']:.0f} after it; {run['time'][:10]}.",
-    ]
+    lines = [headline(run)]
     for batch, title in TITLES.items():
         lines += ["", f"**{title}**", "", *_table(run, batch)]
     busy = busy_lanes(run)
