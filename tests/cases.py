@@ -35,7 +35,7 @@ BODY_FRAME = frame((-0.9, 0.5, 1.3), (-0.15, 0.0375, 0.02))
 
 def slow_but(names, *quick) -> list:
     """Parameters of which only `quick` run with -m "not slow": each compiles kernels of its own."""
-    return [n if n in quick else pytest.param(n, marks=pytest.mark.slow) for n in names]
+    return tiered(names, quick, names)
 
 
 def long_but(names, *slow) -> list:
@@ -45,8 +45,8 @@ def long_but(names, *slow) -> list:
 
 def tiered(names, quick, slow) -> list:
     """Parameters: `quick` ones, those that are `slow`, and the others, that run with -m long."""
-    marks = {n: pytest.mark.slow if n in slow else pytest.mark.long for n in names}
-    return [n if n in quick else pytest.param(n, marks=marks[n]) for n in names]
+    later = lambda n: pytest.mark.slow if n in slow else pytest.mark.long
+    return [n if n in quick else pytest.param(n, marks=later(n)) for n in names]
 
 
 # A row is the same formula in both c-spaces: each joint runs in one, and in both those that other

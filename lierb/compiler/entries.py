@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numba
@@ -20,7 +21,7 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
-_plain: dict[tuple[Any, Tag], int] = {}  # with the JIT off: dispatcher and tag, by turns
+_plain: list[partial[Any]] = []  # with the JIT off: entry − 1 is a place here
 _entries: dict[tuple[Any, ...], int] = {}  # by kinds of arguments
 _addresses: dict[tuple[Any, ...], int] = {}  # the same, by their types
 _callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
@@ -34,7 +35,11 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
     a parallel loop's wrappers: five times in all.
     """
     if not hasattr(dispatcher, "compile"):  # the JIT is off
-        return _plain.setdefault((dispatcher, tag), len(_plain) + 1)
+        known = dispatcher, tag
+        if known not in _entries:
+            _plain.append(partial(dispatcher, tag))
+            _entries[known] = len(_plain)
+        return _entries[known]
     key = kinds_of(dispatcher, tag, *args)
     if key not in _entries:
         undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
@@ -63,8 +68,7 @@ def call(entry: Any, *args: Any) -> int:
 
     Returns 0, or for `raise_again` what was raised: in a parallel loop's thread nobody hears it.
     """
-    function, tag = list(_plain)[int(entry) - 1]
-    function(tag, *args)
+    _plain[int(entry) - 1](*args)
     return 0
 
 

@@ -70,14 +70,25 @@ def side_of(value):
 
 
 @shared
+def searched_of(own):
+    """The first row of the values that are searched for; see `desk_of`."""
+    return own.values + (LOOKS + 1) * own.watched
+
+
+@shared
+def dips_of(own):
+    """The first row of the dips: θ of each event's, then their values."""
+    return searched_of(own) + own.watched
+
+
+@shared
 def note_starts(desk, own, lanes):
     """Of trajectories that have just started: on which side of zero each event is; 0 on it."""
+    go_on(desk, own, MARK, lanes)
     for lane in range(lanes):
         if desk[MARK, lane] > 0.0:
             for event in range(own.watched):
-                value = desk[own.values + own.watched * own.looks + event, lane]
-                desk[own.sides + event, lane] = side_of(value)
-                desk[own.values + event, lane] = value
+                desk[own.sides + event, lane] = side_of(desk[own.values + event, lane])
 
 
 @shared
@@ -116,7 +127,7 @@ def next_task(desk, own, kinds, events, first, task, turn, lanes):
         if next_crossings(desk, own, kinds, lanes):
             next_thetas(desk, lanes, 0)
             return SEARCHING, 0
-        end_search(desk, own, lanes)
+        go_on(desk, own, TOOK, lanes)
         if drop_later(desk, events, first, lanes):
             for lane in range(lanes):
                 desk[THETA, lane] = desk[LAST, lane] if desk[LAST, lane] <= 1.0 else 0.0
@@ -130,8 +141,7 @@ def find_dips(desk, own, lanes):
     looks of one sign: the least of the cubic by values and slopes there, which are those of the
     quartic through all looks. 2 where there is none.
     """
-    count = own.watched
-    dips = own.values + (LOOKS + 2) * count
+    count, dips = own.watched, dips_of(own)
     for lane in range(lanes):
         for event in range(count):
             desk[dips + event, lane] = 2.0
@@ -172,7 +182,7 @@ def next_dip(desk, own, event, lanes):
     """The next event, from this one on, that dips somewhere, and THETA; the count of events if none
     does.
     """
-    dips = own.values + (LOOKS + 2) * own.watched
+    dips = dips_of(own)
     while event < own.watched:
         found = False
         for lane in range(lanes):
@@ -188,8 +198,7 @@ def next_dip(desk, own, event, lanes):
 @shared
 def note_dip(desk, own, event, lanes):
     """Of this event, its value at THETA."""
-    searched = own.values + (LOOKS + 1) * own.watched
-    dips = searched + own.watched
+    searched, dips = searched_of(own), dips_of(own)
     for lane in range(lanes):
         desk[dips + own.watched + event, lane] = desk[searched + event, lane]
 
@@ -200,8 +209,7 @@ def next_crossings(desk, own, kinds, lanes):
     is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
     and from there on neither side is the one that was left.
     """
-    found, looks, count = False, own.looks, own.watched
-    dips = own.values + (LOOKS + 2) * count
+    found, looks, count, dips = False, own.looks, own.watched, dips_of(own)
     for lane in range(lanes):
         desk[MARK, lane] = 0.0
         if desk[TOOK, lane] == 0.0:
@@ -268,7 +276,7 @@ def next_thetas(desk, lanes, search):
 @shared
 def narrow(desk, own, lanes):
     """With the events' values at THETA."""
-    searched = own.values + (LOOKS + 1) * own.watched
+    searched = searched_of(own)
     for lane in range(lanes):
         theta = desk[THETA, lane]
         if desk[MARK, lane] == 0.0 or theta >= desk[HIGH, lane] or theta <= desk[LOW, lane]:
@@ -328,10 +336,10 @@ def drop_later(desk, events, first, lanes):
 
 
 @shared
-def end_search(desk, own, lanes):
-    """The values at the end of an accepted step are those at the start of the next."""
+def go_on(desk, own, where, lanes):
+    """The values at the end of a step are those at the start of the next, where a row says so."""
     for lane in range(lanes):
-        if desk[TOOK, lane] > 0.0:
+        if desk[where, lane] > 0.0:
             for event in range(own.watched):
                 last = desk[own.values + own.looks * own.watched + event, lane]
                 desk[own.values + event, lane] = last

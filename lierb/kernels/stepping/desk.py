@@ -37,7 +37,6 @@ from lierb.kernels.stepping.step_size import Tolerances
     NUMBER,  # of the trajectory, for noise
     MARK,  # 1 where something is to be done
     ACTIVE,  # 1 where a trajectory is on its way
-    FRESH,  # 1 where one has just started, or a step has been accepted
     FATE,  # 0 where it goes on; where it has ended, its status and 1
     NEXT, DUE,  # row of the history, and when it is due, s
     START, LENGTH,  # of the step, s
@@ -48,7 +47,7 @@ from lierb.kernels.stepping.step_size import Tolerances
     LOW, HIGH, AT_LOW, AT_HIGH,  # of a crossing: θ and the event's value at both ends
     LAST,  # θ of the first terminal event in the step; 2 for none
     ROWS,
-) = range(20)  # fmt: skip
+) = range(19)  # fmt: skip
 # What a loop asks of a service, and is told by it.
 ASKED, TASK, TURN, FIRST, IS_NEW, ANSWER, TOLD = range(7)
 TAKING, HANDING_ENDS, HANDING_ROW = range(3)  # of `serve`

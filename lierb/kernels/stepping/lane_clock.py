@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler import calls
-from lierb.kernels.numbers.arithmetic import absolute, maximum, minimum, rint, where
+from lierb.kernels.numbers.arithmetic import absolute, maximum, rint, where
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.layout import LANE_END
@@ -22,6 +22,7 @@ from lierb.kernels.stepping.step_size import (
     Tolerances,
     change,
     first_step,
+    within,
 )
 
 INF = float("inf")
@@ -90,7 +91,7 @@ def first_clock(
     if plan.embedded is not None:
         chosen = first_step(plan, body, state, start, length, limits)
         chosen = where(h > 0.0, h, chosen)
-        h = maximum(minimum(chosen, limits.dt_max), limits.dt_min)
+        h = within(chosen, limits)
     return LaneClock(
         start,
         h,
@@ -122,9 +123,8 @@ def continued(
         )
     known = h == h
     chosen = known & (0.0 * clock.h + limits.dt == 0.0)
-    within = maximum(minimum(where(known, h, clock.h), limits.dt_max), limits.dt_min)
     return clock._replace(
-        h=where(chosen, within, clock.h),
+        h=where(chosen, within(where(known, h, clock.h), limits), clock.h),
         before=where(chosen, before, clock.before),
         ahead=where(known, ahead, clock.ahead),
     )
@@ -192,8 +192,7 @@ def judged(
     grown = trial.h * by.factor
     # A step that was cut short says little about a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
-    h = where(accepted, longer, where(refused, grown, clock.h))
-    h = maximum(minimum(h, limits.dt_max), limits.dt_min)
+    h = within(where(accepted, longer, where(refused, grown, clock.h)), limits)
     least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
     too_small = refused & (trial.h <= least)
     too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)

@@ -37,7 +37,6 @@ from lierb.kernels.stepping.desk import (
     ANSWER,
     ASKED,
     FATE,
-    FRESH,
     HANDING_ENDS,
     HANDING_ROW,
     IS_NEW,
@@ -66,9 +65,7 @@ from lierb.kernels.stepping.driver import (
     store_summary,
 )
 from lierb.kernels.stepping.held import with_signals
-from lierb.kernels.stepping.lane_clock import (
-    Span,
-)
+from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.lane_formulas import (
     any_of,
     as_ended,
@@ -182,8 +179,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     body = load_body(plan, inputs)
     state, record = load_state(plan, body, carried, 0), load_record(plan, carried, 0)
     clock, held = load_lanes(plan, desk)
-    active, fresh = row_of(plan, desk, ACTIVE), row_of(plan, desk, FRESH)
-    fate = row_of(plan, desk, FATE)
+    active, fate = row_of(plan, desk, ACTIVE), row_of(plan, desk, FATE)
     while True:
         if any_of(fate):
             if not is_new:
@@ -290,8 +286,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 told[0, ASKED] = HANDING_ROW
                 call(job.serve, inputs, counter, jobs)
                 clock = with_due(plan, desk, clock)
-        if is_to_tidy(clock, span, fresh, fate):
-            state = tidied(plan, body, state, clock, span, fresh, fate)
+        if is_to_tidy(clock, fresh, fate):
+            state = tidied(plan, body, state, clock, fresh, fate)
     store_carried(plan, carried, 0, state, record)
     store_lanes(plan, desk, clock, held)
     put_row(plan, desk, FATE, fate)

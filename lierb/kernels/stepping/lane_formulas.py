@@ -397,12 +397,12 @@ def with_failures(record: Record, clock: LaneClock, failed: Any, fate: Any) -> t
     return record, where(failed >= float(MAX_STEPS), failed + 1.0, fate)
 
 
-def is_to_tidy(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
+def is_to_tidy(clock: LaneClock, fresh: Any, fate: Any) -> Any:
     return any_lanes(to_tidy(clock, fresh, fate))
 
 
 def tidied(
-    plan: AnyPlan, body: Any, state: State, clock: LaneClock, span: Span, fresh: Any, fate: Any
+    plan: AnyPlan, body: Any, state: State, clock: LaneClock, fresh: Any, fate: Any
 ) -> State:
     return where(to_tidy(clock, fresh, fate), tidy(plan, body, state), state)
 

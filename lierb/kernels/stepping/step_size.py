@@ -17,7 +17,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
-from lierb.kernels.stepping.stepper import Slopes, rates_at
+from lierb.kernels.stepping.stepper import Slopes, rates_at, weighted
 
 EPS = 2.0**-52
 SAFETY = 0.8
@@ -46,6 +46,11 @@ class Tolerances(NamedTuple):
     dt_min: float
     dt_max: float
     max_steps: float
+
+
+def within(h: Any, limits: Tolerances) -> Any:
+    """A step's length, no longer and no shorter than is allowed, s."""
+    return maximum(minimum(h, limits.dt_max), limits.dt_min)
 
 
 def squared_error(
@@ -78,19 +83,11 @@ def _defect(
 ) -> _Defect:
     """h Σ weights · slopes."""
     x, v_or_mu, states = (
-        tuple(h * total for total in _weighted(weights, rates))
+        tuple(h * total for total in weighted((ZERO,) * len(rates[0]), weights, rates))
         for rates in (slopes.x, slopes.v_or_mu, slopes.states)
     )
     formulation = plan.formulation
     return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
-
-
-def _weighted(weights: tuple[float, ...], rates: tuple[Vec, ...]) -> Vec:
-    total: Vec = (ZERO,) * len(rates[0])
-    for weight, rate in zip(weights, rates, strict=False):
-        if weight != 0.0:
-            total = tuple(fma(weight, k, x) for k, x in zip(rate, total, strict=True))
-    return total
 
 
 class _Scales(NamedTuple):

@@ -214,18 +214,17 @@ def _advanced(plan: AnyPlan, base: Vec, h: Any, weights: tuple[Any, ...], rates:
     Where all steps are as long, so are all h wⱼ, and rates are added up by them; where lanes choose
     their own, h comes last, which saves a product for each weight.
     """
-    terms = [
-        (weight, rate)
-        for weight, rate in zip(weights, rates, strict=False)
-        if not (isinstance(weight, float) and weight == 0.0)
-    ]
-    if plan.embedded is not None:
-        total: Vec = (ZERO,) * len(base)
-        for weight, rate in terms:
-            total = tuple(fma(weight, k, x) for k, x in zip(rate, total, strict=True))
-        return tuple(fma(h, k, x) for k, x in zip(total, base, strict=True))
+    if plan.embedded is None:
+        return weighted(base, weights, rates, h)
+    total = weighted((ZERO,) * len(base), weights, rates)
+    return tuple(fma(h, k, x) for k, x in zip(total, base, strict=True))
+
+
+def weighted(base: Vec, weights: tuple[Any, ...], rates: Any, h: Any = None) -> Vec:
+    """base + Σ (h wⱼ) kⱼ; without h, base + Σ wⱼ kⱼ."""
     total = base
-    for weight, rate in terms:
-        hw = h * weight
-        total = tuple(fma(hw, k, x) for k, x in zip(rate, total, strict=True))
+    for weight, rate in zip(weights, rates, strict=False):
+        if not (isinstance(weight, float) and weight == 0.0):
+            factor = weight if h is None else h * weight
+            total = tuple(fma(factor, k, x) for k, x in zip(rate, total, strict=True))
     return total
