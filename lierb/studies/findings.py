@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -32,6 +32,8 @@ from lierb.studies.study import Setting, Study
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+Told = TypeVar("Told", Occurred, Sensitivity, Spread)  # what has a setting
 
 ERRORS = {
     "position": "position_error_max",
@@ -231,16 +233,27 @@ def with_unit(spread: Spread) -> str:
     return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
 
 
+def _in_sections(
+    table: Table,
+    found: Iterable[Told],
+    title: Callable[[Told], str] = lambda each: each.setting.label,
+) -> Iterator[Told]:
+    """Each of them, behind a row with its setting's title where that is another than before."""
+    before = None
+    for each in found:
+        section = each.setting, title(each)
+        if section != before:
+            table.add_section()
+            table.add_row(section[1])
+            before = section
+        yield each
+
+
 def table_of_quantities(found: list[Spread]) -> Table:
     """For a terminal."""
     words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
     table = empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
-    before = None
-    for each in found:
-        if each.setting != before:
-            table.add_section()
-            table.add_row(each.setting.label)
-            before = each.setting
+    for each in _in_sections(table, found):
         values, intervals = zip(*map(quantile_told, each.quantiles), strict=True)
         table.add_row(f"  {with_unit(each)}", *values)
         table.add_row("", *intervals)
@@ -251,12 +264,7 @@ def table_of_events(found: list[Occurred], t_end: float) -> Table:
     """For a terminal."""
     words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
     table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
-    before = None
-    for each in found:
-        if each.setting != before:
-            table.add_section()
-            table.add_row(each.setting.label)
-            before = each.setting
+    for each in _in_sections(table, found):
         values, intervals = zip(*(first_told(q, t_end) for q in each.first), strict=True)
         bodies = f"{each.bodies} of {each.of}"
         table.add_row(f"  {each.name}", str(each.crossings), bodies, *values)
@@ -275,11 +283,7 @@ def table_of_indices(found: list[Sensitivity]) -> Table:
     interval = f"{CONFIDENCE:.0%} interval"
     words = ("share of the variance due to",)
     table = empty_table(words, ("alone", interval, "in all", interval))
-    before = None
-    for each in found:
-        if (each.setting, each.column) != before:
-            table.add_section()
-            table.add_row(f"{each.column}, {each.setting.label}")
-            before = each.setting, each.column
+    title = lambda each: f"{each.column}, {each.setting.label}"
+    for each in _in_sections(table, found, title):
         table.add_row(f"  {each.quantity}", *index_told(each.first), *index_told(each.total))
     return table
