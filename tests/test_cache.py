@@ -187,9 +187,12 @@ EDITS = {
         {"v": -16.0, "r": -6.0},
     ),
     "step size": (
-        "stepping/stepper.py", "hw = h * weight", "hw = 2.0 * h * weight", {"v": -16.0, "r": -12.0},
+        "stepping/stepper.py",
+        "else h * weight",
+        "else 2.0 * h * weight",
+        {"v": -16.0, "r": -12.0},
     ),
-}  # fmt: skip
+}
 
 
 def test_formulas_of_every_element_are_among_the_sources():
