@@ -23,6 +23,7 @@ from lierb.kernels.numbers.arithmetic import (
     Cuts,
     all_lanes,
     branch,
+    fma,
     horner,
     minimum,
     sqrt,
@@ -66,6 +67,9 @@ _C0 = [Fraction(number) / factorial(2 * k + 2) for k, number in enumerate(_BERNO
 C0_TERMS = tuple(float(c) for c in _C0[:8])
 C1_TERMS = tuple(float(2 * (k + 1) * c) for k, c in enumerate(_C0[1:]))
 
+# (sinc φ − cos φ)/φ², and 16e at 2φ, as series in φ² for φ ≤ π/2
+G_TERMS = _alternating(10, lambda k: Fraction(2 * k + 2, factorial(2 * k + 3)))
+HALF_E_TERMS = tuple(16.0 * 4.0**k * term for k, term in enumerate(E_TERMS))
 
 # 2 sinc, 4a, 8b, 4c₀ and 16c₁ at 2φ, as series in φ²
 DOUBLE_ANGLE_TERMS = tuple(
@@ -170,7 +174,30 @@ def _long(z: Any) -> tuple[Any, ...]:
 
 
 def _half_long(z: Any) -> tuple[Any, ...]:
-    half, whole = Coefficients(*_long(z)), Coefficients(*_long(4.0 * z))
+    below = z < 0.25 * SERIES
+
+    def somewhere() -> Any:
+        entire = _half_entire(minimum(z, 0.25 * SERIES))
+        return where(below, entire, _half_closed(where(below, 0.25 * SERIES, z)))
+
+    found: tuple[Any, ...] = branch(all_lanes(below), lambda: _half_entire(z), somewhere)
+    return found
+
+
+def _half_entire(z: Any) -> tuple[Any, ...]:
+    """By (1 − cos φ)/φ² and (sinc φ − cos φ)/φ², of which 4c₀ is the second over sinc φ."""
+    a, g = horner(z, A_TERMS[:10]), horner(z, G_TERMS)
+    cos = 1.0 - z * a
+    sinc = fma(z, g, cos)
+    inverse = 1.0 / sinc
+    return (
+        -(z * a), sinc, 2.0 * (sinc * cos), 2.0 * (sinc * sinc), 2.0 * fma(cos, a - g, a),
+        g * inverse, horner(z, HALF_E_TERMS) * (inverse * inverse),
+    )  # fmt: skip
+
+
+def _half_closed(z: Any) -> tuple[Any, ...]:
+    half, whole = Coefficients(*_long(z)), Coefficients(*_closed(4.0 * z))
     return (
         -(z * half.a), half.sinc, 2.0 * whole.sinc, 4.0 * whole.a, 8.0 * whole.b, 4.0 * whole.c0,
         16.0 * whole.c1,
