@@ -51,14 +51,15 @@ def tiered(names, quick, slow) -> list:
 
 # A row is the same formula in both c-spaces: each joint runs in one, and in both those that other
 # tests compile for both.
-ONCE = (
-    "fixed", "hook", "pin_in_slot_body", "planar_translation", "translation", "helical_planar",
-    "schoenflies", "point_on_line", "point_on_plane",
+ONCE = ("fixed", "hook", "point_on_line", "point_on_plane")
+COMPOSED = (
+    "planar_translation", "translation", "helical_planar", "schoenflies", "pin_in_slot_body",
 )  # fmt: skip
 JOINTS_IN_CSPACES = [
     pytest.param(
         cspace, name,
-        marks=pytest.mark.long if cspace == "SO3xR3" and name in ONCE else pytest.mark.slow,
+        marks=pytest.mark.long if name in COMPOSED or (cspace == "SO3xR3" and name in ONCE)
+        else pytest.mark.slow,
     )
     for cspace in ("SE3", "SO3xR3")
     for name in lierb.joints.JOINTS

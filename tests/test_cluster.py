@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from cases import long_but
 from click.testing import CliRunner
 from studies import TEXT, bits, errors_when_stopped, hashes, start_long, study
 
@@ -274,7 +275,7 @@ with cluster.client_of(sys.argv[1]) as client:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sign", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("sign", long_but([signal.SIGKILL, signal.SIGSTOP], signal.SIGSTOP))
 def test_a_scheduler_that_dies_or_falls_silent_is_told_in_one_sentence(sign, tmp_path):
     """And in nothing else: distributed's logs and its tasks that nobody awaits are kept quiet."""
     (tmp_path / "started.py").write_text(STARTED)

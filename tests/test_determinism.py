@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, tiered
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning
@@ -78,7 +78,7 @@ def test_bits_do_not_depend_on_place_in_batch(expected):
     np.testing.assert_array_equal(_bits(_run(TWISTS[order])), expected[order])
 
 
-@pytest.mark.parametrize("lanes", slow_but([1, 2, 4, 8], 1))
+@pytest.mark.parametrize("lanes", tiered([1, 2, 4, 8], [1], [8]))
 def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
     monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(_bits(_run(TWISTS)), expected)
@@ -125,7 +125,7 @@ def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch
     [
         pytest.param("SE3", "global", marks=pytest.mark.long),
         pytest.param("SO3xR3", "local", marks=pytest.mark.slow),
-        pytest.param("SO3xR3", "global", marks=pytest.mark.slow),
+        pytest.param("SO3xR3", "global", marks=pytest.mark.long),
     ],
 )
 def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):

@@ -113,6 +113,7 @@ def test_examples_run(page):
     assert result.failed == 0
 
 
+@pytest.mark.slow
 def test_readme_examples_print_what_they_say(capsys):
     """One after the other, as in one file."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from cases import (
     BODY_FRAME,
+    COMPOSED,
     GRAVITY,
     GROUND_FRAME,
     SUBGROUP_JOINTS,
@@ -18,6 +19,7 @@ from cases import (
     joint,
     long_but,
     slow_but,
+    tiered,
     tilted,
 )
 from scipy.spatial.transform import Rotation
@@ -58,7 +60,9 @@ def _bound(name: str, dt: float) -> float:
     return 2e-12 if dt < 1e-3 else 2e-13
 
 
-@pytest.mark.parametrize("name", slow_but(SUBGROUP_JOINTS, "spherical"))
+@pytest.mark.parametrize(
+    "name", tiered(SUBGROUP_JOINTS, ["spherical"], {*SUBGROUP_JOINTS} - {*COMPOSED})
+)
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("dt", [1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("solver", ["saddle", "auto"])

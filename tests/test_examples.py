@@ -10,7 +10,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from cases import slow_but
+from cases import tiered
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
@@ -32,7 +32,7 @@ def example(name: str) -> dict:
         plt.close("all")
 
 
-@pytest.mark.parametrize("name", slow_but(NAMES, *QUICK))
+@pytest.mark.parametrize("name", tiered(NAMES, QUICK, ("four_bar", "reaction_wheels")))
 def test_example_prints_and_draws(name):
     """And no trajectory of it fails."""
     found = example(name)
@@ -90,7 +90,7 @@ def test_four_bar_is_where_circles_meet():
     assert found["result"].summary["energy_drift_max"].to_numpy().max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_slider_is_a_rod_away_from_the_crank():
     found = example("slider_crank")
     crank, slider = found["result"]["crank"], found["result"]["slider"]
@@ -101,7 +101,7 @@ def test_slider_is_a_rod_away_from_the_crank():
     assert opened[0] > 1e3 * opened[1] > 1e6 * opened[2]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rssr_turns_where_the_rod_reaches_all_the_way():
     """A rod fits at a crank's angle if the rocker's circle has a point at that distance."""
     found = example("rssr")
@@ -116,7 +116,7 @@ def test_rssr_turns_where_the_rod_reaches_all_the_way():
     np.testing.assert_array_equal(found["runs"], fits)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bricard_ends_where_its_benchmark_does():
     found = example("bricard")
     kept = json.loads(REFERENCE.read_text(encoding="utf-8"))["A04"]
@@ -144,7 +144,7 @@ def test_satellite_keeps_no_momentum_and_turns_as_it_should():
     np.testing.assert_allclose(R[:, 2, 2], 1.0, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_arm_comes_to_rest_where_its_energy_is_least():
     """Oracle: forward kinematics and potentials written here, a minimum by SciPy."""
     found = example("arm")

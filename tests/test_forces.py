@@ -17,7 +17,7 @@ from cases import (
     integrate,
     joint,
     rotation,
-    slow_but,
+    tiered,
     tilted,
 )
 from scipy.integrate import solve_ivp
@@ -26,7 +26,7 @@ import lierb
 from lierb.errors import ArgumentError, ForceError, TwistError, UnknownNameError
 
 CSPACES = ("SE3", "SO3xR3")
-EITHER = pytest.mark.parametrize("cspace", slow_but(CSPACES, "SE3"))
+EITHER = pytest.mark.parametrize("cspace", tiered(CSPACES, ["SE3"], []))
 BODIES = 3  # parameter sets in each test
 T_END = 1.0
 
@@ -168,8 +168,7 @@ def assert_moves_as(problem, twist0, held, acting, cspace):
         np.testing.assert_allclose(columns["work"][-1, body], gained, atol=1e-9)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", tiered(CSPACES, [], ["SE3"]))
 @pytest.mark.parametrize("name", FORCES)
 def test_force_moves_the_body_as_newton_and_euler_say(name, cspace):
     quiet = tuple(other for other in FORCES if other != name)
@@ -177,8 +176,7 @@ def test_force_moves_the_body_as_newton_and_euler_say(name, cspace):
     assert_moves_as(problem, twist0, "revolute", (name,), cspace)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", tiered(CSPACES, [], ["SE3"]))
 @pytest.mark.parametrize(
     ("held", "acting"),
     [
@@ -234,8 +232,7 @@ def ramped(start) -> lierb.Problem:
     return driven(plain.body, plain.joint, start, drag=0.4, ramp=0.5)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", tiered(CSPACES, [], ["SE3"]))
 def test_speed_motor_keeps_its_speed_and_tells_its_torque(cspace):
     start = np.array((1.0, -2.0))
     problem = ramped(start)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import LENGTH, PITCH, tilted
+from cases import LENGTH, PITCH, long_but, tilted
 from mechanisms import samples
 from scipy.linalg import expm
 
@@ -390,7 +390,10 @@ def test_predictions_are_the_stored_ones(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cspace", CSPACES)
-@pytest.mark.parametrize("name", ["revolute, universal; point_on_sphere", "planar, prismatic"])
+@pytest.mark.parametrize(
+    "name",
+    long_but(["revolute, universal; point_on_sphere", "planar, prismatic"], "planar, prismatic"),
+)
 def test_predictions_agree_with_the_measured_drift(name, cspace):
     errors = bench.measured(name, cspace)
     for joint, exact in bench.predicted(name)[cspace].items():

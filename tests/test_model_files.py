@@ -236,6 +236,7 @@ def test_arm_stands_where_its_origins_put_it():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "allowed"), [("double_pendulum.xml", 1e-9), ("arm.urdf", 1e-9)])
 def test_trajectories_are_those_of_mujoco(name, allowed):
     """Both by RK4 at 0.1 ms, whose own error is below 1e-12 here; joint springs and dampers act."""

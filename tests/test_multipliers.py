@@ -8,7 +8,7 @@ from operator import methodcaller
 import numpy as np
 import oracle
 import pytest
-from cases import GRAVITY, LENGTH, PITCH, box, column, integrate, joint, slow_but, tilted
+from cases import GRAVITY, LENGTH, PITCH, box, column, integrate, joint, tiered, tilted
 from mpmath import mp
 
 import lierb
@@ -150,7 +150,7 @@ def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
     np.testing.assert_allclose(wrench, truth.reaction[0], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("cspace", slow_but(CSPACES, "SE3"))
+@pytest.mark.parametrize("cspace", tiered(CSPACES, ["SE3"], []))
 def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
     """At a state that is far from the start, and in both c-spaces."""
     problem, twist0 = tilted("universal")
@@ -191,8 +191,7 @@ TWICE = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TWICE)
+@pytest.mark.parametrize("name", tiered(TWICE, [], ["revolute"]))
 def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
     """Again in other rows, which depend on the first ones: the pivot rule drops them."""
     problem, twist0 = tilted(name)
@@ -268,7 +267,7 @@ def test_contradicting_rows_are_marked():
     assert found.singular == 1.0
 
 
-@pytest.mark.parametrize("cspace", slow_but(CSPACES, "SE3"))
+@pytest.mark.parametrize("cspace", tiered(CSPACES, ["SE3"], []))
 def test_a_rank_that_changes_is_told(cspace):
     """Q32 and Q23 say the same where both frames are in line, and nowhere else."""
     held = lierb.joints.from_rows(["d1", "d2", "d3", "Q32", "Q23"])

@@ -92,7 +92,7 @@ WAYS = [
     pytest.param("spherical", {}, id="subgroup"),
     pytest.param("spherical", {"solver": "saddle"}, id="saddle", marks=pytest.mark.slow),
     pytest.param(
-        "universal", {"cspace": "SO3xR3", "update": "global"}, id="global", marks=pytest.mark.slow
+        "universal", {"cspace": "SO3xR3", "update": "global"}, id="global", marks=pytest.mark.long
     ),
 ]
 

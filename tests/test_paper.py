@@ -51,7 +51,7 @@ def test_every_claim_of_the_paper_is_confirmed(report):
     assert not report.warnings
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_se3_keeps_the_lower_pairs_with_global_updates_and_gravity(monkeypatch):
     pairs = [e for e in EXAMPLES if e.key in ("spherical", "revolute", "cylindrical", "planar")]
     monkeypatch.setattr(lierb.paper, "EXAMPLES", pairs)

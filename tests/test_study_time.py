@@ -201,6 +201,7 @@ def test_resume_does_what_is_missing(whole, tmp_path):
     assert hashes(out) == hashes(whole)
 
 
+@pytest.mark.slow
 def test_replay_has_the_studys_row_and_events(whole):
     """Another history, and noise by the trajectory's own number."""
     events = table(whole, "events").to_pylist()
@@ -746,7 +747,7 @@ def test_parts_are_as_large_as_fits(tmp_path):
     assert part_size(only_events) == 64_000_000 // foreseen
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_fixed_steps_have_a_controller_too(tmp_path):
     """And save by steps; with the digest and the tables of their own."""
     changes = {"integrate.rtol": [], "integrate.save_at": None, "integrate.dt": 0.1,

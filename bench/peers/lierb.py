@@ -7,6 +7,7 @@ body with joint frames of its own. `…-revolute` turns about the body's e₂ (o
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Callable
 
 import numpy as np
@@ -85,12 +86,25 @@ def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callabl
 
 
 def work(form: str, omega0: np.ndarray, accuracy: float) -> dict[str, float]:
-    """Steps tried by a top, on average: of those that choose their own."""
+    """Steps tried by a top, on average, and the share of lanes that try one: of those that choose
+    their own.
+    """
     if not FORMS[form].adaptive:
         return {"steps": top.T_END / accuracy}
     found = _prepared(form, omega0, accuracy, 1)[0]()
     steps, rejected = (found[name].to_numpy() for name in ("steps", "rejected"))
-    return {"steps": float((steps + rejected).mean()), "rejected": float(rejected.mean())}
+    tried = steps + rejected
+    return {
+        "steps": float(tried.mean()), "rejected": float(rejected.mean()), "busy": busy(tried),
+    }  # fmt: skip
+
+
+def busy(tried: np.ndarray) -> float:
+    """The share of lanes that try a step: each takes the next top when its own has ended."""
+    until = [0] * lierb.info()["lanes"]
+    for steps in tried.tolist():
+        heapq.heappush(until, heapq.heappop(until) + steps)
+    return float(tried.sum() / (len(until) * max(until)))
 
 
 def _prepared(form: str, omega0: np.ndarray, accuracy: float, threads: int):

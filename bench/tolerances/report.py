@@ -20,9 +20,11 @@ def markdown(run: dict[str, Any]) -> str:
     lines = [headline(run)]
     for batch, title in TITLES.items():
         lines += ["", f"**{title}**", "", *_table(run, batch)]
-    busy = busy_lanes(run)
-    if busy:
-        lines += ["", "Lanes that are busy: " + "; ".join(busy) + "."]
+    for title, items in (
+        ("Lanes that are busy, velocities of all sizes", busy_lanes(run)),
+        ("Time of adaptive steps over that of fixed ones, one velocity", over_fixed(run)),
+    ):
+        lines += ["", f"{title}: {'; '.join(items)}."] if items else []
     missing = [f"{name} ({why})" for name, why in run["unavailable"].items()]
     failed = [
         f"{e['label']}: {e['failed']}" for e in run["entries"].values() if "failed" in e
@@ -67,15 +69,20 @@ def _least(entries: dict[str, Any], target: str) -> float | None:
 
 
 def busy_lanes(run: dict[str, Any]) -> list[str]:
-    """Time of a step where all lanes end together, over that where none does, by error."""
-    told = []
-    for name, e in run["entries"].items():
-        if e["batch"] != "lognormal" or "failed" in e:
-            continue
-        same = run["entries"].get(name.replace("/lognormal", "/one"), {})
-        for t in TARGETS:
-            both = [x.get(t, {}) for x in (e, same)]
-            if all("steps" in x and "cpu_us" in x for x in both):
-                here, there = (x["cpu_us"] / x["steps"] for x in both)
-                told.append(f"{e['label']} at {t} m {there / here:.0%}")
-    return told
+    """Of each adaptive method, at each error."""
+    return [
+        f"{e['label']} " + ", ".join(f"{e[t]['busy']:.1%}" for t in TARGETS if "busy" in e[t])
+        for e in run["entries"].values()
+        if e["batch"] == "lognormal" and any("busy" in e.get(t, {}) for t in TARGETS)
+    ]
+
+
+def over_fixed(run: dict[str, Any]) -> list[str]:
+    """DOP853's, at each error."""
+    forms = (run["entries"].get(f"lierb/reduced-{form}/one", {}) for form in ("adaptive", "dop853"))
+    adaptive, fixed = forms
+    return [
+        f"{adaptive[t]['cpu_us'] / fixed[t]['cpu_us']:.3g} at {t} m"
+        for t in TARGETS
+        if all("cpu_us" in form.get(t, {}) for form in (adaptive, fixed))
+    ]

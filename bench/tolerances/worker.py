@@ -65,6 +65,7 @@ def main() -> None:
     form = peer.FORMS[given.form]
     omega0 = samples(given.batch)
     times = max(1, form.bodies // 4 // COUNT)  # so often are the tops in a timed call
+    many = np.tile(omega0, (times, 1))
     is_fixed = not form.adaptive
 
     def solved(accuracy: float) -> Final:
@@ -74,7 +75,7 @@ def main() -> None:
     for wanted in TARGETS:
         try:
             accuracy, off = tuned(solved, given.batch, wanted, is_fixed, order=8)
-            integrate = peer.run(given.form, np.tile(omega0, (times, 1)), accuracy, 1)
+            integrate = peer.run(given.form, many, accuracy, 1)
             integrate()
             wall, cpu, _ = timed(integrate, ROUNDS)
             found[f"{wanted:g}"] = {
@@ -82,7 +83,7 @@ def main() -> None:
                 "wall_us": wall / (COUNT * times) * 1e6, "cpu_us": cpu / (COUNT * times) * 1e6,
             }  # fmt: skip
             if hasattr(peer, "work"):
-                found[f"{wanted:g}"] |= peer.work(given.form, omega0, accuracy)
+                found[f"{wanted:g}"] |= peer.work(given.form, many, accuracy)
         except RuntimeError as error:
             found[f"{wanted:g}"] = {"failed": str(error)}
     print(json.dumps(found))

@@ -6,7 +6,7 @@ next trajectory while their neighbours go on.
 
 import numpy as np
 import pytest
-from cases import slow_but
+from cases import tiered
 
 import lierb
 from clocks.shared import bits, spread_tops, table_bits, top_problem
@@ -71,7 +71,7 @@ def test_bits_of_adaptive_steps_do_not_depend_on_refilling(by, whole, expected):
     np.testing.assert_array_equal(bits(run(TWISTS[mixed])), expected[mixed])
 
 
-@pytest.mark.parametrize("lanes", slow_but([1, 2, 4, 8], 2))
+@pytest.mark.parametrize("lanes", tiered([1, 2, 4, 8], [], [1, 8]))
 def test_bits_of_adaptive_steps_do_not_depend_on_lanes(lanes, expected, monkeypatch):
     monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(bits(run()), expected)
@@ -94,6 +94,7 @@ def test_bits_of_adaptive_steps_do_not_depend_on_calls(turns, expected, monkeypa
     np.testing.assert_array_equal(bits(run(TWISTS[:100])), expected[:100])
 
 
+@pytest.mark.slow
 def test_bits_of_adaptive_steps_do_not_depend_on_output(expected):
     """Output is taken between steps, and makes none shorter."""
     result = run(TWISTS[:100], save_at=TIMES, record=("state", "energy"))
@@ -160,12 +161,12 @@ def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
 @pytest.mark.parametrize(
     "form",
     [
-        {"method": "DOP853"}, {"cspace": "reduced"}, {"cspace": "SO3xR3", "update": "global"},
+        {"cspace": "SO3xR3", "update": "global"},
         *(
             pytest.param(form, marks=pytest.mark.long)
             for form in (
-                {"solver": "saddle"}, {"cspace": "SO3xR3"}, {"update": "global"},
-                {"method": "BS32", "rtol": 1e-4},
+                {"method": "DOP853"}, {"cspace": "reduced"}, {"solver": "saddle"},
+                {"cspace": "SO3xR3"}, {"update": "global"}, {"method": "BS32", "rtol": 1e-4},
             )
         ),
     ],
@@ -208,6 +209,7 @@ def test_bits_of_adaptive_mechanisms_do_not_depend_on_neighbours():
 # ---- fixed steps by the same driver ------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without():
     options = {"rtol": None, "dt": 1e-3, "t_end": 0.1}
     plain = run(TWISTS[:33], **options)

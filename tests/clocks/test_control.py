@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import column
+from cases import column, tiered
 from scipy import stats
 
 import lierb
@@ -73,12 +73,16 @@ def by_hand(rotation, omega, torque_of, ticks=TICKS, cspace="reduced"):
 
 
 def run(count=5, controller=None, cspace="reduced", ticks=TICKS, **options):
+    """With a history, whether asked for or not: so all runs share a kernel."""
     problem, start = satellites(*fleet(count), controller or pid())
-    options = {"dt": DT, "t_end": ticks * EVERY, "method": "RK4"} | options
+    options = {
+        "dt": DT, "t_end": ticks * EVERY, "method": "RK4", "save_at": [ticks * EVERY],
+        "record": ("state",),
+    } | options  # fmt: skip
     return lierb.integrate(problem, **start, cspace=cspace, **options)
 
 
-@pytest.mark.parametrize("cspace", ["reduced", pytest.param("SE3", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cspace", tiered(["reduced", "SE3"], [], ["reduced"]))
 def test_pid_is_the_loop_written_by_hand(cspace):
     """The same steps: what differs is rounding, 100 steps of it, damped by the controller."""
     rotation, omega = fleet(5)
@@ -96,6 +100,7 @@ def test_pid_is_the_loop_written_by_hand(cspace):
     np.testing.assert_allclose(column(result.summary, "omega"), w, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_adaptive_steps_end_at_the_ticks():
     """Against the loop by hand at short steps, to 30 rtol of it."""
     rotation, omega = fleet(3)
@@ -134,12 +139,8 @@ def test_fixed_steps_are_shortened_where_a_controller_ticks():
 
 def test_outputs_are_held_between_ticks_and_zero_before_the_first():
     """t0 is no multiple of the period: nothing acts until the first one."""
-    problem, start = satellites(*fleet(1), pid(ki=0.0))
     times = (0.05, 0.07, 0.09, 0.1, 0.15, 0.19, 0.2, 0.25)
-    result = lierb.integrate(
-        problem, **start, t0=0.05, t_end=0.25, dt=0.01, save_at=times, cspace="reduced",
-        record=("state",),
-    )  # fmt: skip
+    result = run(1, pid(ki=0.0), t0=0.05, t_end=0.25, dt=0.01, save_at=times)
     torque, omega = rows_of(result.history, "torque"), rows_of(result.history, "omega")
     R = rows_of(result.history, "rotation").reshape(-1, 3, 3)
     np.testing.assert_array_equal(torque[:3], 0.0)
@@ -150,39 +151,32 @@ def test_outputs_are_held_between_ticks_and_zero_before_the_first():
             np.testing.assert_allclose(torque[row], true, rtol=1e-12)
 
 
+@lierb.controller(every=0.1, memory={"count": 0.0})
+def counter(t, memory):
+    """How often it has run, and when it did so last."""
+    return {"ticks": memory.count + 1.0, "stamped": t}, {"count": memory.count + 1.0}
+
+
+def counted(controller, count, t_end):
+    problem, start = spinning([1.0] * count, controllers=[controller])
+    return lierb.integrate(problem, **start, t_end=t_end, rtol=1e-6, method="DP54").summary
+
+
 def test_memory_starts_where_it_is_told():
-    """A controller that counts its ticks from a first value of each trajectory's own."""
-
-    @lierb.controller(every=0.1, memory={"count": 0.0})
-    def counter(memory):
-        return {"ticks": memory.count + 1.0}, {"count": memory.count + 1.0}
-
-    problem, start = spinning([1.0, 1.0], controllers=[counter(count=np.array([0.0, 10.0]))])
-    result = lierb.integrate(problem, **start, t_end=0.55, rtol=1e-6)
-    np.testing.assert_array_equal(column(result.summary, "ticks"), [6.0, 16.0])  # at 0, 0.1, … 0.5
+    summary = counted(counter(count=np.array([0.0, 10.0])), 2, 0.55)
+    np.testing.assert_array_equal(column(summary, "ticks"), [6.0, 16.0])  # at 0, 0.1, … 0.5
 
 
 def test_the_period_may_be_each_trajectorys_own():
-    @lierb.controller(every=0.1, memory={"count": 0.0})
-    def counter(memory):
-        return {"ticks": memory.count + 1.0}, {"count": memory.count + 1.0}
-
-    problem, start = spinning([1.0] * 3, controllers=[counter(every=np.array([0.1, 0.25, 0.3]))])
-    result = lierb.integrate(problem, **start, t_end=0.95, rtol=1e-6)
-    np.testing.assert_array_equal(column(result.summary, "ticks"), [10.0, 4.0, 4.0])
+    summary = counted(counter(every=np.array([0.1, 0.25, 0.3])), 3, 0.95)
+    np.testing.assert_array_equal(column(summary, "ticks"), [10.0, 4.0, 4.0])
 
 
 def test_ticks_do_not_drift():
     """A thousand ticks of 0.1 s: the last one is at 99.9 s, not a rounding later."""
-
-    @lierb.controller(every=0.1, memory={"count": 0.0})
-    def stamp(t, memory):
-        return {"tick": memory.count + 1.0, "stamped": t}, {"count": memory.count + 1.0}
-
-    problem, start = spinning([1.0], controllers=[stamp()])
-    result = lierb.integrate(problem, **start, t_end=99.95, rtol=1e-6)
-    assert column(result.summary, "tick").tolist() == [1000.0]
-    assert column(result.summary, "stamped").tolist() == pytest.approx([999 * 0.1], rel=4e-16)
+    summary = counted(counter(), 1, 99.95)
+    assert column(summary, "ticks").tolist() == [1000.0]
+    assert column(summary, "stamped").tolist() == pytest.approx([999 * 0.1], rel=4e-16)
 
 
 # ---- noise -------------------------------------------------------------------------------------
@@ -192,7 +186,10 @@ def noisy(which=None, count=17, **options):
     rotation, omega = fleet(count)
     which = np.arange(count) if which is None else np.asarray(which)
     problem, start = satellites(rotation[which], omega[which], noisy_pd())
-    options = {"dt": DT, "t_end": TICKS * EVERY, "seed": 42, "trajectories": which} | options
+    options = {
+        "dt": DT, "t_end": TICKS * EVERY, "seed": 42, "trajectories": which,
+        "save_at": [TICKS * EVERY],
+    } | options  # fmt: skip
     return lierb.integrate(problem, **start, cspace="reduced", **options)
 
 
@@ -214,7 +211,8 @@ def test_noise_is_that_of_its_number_not_of_its_place(whole):
     """Left out, numbers are 0 … n − 1: trajectory 5 alone is another one's noise."""
     rotation, omega = fleet(17)
     problem, start = satellites(rotation[5:6], omega[5:6], noisy_pd())
-    other = lierb.integrate(problem, **start, cspace="reduced", dt=DT, t_end=TICKS * EVERY, seed=42)
+    times = {"dt": DT, "t_end": TICKS * EVERY, "save_at": [TICKS * EVERY]}
+    other = lierb.integrate(problem, **start, cspace="reduced", seed=42, **times)
     assert column(other.summary, "gyro")[0].tolist() != column(whole.summary, "gyro")[5].tolist()
     assert column(other.summary, "gyro")[0].tolist() == column(whole.summary, "gyro")[0].tolist()
 

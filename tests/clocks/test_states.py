@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import column, final, slow_but
+from cases import column, final, slow_but, tiered
 
 import lierb
 from clocks.shared import rows_of, spinning, thrown
@@ -35,14 +35,14 @@ def test_a_first_order_filter_settles_as_an_exponential(clock):
 def test_a_states_error_is_within_thirty_times_rtol(rtol):
     """The body asks for no steps at all: the filter does."""
     problem, start = spinning([4.0], states=[low_pass(tau=0.05)])
-    result = lierb.integrate(problem, **start, t_end=0.2, rtol=rtol, method="DP54")
+    result = lierb.integrate(problem, **start, t_end=0.2, rtol=rtol, method="DP54", save_at=(0.2,))
     true = 4.0 * (1 - np.exp(-4.0))
     assert abs(final(result, "filtered") - true) < 30 * rtol * 4.0
 
 
 def test_initial_values_are_those_of_the_decorator_unless_given():
     problem, start = spinning([4.0], states=[low_pass(tau=0.5)])
-    result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.0,))
+    result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.0,), method="DP54")
     assert column(result.history, "filtered").tolist() == [0.0]
 
 
@@ -63,23 +63,29 @@ def from_wheels(t, R, r, omega, v, params, states):
     return torque - np.cross(omega, states.wheel), (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("cspace", slow_but(["SE3", "SO3xR3"], "SE3"))
-def test_wheels_and_body_keep_their_momentum(cspace):
-    """R (J ω + h) stays, though each changes: the largest change within 100 rtol."""
-    moments = np.array((0.3, 0.5, 0.7))
+MOMENTS, OMEGA0 = np.array((0.3, 0.5, 0.7)), np.array((0.4, -0.2, 0.9))
+
+
+def with_wheels(cspace="SE3", **options) -> lierb.Result:
     problem = lierb.Problem(
-        lierb.Body(2.0, moments), lierb.joints.free(), forces=[from_wheels()],
+        lierb.Body(2.0, MOMENTS), lierb.joints.free(), forces=[from_wheels()],
         states=[reaction_wheels()],
     )  # fmt: skip
-    omega0, times = np.array((0.4, -0.2, 0.9)), np.linspace(0.0, 5.0, 11)
-    result = lierb.integrate(
-        problem, twist0=[*omega0, 0.0, 0.0, 0.0], t_end=5.0, rtol=1e-9, cspace=cspace,
-        save_at=times, record=("state",),
+    return lierb.integrate(
+        problem, twist0=[*OMEGA0, 0.0, 0.0, 0.0], rtol=1e-9, cspace=cspace, method="DP54",
+        record=("state",),
+        **options,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("cspace", tiered(["SE3", "SO3xR3"], ["SE3"], []))
+def test_wheels_and_body_keep_their_momentum(cspace):
+    """R (J ω + h) stays, though each changes: the largest change within 100 rtol."""
+    result = with_wheels(cspace, t_end=5.0, save_at=np.linspace(0.0, 5.0, 11))
     R = rows_of(result.history, "rotation").reshape(-1, 3, 3)
     omega, wheel = rows_of(result.history, "omega"), rows_of(result.history, "wheel")
-    momentum = np.einsum("nij,nj->ni", R, moments * omega + wheel)
-    before = moments * omega0 + (0.0, 0.0, 0.1)
+    momentum = np.einsum("nij,nj->ni", R, MOMENTS * omega + wheel)
+    before = MOMENTS * OMEGA0 + (0.0, 0.0, 0.1)
     np.testing.assert_allclose(momentum, np.tile(before, (11, 1)), atol=1e-7)
     given = np.array(TORQUE) * np.sin(15.0) / 3.0  # ∫ of the torque
     np.testing.assert_allclose(wheel[0] - wheel[-1], given, atol=1e-8)
@@ -87,14 +93,14 @@ def test_wheels_and_body_keep_their_momentum(cspace):
 
 
 def test_columns_carry_names_and_units():
-    problem, start = spinning([1.0], states=[reaction_wheels()])
-    result = lierb.integrate(problem, **start, t_end=0.1, rtol=1e-6, save_at=(0.1,))
+    result = with_wheels(t_end=0.1, save_at=(0.1,))
     for table in (result.summary, result.history):
         field = table.schema.field("wheel")
         assert field.metadata[b"unit"].decode() == "N m s"
         assert np.shape(table["wheel"].to_pylist()) == (1, 3)
 
 
+@pytest.mark.slow
 def test_observables_and_events_see_states():
     @lierb.event
     def half(states):
@@ -115,6 +121,7 @@ def test_observables_and_events_see_states():
     np.testing.assert_allclose(rows_of(result.events, "filtered"), [0.5], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_state_ends_with_its_trajectory():
     @lierb.states(age=0.0)
     def clock():
@@ -125,7 +132,7 @@ def test_a_state_ends_with_its_trajectory():
         return r[2]
 
     problem, start = thrown([1.0, 2.0], [0.0, 0.0], states=[clock()], events=[landing()])
-    result = lierb.integrate(problem, **start, t_end=2.0, rtol=1e-6, cspace="SO3xR3")
+    result = lierb.integrate(problem, **start, t_end=2.0, rtol=1e-6, cspace="SO3xR3", method="DP54")
     # between steps the weights add up to θ within 1e-14
     np.testing.assert_allclose(
         column(result.summary, "age"), rows_of(result.summary, "t"), rtol=5e-14

@@ -102,6 +102,7 @@ def test_a_mechanism_keeps_the_tolerance():
 # ---- atol, by block ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_atol_alone_is_what_counts_where_nothing_moves():
     """A body at rest under no force: one step, whatever its length."""
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.free())

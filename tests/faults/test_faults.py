@@ -112,7 +112,7 @@ def test_violations_are_counted_and_can_be_repeated(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", [FOLDERS, PROCESSES], ids=["folders", "processes"])
 def test_some_trials_of_each_kind_show_no_violation(kinds, tmp_path):
-    counts = run(tmp_path / "figures", *kinds, "--share", 0.002)
+    counts = run(tmp_path / "figures", *kinds, "--share", 0.001)
     assert {*counts} == {*kinds}
 
 

@@ -9,6 +9,7 @@ import json
 
 import numpy as np
 import pytest
+from cases import tiered
 
 import lierb
 from mechanisms import oracle, samples
@@ -48,22 +49,13 @@ def worst(found: np.ndarray, wanted: np.ndarray) -> float:
 
 
 # Each is compiled, and those of many links for a minute: the others run with -m long.
-QUICKLY = (("chain", "reduced"),)
-IN_EVERY_RUN = (
-    ("star", "reduced"), ("four_bar", "reduced"), ("four_bar", "SE3"),
-)  # fmt: skip
-
-
-def _marks(shape: str, cspace: str) -> tuple:
-    if (shape, cspace) in QUICKLY:
-        return ()
-    return (pytest.mark.slow,) if (shape, cspace) in IN_EVERY_RUN else (pytest.mark.long,)
-
+IN_EVERY_RUN = (("star", "reduced"), ("four_bar", "reduced"), ("four_bar", "SE3"))
+BY_DOP853 = (("chain", "reduced"),)
 
 MANY = [
     pytest.param(
-        shape, cspace, "DOP853" if (shape, cspace) in QUICKLY else "RK4",
-        marks=_marks(shape, cspace),
+        shape, cspace, "DOP853" if (shape, cspace) in BY_DOP853 else "RK4",
+        marks=pytest.mark.slow if (shape, cspace) in IN_EVERY_RUN else pytest.mark.long,
     )
     for cspace, shapes in (
         ("reduced", (*TREES, *LOOPS)),
@@ -173,7 +165,7 @@ def expected(given: Benchmark, kept: dict, t: str) -> list[LinkState]:
 
 # at times at which reference.json has them; A02 before it lies down
 QUICK = ("A01", "A02_1")
-LONG = (*(f"A02_{N}" for N in range(2, 9)), "A03", "rssr")
+LONG = (*(f"A02_{N}" for N in range(2, 9)), "A03", "A04", "rssr")
 AT = {"A01": "1", "A03": "0.03", **{f"A02_{N}": "0.5" for N in range(1, 9)}}
 # A03 is accelerated by 1e6 rad/s²: the oracle, of 53 bits, is off by 2e-10 itself, and what is
 # published by 1e-9 rad (`test_benchmarks`)
@@ -223,8 +215,7 @@ def test_a02_that_has_lain_down_is_closed_or_told(windows):
     assert abs(energies[1] - energies[0]) < 1e-6 * abs(energies[0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", CSPACES)
+@pytest.mark.parametrize("cspace", tiered(CSPACES, [], ["SE3"]))
 def test_spherical_double_pendulum_has_the_order_of_its_method(cspace):
     # Müller and Terze: RK4 has order 4 in every c-space, whatever it does to the joints
     given, kept = benchmark("spherical_double_pendulum")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from cases import GRAVITY, rotation
+from cases import GRAVITY, long_but, rotation
 from scipy.spatial.transform import Rotation
 
 import lierb
@@ -93,7 +93,7 @@ def _worst(result: lierb.Result, chain: lierb.Mechanism) -> tuple[float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("dt", [1e-3, 1e-2])
 @pytest.mark.parametrize("method", ["RK4", pytest.param("Euler", marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", CHAINS)
+@pytest.mark.parametrize("name", long_but(CHAINS, "screw-prismatic"))
 def test_trees_on_reduced_coordinates_keep_every_joint(name, method, dt):
     chain = _chain(tuple(CHAINS[name]))
     pose0 = chain.pose()
