@@ -49,7 +49,9 @@ from lierb.studies.dataset import Dataset
 from lierb.studies.manifest import sealed
 from lierb.studies.parts import _with_draws
 from lierb.studies.running import parts_of, replay
-from lierb.studies.study import KEYS, Study, line_of
+from lierb.studies.sections import KEYS
+from lierb.studies.study import Study
+from lierb.studies.study_file import line_of
 from lierb.studies.units import UNITS
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))

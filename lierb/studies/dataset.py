@@ -66,9 +66,9 @@ from lierb.studies.manifest import (
     read_manifest,
     sealed,
 )
+from lierb.studies.sections import IntegrateSection
 from lierb.studies.study import (
     TABLES,
-    IntegrateSection,
     Setting,
     Study,
     settings_told,

@@ -20,17 +20,16 @@ from lierb.mechanism import Mechanism
 from lierb.model import Body, Problem
 from lierb.sampling import Design
 from lierb.studies.code import PREFIX, source_of
-from lierb.studies.study import (
-    ELEMENTS,
+from lierb.studies.sections import (
     KEYS,
     KEYS_OF_LINK,
-    NOTHING,
     OF_LINK,
     POINTS,
     IntegrateSection,
     OutputSection,
-    Study,
 )
+from lierb.studies.study import NOTHING, Study
+from lierb.studies.study_file import ELEMENTS
 from lierb.user_elements import Element
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)

@@ -14,513 +14,61 @@ A file is checked as a whole before anything runs; what is wrong is named with i
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
-from itertools import islice, product
+from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Any
 
 import numpy as np
 import tomli_w
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    NonNegativeInt,
-    PositiveInt,
-    PrivateAttr,
-    ValidationError,
-    WithJsonSchema,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import ConfigDict, PrivateAttr, ValidationError, model_validator
 
-from lierb import api, bodies, forces, joints
-from lierb.arrays import Array, as_floats
-from lierb.errors import ArgumentError, LierbError, PoseError, StudyError, unknown_name
-from lierb.joints import Joint
+from lierb import api
+from lierb.arrays import Array
+from lierb.errors import LierbError, PoseError, StudyError
 from lierb.kernels.mechanics.elements import INITIAL
-from lierb.links import GROUND, Link, Loop
+from lierb.links import Link, Loop
 from lierb.mechanism import Mechanism
 from lierb.mechanism_checks import violation
-from lierb.model import Body, Problem
+from lierb.model import Problem
 from lierb.runs import checks
 from lierb.runs.mechanisms import baumgarte
-from lierb.runs.timing import ADAPTIVE_METHOD, MOST_SEED, RTOL
-from lierb.sampling import Design, inertia_of
-from lierb.sampling.distributions import DISTRIBUTIONS, as_distribution
+from lierb.runs.timing import ADAPTIVE_METHOD, MOST_SEED
+from lierb.sampling import Design
 from lierb.shown import FAILED, Lines, Shown, counted
-from lierb.studies.changes import applied, index_of, path_of, written
-from lierb.studies.code import (
-    EXPECTED,
-    PATTERN,
-    Code,
-    function_of,
-    named,
-    read_code,
-    sha256_of_text,
+from lierb.studies.changes import applied, index_of, path_of
+from lierb.studies.code import Code, named, read_code, sha256_of_text
+from lierb.studies.messages import Given, at, at_key, located, messages
+from lierb.studies.sections import (
+    RESERVED,
+    SECTION,
+    SHAPES,
+    Baumgarte,
+    BodySection,
+    InitialSection,
+    IntegrateSection,
+    JointSection,
+    OutputSection,
+    ProblemSection,
+    SampleSection,
+    Section,
 )
 from lierb.studies.sources import LONGEST_STUDY, path_given
 from lierb.studies.starting import AUTO, started, started_mechanism
 from lierb.studies.stopping import Rule, rule_of
-from lierb.studies.study_file import (
-    LARGEST,
-    TOO_LARGE,
-    line_of,
-    plain,
-    plain_changes,
-    read,
-    shortened,
-    tables_in,
-)
-from lierb.studies.times import SaveAt, saved_times
+from lierb.studies.study_file import ELEMENTS, TOO_LARGE, plain, plain_changes, read, tables_in
 
 TABLES = ("summary", "history", "events")
 NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at")
 NOTHING = "nothing"  # a design draws something
-ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
 HELD = ("links", "loops")  # what has a joint
-OF_LINK = ("body", "joint", "initial")  # what can be drawn of a link; of a loop its joint
-MOST_LINKS = 1000
 PREVIEW = 8  # bodies that are made when a study is checked
 MOST_SETTINGS = 1000  # each is looked at when a study is checked
-MOST_FORCES = 100  # all are in one kernel
-MOST_TOLD = 10  # of the things that are wrong
-POINTS = {  # of a joint, and the frames whose origins they are
-    "body_point": "body_frame",
-    "ground_point": "ground_frame",
-    "parent_point": "ground_frame",
-}
 Draws = dict[str, dict[str, Array]]  # by section and key
-Numbers = float | list[float] | list[list[float]]
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-
-
-def _as_list(value: Any) -> Any:
-    return value if isinstance(value, list) else [value]
-
-
-def _as_whole(value: Any) -> Any:
-    """1e6 is a whole number; one that no file could hold, written out, is none."""
-    if isinstance(value, float) and value.is_integer() and abs(value) <= LARGEST:
-        return int(value)
-    return value
-
-
-Whole = BeforeValidator(_as_whole)
-Count = Annotated[PositiveInt, Whole]
-Frame = list[list[float]]
-# text is no number, and neither is inf or NaN
-SECTION = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class Section(BaseModel):
-    """A table of the file."""
-
-    model_config = SECTION
-
-    def given(self) -> dict[str, Any]:
-        """What is set in it."""
-        return {k: v for k, v in self.model_dump().items() if v is not None}
-
-
-class BodySection(Section):
-    """Mass properties, or a homogeneous solid of `lierb.bodies`."""
-
-    solid: Literal["box", "cylinder", "rod", "sphere"] | None = None
-    mass: float | None = None
-    inertia: Numbers | None = None
-    second_moments: Vector | None = None
-    com: Vector | None = None
-    size: Vector | None = None
-    radius: float | None = None
-    length: float | None = None
-    density: float | None = None
-
-    def make(self, sampled: dict[str, Array]) -> Body:
-        values = self.given() | sampled
-        if "inertia" in sampled and sampled["inertia"].ndim == 2:  # principal moments
-            values["inertia"] = sampled["inertia"][:, :, None] * np.eye(3)
-        if "second_moments" in values:
-            if "inertia" in values:
-                raise ArgumentError("give inertia or second_moments, not both")
-            values["inertia"] = inertia_of(values.pop("second_moments"))
-        if sampled and "inertia" in values:
-            given = as_floats("inertia", values["inertia"])
-            # a matrix is that of all, also where there are three
-            values["inertia"] = given[None] if given.shape == (3, 3) else given
-        solid = values.pop("solid", None)
-        made: Body = _called("body", Body if solid is None else getattr(bodies, solid), values)
-        return made
-
-
-class JointSection(Section):
-    """A joint of the catalogue, or `type = "from_rows"` with its rows."""
-
-    type: str
-    rows: list[str] | None = None
-    body_point: Vector | None = None
-    ground_point: Vector | None = None
-    axis: Vector | None = None
-    slot: Vector | None = None
-    second_axis: Vector | None = None
-    pitch: float | None = None
-    length: float | None = None
-    body_frame: Frame | None = None
-    ground_frame: Frame | None = None
-    parent_point: Vector | None = None
-    parent_frame: Frame | None = None
-
-    def make(self, sampled: dict[str, Array]) -> Joint:
-        values = self.given() | sampled
-        for point, frame in POINTS.items():
-            if point in sampled and frame in values:  # the frame, moved to where the point is
-                values[frame] = _moved(values[frame], values.pop(point))
-        name = values.pop("type")
-        if name not in joints.JOINTS and name != "from_rows":
-            raise unknown_name("type", name, (*joints.JOINTS, "from_rows"))
-        make = joints.from_rows if name == "from_rows" else joints.JOINTS[name]
-        made: Joint = _called("joint", make, values)
-        return made
-
-
-def _moved(frame: Any, places: Array) -> Array:
-    frames = np.tile(np.asarray(frame, dtype=float), (len(places), 1, 1))
-    frames[:, :3, 3] = places
-    return frames
-
-
-def _type_of_force(given: str) -> str:
-    if given in forces.FORCE_UNITS or named(given):
-        return given
-    known = ", ".join(map(repr, forces.FORCE_UNITS))
-    raise PydanticCustomError("type_of_force", f"input should be {known} or {EXPECTED}")
-
-
-def _type_of_function(given: str) -> str:
-    if named(given):
-        return given
-    raise PydanticCustomError("type_of_function", f"input should be {EXPECTED}")
-
-
-OF_FUNCTION = {"type": "string", "pattern": PATTERN}
-OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
-
-
-def _one_or_several(kind: str) -> tuple[Any, Any]:
-    """Validator and schema of a list for which one value will do."""
-    one = {"type": kind}
-    return BeforeValidator(_as_list), WithJsonSchema(
-        {"anyOf": [one, {"type": "array", "items": one}]}
-    )
-
-
-Names = Annotated[list[str], *_one_or_several("string")]
-Several = Annotated[list[float], *_one_or_several("number")]
-
-
-class ElementSection(BaseModel):
-    """What a problem has in a list; with its parameters, and a `name` if there are several.
-
-    on : of a mechanism, the link where it acts, or the two, or whose joint it acts about.
-    """
-
-    model_config = SECTION | ConfigDict(extra="allow")
-
-    table: ClassVar[str]
-    type: Annotated[str, AfterValidator(_type_of_function), WithJsonSchema(OF_FUNCTION)]
-    name: str | None = None
-    on: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
-
-    @property
-    def label(self) -> str:
-        return self.name or self.type.rpartition(":")[2]
-
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
-        """What it describes, by a function of lierb's or of the study's files."""
-        values = dict(self.model_extra or {}) | sampled
-        if named(self.type):
-            made = function_of(self.table, self.type, code)(**values)
-        else:
-            made = _called(f"{self.table}.{self.label}", getattr(forces, self.type), values)
-        return made.on(*self.on) if self.on else made
-
-
-class ForceSection(ElementSection):
-    """A force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
-
-    table = "forces"
-    type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
-
-
-class ConstraintSection(ElementSection):
-    """A function with `@lierb.constraint` in a file beside the study."""
-
-    table = "constraints"
-
-
-class ObservableSection(ElementSection):
-    """A function with `@lierb.observable` in a file beside the study; `name` is its column's."""
-
-    table = "observables"
-
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
-        made = super().make(sampled, code)
-        return made.named(self.name) if self.name else made
-
-
-class EventSection(ElementSection):
-    """A function with `@lierb.event` in a file beside the study; `name` is its in the tables."""
-
-    table = "events"
-
-    def make(self, sampled: dict[str, Array], code: Code) -> Any:
-        made = super().make(sampled, code)
-        return made.named(self.name) if self.name else made
-
-
-class StatesSection(ElementSection):
-    """A function with `@lierb.states` in a file beside the study; with initial values."""
-
-    table = "states"
-
-
-class ControllerSection(ElementSection):
-    """A function with `@lierb.controller` in a file beside the study; with `every` and the like."""
-
-    table = "controllers"
-
-
-class LinkStart(Section):
-    """How a link starts. Its pose: coordinates, or rotation and place, or pose; its velocities.
-
-    coordinates : of its joint; velocities : their rates. A number where there is one.
-    rotation, place : its joint frame seen from that of its parent, 3×3, and m.
-    pose : in the ground frame, 4×4.   omega, twist : in its own axes.
-    """
-
-    coordinates: float | list[float] | None = None
-    rotation: list[Vector] | None = None
-    place: Vector | None = None
-    pose: Frame | None = None
-    velocities: float | list[float] | None = None
-    omega: Vector | None = None
-    twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
-
-
-class LinkSection(Section):
-    """A link of a mechanism: its body, its joint on what it hangs on, and its start."""
-
-    name: str
-    parent: str = GROUND
-    body: BodySection
-    joint: JointSection
-    initial: LinkStart = LinkStart()
-
-
-class LoopSection(Section):
-    """A joint beside those of the links, between two of them or one and the ground."""
-
-    name: str
-    body: str
-    parent: str = GROUND
-    joint: JointSection
-
-
-class ProblemSection(Section):
-    gravity: Vector = [0.0, 0.0, 0.0]
-    links: Annotated[list[LinkSection], Field(max_length=MOST_LINKS)] = []
-    loops: Annotated[list[LoopSection], Field(max_length=MOST_LINKS)] = []
-    forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
-    constraints: Annotated[list[ConstraintSection], Field(max_length=MOST_FORCES)] = []
-    observables: Annotated[list[ObservableSection], Field(max_length=MOST_FORCES)] = []
-    events: Annotated[list[EventSection], Field(max_length=MOST_FORCES)] = []
-    states: Annotated[list[StatesSection], Field(max_length=MOST_FORCES)] = []
-    controllers: Annotated[list[ControllerSection], Field(max_length=MOST_FORCES)] = []
-
-    def elements(self) -> Iterator[tuple[str, ElementSection]]:
-        """Each with the name of its list."""
-        for table in ELEMENTS:
-            for element in getattr(self, table):
-                yield table, element
-
-    def held(self) -> Iterator[LinkSection | LoopSection]:
-        """The links, and after them the loops."""
-        yield from self.links
-        yield from self.loops
-
-
-class InitialSection(Section):
-    """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
-
-    coordinates : of the joint, in the order of `Joint.coordinate_names`; velocities : their rates.
-    rotation, place : the body's joint frame seen from the ground's, 3×3, and m.
-
-    Of a mechanism only `close`: "auto" closes what is open, to the nearest pose and twist by the
-    masses; "never" leaves it. How each link starts its own table says, [problem.links.initial].
-    """
-
-    close: Literal["auto", "never"] | None = None
-    omega: Vector | None = None
-    point_velocity: Vector | None = None
-    twist: Annotated[list[float], Field(min_length=6, max_length=6)] | None = None
-    velocities: list[float] | None = None
-    coordinates: list[float] | None = None
-    rotation: list[Vector] | None = None
-    place: Vector | None = None
-
-
-class SampleSection(BaseModel):
-    """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables.
-
-    Of a mechanism's links and loops they are [sample.NAME.SECTION.KEY], as sample.rod.body.mass.
-
-    stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
-    """
-
-    model_config = SECTION | ConfigDict(
-        extra="allow",
-        json_schema_extra={
-            "additionalProperties": {
-                "type": "object",
-                "properties": {name: {"type": "object"} for name in OF_LINK},
-                "additionalProperties": False,
-            }
-        },
-    )
-
-    n: Count | None = None
-    seed: Annotated[NonNegativeInt, Whole] = 0
-    method: Literal["random", "sobol", "saltelli", "grid"] = "random"
-    stop_when: str | None = None
-    body: dict[str, Any] = {}
-    joint: dict[str, Any] = {}
-    problem: dict[str, Any] = {}
-    forces: dict[str, dict[str, Any]] = {}
-    constraints: dict[str, dict[str, Any]] = {}
-    observables: dict[str, dict[str, Any]] = {}
-    events: dict[str, dict[str, Any]] = {}
-    states: dict[str, dict[str, Any]] = {}
-    controllers: dict[str, dict[str, Any]] = {}
-    initial: dict[str, Any] = {}
-
-    def quantities(self) -> dict[str, Any]:
-        """Distributions by their path, such as `initial.omega` or `forces.drag.linear`."""
-        tables = {name: getattr(self, name) for name in ("body", "joint", "problem", "initial")}
-        tables |= dict(self._of_held())
-        for kind in ELEMENTS:
-            tables |= {f"{kind}.{name}": table for name, table in getattr(self, kind).items()}
-        found = {}
-        for section, table in tables.items():
-            known = _known_keys(section)
-            for key, value in table.items():
-                path = f"sample.{section}.{key}"
-                if path in found or (known is not None and key not in known):
-                    raise StudyError(f"{path}: unknown key{_suggestion(key, list(known or ()))}")
-                found[f"{section}.{key}"] = _distribution(path, value)
-        return dict(sorted(found.items()))  # tables have no order, points of a sequence do
-
-    def _of_held(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Tables of links and loops by their path, such as `rod.body`."""
-        for name, tables in (self.model_extra or {}).items():
-            if not isinstance(tables, dict):
-                raise StudyError(f"sample.{name}: unknown key{_suggestion(name, _sampled())}")
-            for section, table in tables.items():
-                if section not in OF_LINK or not isinstance(table, dict):
-                    raise StudyError(
-                        f"sample.{name}.{section}: unknown key{_suggestion(section, [*OF_LINK])}"
-                    )
-                yield f"{name}.{section}", table
-
-    def require_names(self, names: Collection[str]) -> None:
-        """Raise StudyError for tables of what is no link and no loop of the study's."""
-        for name in self.model_extra or {}:
-            if name not in names:
-                raise StudyError(
-                    f"sample.{name}: unknown key{_suggestion(name, [*names, *_sampled()])}"
-                )
-
-
-def _sampled() -> list[str]:
-    return [*SampleSection.model_fields]
-
-
-def _known_keys(section: str) -> Collection[str] | None:
-    """What can be sampled there; None of what an element has, which it knows itself."""
-    first, _, last = section.partition(".")
-    if first in ELEMENTS:
-        return None
-    return KEYS_OF_LINK[last] if last else KEYS[first]
-
-
-class Baumgarte(Section):
-    """Rates of Baumgarte's stabilisation, 1/s."""
-
-    alpha: float
-    beta: float
-
-
-class IntegrateSection(Section):
-    """As `lierb.integrate` takes it; cspace, method, dt and rtol may be lists, run as a product.
-
-    With rtol or atol steps are adaptive, and dt is the first of them.
-    """
-
-    model_config = SECTION | ConfigDict(
-        json_schema_extra={"anyOf": [{"required": [key]} for key in ("dt", "rtol", "atol")]}
-    )
-
-    t_end: float
-    t0: float = 0.0
-    dt: Several = []
-    rtol: Several = []
-    atol: float | dict[str, float] | None = None
-    dt_min: float | None = None
-    dt_max: float | None = None
-    max_steps: Count | None = None
-    cspace: Names = Field(default=["SE3"], min_length=1)
-    method: Names = Field(default=["RK4"], min_length=1)
-    update: str = "local"
-    solver: str = "auto"
-    stabilise: Literal["project"] | Baumgarte | None = None
-    save_every: Count | None = None
-    save_at: SaveAt | None = None
-    measure_every: Count = 1
-    record: list[str] = []
-
-    @property
-    def is_adaptive(self) -> bool:
-        return bool(self.rtol) or self.atol is not None
-
-    @property
-    def saves(self) -> bool:
-        """Whether there is a history."""
-        return self.save_every is not None or self.save_at is not None
-
-    @property
-    def times(self) -> Array | None:
-        """Of the rows of the history, s; None where they are not chosen by time."""
-        return None if self.save_at is None else saved_times(self.save_at, self.t0, self.t_end)
-
-    @property
-    def steps(self) -> list[tuple[float | None, float | None]]:
-        """Each dt, or of adaptive steps each rtol with the first step."""
-        if not self.is_adaptive:
-            return [(dt, None) for dt in self.dt]
-        first = self.dt[0] if self.dt else None
-        return [(first, rtol) for rtol in self.rtol or [RTOL]]
-
-
-class OutputSection(Section):
-    part: Count = 16384  # bodies
-    compression: Literal["none", "snappy", "zstd"] = "snappy"
 
 
 @dataclass(frozen=True)
@@ -642,9 +190,9 @@ class Study(Shown, Section):
             study.check()
             study.require_effect(given.changes)
         except ValidationError as error:
-            raise StudyError(_messages(error, tables, given)) from None
+            raise StudyError(messages(error, cls, tables, given)) from None
         except StudyError as error:
-            raise StudyError(_located(str(error), given)) from None
+            raise StudyError(located(str(error), given)) from None
         return study
 
     @model_validator(mode="before")
@@ -670,7 +218,7 @@ class Study(Shown, Section):
             raise StudyError(f"study: is {TOO_LARGE}")
         self._check_kind()
         self._check_settings()
-        with _at("sample"):
+        with at("sample"):
             design = self.design
             batch = self.batch(0, min(PREVIEW, len(design)), design)
         if self.sample.stop_when is not None:
@@ -681,10 +229,10 @@ class Study(Shown, Section):
                 raise StudyError(
                     f"problem.{table}: two have the same name; give each a name of its own"
                 )
-        with _at("initial"), np.errstate(all="ignore"):
+        with at("initial"), np.errstate(all="ignore"):
             self._check_start(batch)
         for setting in self.settings:
-            with _at_key("integrate", (*NEW_KEYS, "save_every")):
+            with at_key("integrate", (*NEW_KEYS, "save_every")):
                 api.check_options(batch.problem, **self.options(setting))
         if self.problem.controllers and self.sample.seed >= MOST_SEED:
             raise StudyError(
@@ -915,7 +463,7 @@ class Study(Shown, Section):
         """Forces, constraints and observables, with what their bodies draw of them."""
         made: dict[str, list[Any]] = {table: [] for table in ELEMENTS}
         for table, element in self.problem.elements():
-            with _at(f"problem.{table}"):
+            with at(f"problem.{table}"):
                 drawn = own.pop(f"{table}.{element.label}", {})
                 made[table].append(element.make(drawn, self._code))
             for key, values in drawn.items():
@@ -929,14 +477,14 @@ class Study(Shown, Section):
     ) -> tuple[Problem, Array, Array | None]:
         assert self.body is not None
         assert self.joint is not None
-        with _at("body"):
+        with at("body"):
             body = self.body.make(own.pop("body", {}))
-        with _at("joint"):
+        with at("joint"):
             joint = self.joint.make(own.pop("joint", {}))
-        with _at("problem"):
+        with at("problem"):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
             problem = Problem(body, joint, gravity, **made)
-        with _at("initial"):
+        with at("initial"):
             initial = self.initial.given() | own.pop("initial", {})
             twist0, pose0 = started(problem, initial, self.integrate.t0)
         if twist0.ndim == 1:
@@ -948,23 +496,23 @@ class Study(Shown, Section):
     ) -> tuple[Mechanism, dict[str, Array], dict[str, Array]]:
         links, loops, initial = [], [], {}
         for each in self.problem.links:
-            with _at(f"problem.links.{each.name}.body"):
+            with at(f"problem.links.{each.name}.body"):
                 body = each.body.make(own.pop(f"{each.name}.body", {}))
-            with _at(f"problem.links.{each.name}.joint"):
+            with at(f"problem.links.{each.name}.joint"):
                 joint = each.joint.make(own.pop(f"{each.name}.joint", {}))
-            with _at("problem"):
+            with at("problem"):
                 links.append(Link(each.name, body, joint, each.parent))
             initial[each.name] = each.initial.given() | own.pop(f"{each.name}.initial", {})
         for loop in self.problem.loops:
-            with _at(f"problem.loops.{loop.name}.joint"):
+            with at(f"problem.loops.{loop.name}.joint"):
                 joint = loop.joint.make(own.pop(f"{loop.name}.joint", {}))
-            with _at("problem"):
+            with at("problem"):
                 loops.append(Loop(loop.name, joint, loop.body, loop.parent))
-        with _at("problem"):
+        with at("problem"):
             gravity = own.pop("problem", {}).get("gravity", self.problem.gravity)
             mechanism = Mechanism(links, loops, gravity, **made)
         close, t0 = self.initial.close or AUTO, self.integrate.t0
-        with _at("initial"):
+        with at("initial"):
             try:
                 twists, poses = started_mechanism(mechanism, initial, close, count, t0)
             except PoseError as error:  # of a number in this part
@@ -1067,24 +615,6 @@ def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(name for name, there in zip(TABLES, is_there, strict=True) if there)
 
 
-NOT_DRAWN = ("type", "rows", "body_frame", "ground_frame", "parent_frame")
-NUMBERS = ("mass", "radius", "length", "density", "pitch")
-SHAPES: dict[str, tuple[int, ...]] = dict.fromkeys(NUMBERS, ()) | {
-    "twist": (6,),
-    "rotation": (3, 3),
-    "pose": (4, 4),
-}
-KEYS: dict[str, tuple[str, ...]] = {
-    "problem": ("gravity",),
-    "initial": tuple(k for k in InitialSection.model_fields if k != "close"),
-    "body": tuple(k for k in BodySection.model_fields if k != "solid"),
-    "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
-}
-KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}
-# A link's columns are named after it, and so are its tables in [sample].
-RESERVED = frozenset({"sample", *SampleSection.model_fields})
-
-
 def _require_shape(
     path: str, shape: tuple[int, ...], expected: tuple[int, ...], free: bool = False
 ) -> None:
@@ -1093,165 +623,6 @@ def _require_shape(
         what = "a list of numbers" if free or expected == (3,) else f"shape {expected}"
         what = "one number" if expected == () else what
         raise StudyError(f"sample.{path}: a draw has shape {shape}; expected {what}")
-
-
-# ---- distributions -----------------------------------------------------------------------------
-
-
-def _distribution(key: str, value: Any) -> Any:
-    """A distribution from its table; numbers and lists are constants."""
-    if not isinstance(value, dict):
-        with _at(key):
-            as_distribution("it", value)
-        return value
-    options = dict(value)
-    name = options.pop("distribution", None)
-    if not isinstance(name, str):
-        raise StudyError(f'{key}: needs distribution = "…", one of {", ".join(DISTRIBUTIONS)}')
-    if name not in DISTRIBUTIONS:
-        raise StudyError(f"{key}.distribution: {unknown_name('it', name, DISTRIBUTIONS)}")
-    if isinstance(options.get("length"), dict):
-        options["length"] = _distribution(f"{key}.length", options["length"])
-    with _at(key):
-        return _called(key, DISTRIBUTIONS[name], options)
-
-
-# ---- messages ----------------------------------------------------------------------------------
-
-
-class _at:
-    """Errors in the block are those of a table of the file."""
-
-    def __init__(self, table: str) -> None:
-        self.table = table
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, _kind: Any, error: Any, _traceback: Any) -> None:
-        if isinstance(error, LierbError) and not isinstance(error, StudyError):
-            raise StudyError(f"{self.table}: {error}") from None
-
-
-class _at_key(_at):
-    """The same, and of the key that they begin with, if it is one of `keys`."""
-
-    def __init__(self, table: str, keys: Collection[str]) -> None:
-        super().__init__(table)
-        self.keys = keys
-
-    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
-        first = re.match(r"\w+", str(error))
-        if first and first[0] in self.keys:
-            self.table = f"{self.table}.{first[0]}"
-        super().__exit__(kind, error, traceback)
-
-
-def _called(table: str, function: Any, values: dict[str, Any]) -> Any:
-    """function(**values), where a key that it does not take is named."""
-    signature = inspect.signature(function)
-    known = [n for n, p in signature.parameters.items() if p.kind is not p.VAR_KEYWORD]
-    for name in values:
-        if name not in known:
-            raise StudyError(f"{table}.{name}: unknown key{_suggestion(name, known)}")
-    try:
-        signature.bind(**values)
-    except TypeError as error:
-        raise StudyError(f"{table}: {error}") from None
-    return function(**values)
-
-
-def _suggestion(name: str, known: list[str]) -> str:
-    near = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
-
-
-@dataclass(frozen=True)
-class Given:
-    """What a study is made from: a file's name and text, and changes of what it says."""
-
-    source: str
-    text: str
-    changes: Mapping[str, Any]
-
-    def place(self, path: tuple[Any, ...]) -> str:
-        """Where a key was given: the file's line, and what of its table was changed."""
-        keys = [path_of(key) for key in self.changes]
-        if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
-            path = ("problem", path[0], *path[2:])
-        names = tuple(map(str, path))
-        line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
-        place = f"{self.source}:{line}" if line else self.source
-        near = [each for key, each in zip(keys, written(self.changes)) if key[:1] == names[:1]]
-        return f"{place} with {', '.join(near)}" if near else place
-
-
-WORDS = {  # Python's in pydantic's messages, and those of a file
-    r"a valid dictionary( or instance of \w+)?": "a table",
-    r"a valid string": "text",
-    r"a valid list": "a list",
-}
-
-
-def _messages(errors: ValidationError, tables: dict[str, Any], given: Given) -> str:
-    """The first of pydantic's errors, each in a line."""
-    found = iter(errors.errors(include_url=False, include_context=False))
-    lines = dict.fromkeys(_message(e, tables, given) for e in islice(found, MOST_TOLD))
-    if rest := sum(1 for _ in found):
-        return "\n".join((*lines, f"{given.source}: and {rest} more"))
-    return "\n".join(lines)
-
-
-def _message(error: Any, tables: dict[str, Any], given: Given) -> str:
-    """One of pydantic's errors as a line: where, key, what, got."""
-    path = tuple(error["loc"])
-    while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
-        path = path[:-1]  # pydantic adds the names of the alternatives that it tried
-    key = ".".join(map(str, path))
-    what = error["msg"][0].lower() + error["msg"][1:]
-    for python, toml in WORDS.items():
-        what = re.sub(python, toml, what)
-    if error["type"] == "extra_forbidden":
-        what = "unknown key" + _suggestion(str(path[-1]), _fields_at(path[:-1]))
-    elif error["type"] == "missing":
-        what = "is missing"
-    elif not isinstance(error["input"], dict):
-        what += f", got {shortened(repr(error['input']))}"
-    return f"{given.place(path)}: {key}: {what}"
-
-
-def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
-    for part in path:
-        try:
-            tables = tables[part]
-        except (KeyError, IndexError, TypeError):
-            return False
-    return True
-
-
-def _fields_at(path: tuple[Any, ...]) -> list[str]:
-    model: Any = Study
-    for part in path:
-        if isinstance(part, int):  # of a list
-            continue
-        field = model.model_fields.get(part)
-        model = _model_in(field.annotation) if field else Section
-        if model is None:
-            return []
-    return list(model.model_fields)
-
-
-def _model_in(annotation: Any) -> Any:
-    """The table that a field is, or that the items of its list are."""
-    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_model_in, get_args(annotation))), None)
-
-
-def _located(message: str, given: Given) -> str:
-    """`table.key: what` with the line before it."""
-    key = message.partition(":")[0]
-    return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"
 
 
 def tables_of(study: dict[str, Any]) -> Iterator[tuple[str, Any]]:

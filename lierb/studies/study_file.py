@@ -22,6 +22,7 @@ from lierb.errors import LierbError, StudyError, told
 from lierb.sampling.distributions import DISTRIBUTIONS, Constant, Distribution
 from lierb.studies.sources import LONGEST_STUDY
 
+ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
 MOST_TEXT = 1000  # characters of a name
 MOST_PARTS = 32  # of a dotted key: tomllib takes time with the square of them
 DEEPEST = 16  # tables and lists in each other; a study's own go seven deep

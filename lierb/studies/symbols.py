@@ -8,7 +8,8 @@ from unicodedata import normalize
 import numpy as np
 
 from lierb.arrays import Array
-from lierb.studies.study import ELEMENTS, Study
+from lierb.studies.study import Study
+from lierb.studies.study_file import ELEMENTS
 from lierb.studies.units import each_unit, joint_of
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")

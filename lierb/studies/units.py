@@ -6,7 +6,8 @@ from lierb import forces
 from lierb.joints import Joint
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
-from lierb.studies.study import ELEMENTS, Study
+from lierb.studies.study import Study
+from lierb.studies.study_file import ELEMENTS
 
 UNITS = {
     "mass": "kg", "inertia": "kg m²", "second_moments": "kg m²", "com": "m", "size": "m",
