@@ -178,15 +178,36 @@ def hand_over_ends(desk, own, job, lanes):
     """What trajectories that have ended come to."""
     summary, own_summary = numbers_at(job.summary), numbers_at(own.summary)
     ends, own_ends = numbers_at(job.ends), numbers_at(own.ends)
+    in_a_row = True
+    for lane in range(lanes):
+        column = int(desk[TRAJECTORY, lane])
+        own_summary[STARTS, lane] = summary[STARTS, column]
+        in_a_row = in_a_row and desk[FATE, lane] > 0.0 and column == desk[TRAJECTORY, 0] + lane
+    if in_a_row:
+        first = int(desk[TRAJECTORY, 0])
+        copy_columns(own_summary, summary, first, lanes)
+        copy_columns(own_ends, ends, first, lanes)
     for lane in range(lanes):
         if desk[FATE, lane] > 0.0:
             column = int(desk[TRAJECTORY, lane])
-            for c in range(own_summary.shape[0]):
-                if c != STARTS:
-                    summary[c, column] = own_summary[c, lane]
-            for c in range(own_ends.shape[0]):
-                ends[c, column] = own_ends[c, lane]
+            if not in_a_row:
+                copy_column(own_summary, summary, lane, column)
+                copy_column(own_ends, ends, lane, column)
             hand_over_state(own, job, lane, column, job.rows - 1)
+
+
+@shared
+def copy_column(shown, array, lane, column):
+    for c in range(shown.shape[0]):
+        array[c, column] = shown[c, lane]
+
+
+@shared
+def copy_columns(shown, array, first, lanes):
+    """Of all lanes: many numbers at once."""
+    for c in range(shown.shape[0]):
+        for lane in range(lanes):
+            array[c, first + lane] = shown[c, lane]
 
 
 @shared
