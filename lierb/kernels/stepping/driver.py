@@ -378,6 +378,7 @@ def _stepped(
 
 def are_finite(*numbers: Any) -> Any:
     """Whether all of them are, and so is their sum."""
+    numbers = numbers or (ZERO,)
     while len(numbers) > 1:  # by halves: a sum of one after the other keeps the next step waiting
         half = len(numbers) // 2
         pairs = zip(numbers[:half], numbers[half : 2 * half], strict=True)
