@@ -49,8 +49,8 @@ def tiered(names, quick, slow) -> list:
     return [n if n in quick else pytest.param(n, marks=later(n)) for n in names]
 
 
-# A row is the same formula in both c-spaces: each joint runs in one, and in both those that other
-# tests compile for both.
+# A row is the same formula in both c-spaces: ONCE run in one, and in both those that other tests
+# compile for both; COMPOSED with -m long alone.
 ONCE = ("fixed", "hook", "point_on_line", "point_on_plane")
 COMPOSED = (
     "planar_translation", "translation", "helical_planar", "schoenflies", "pin_in_slot_body",

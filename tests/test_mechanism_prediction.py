@@ -388,7 +388,6 @@ def test_predictions_are_the_stored_ones(name):
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cspace", CSPACES)
 @pytest.mark.parametrize(
     "name",

@@ -90,7 +90,6 @@ def _worst(result: lierb.Result, chain: lierb.Mechanism) -> tuple[float, float]:
     return turned, apart
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("dt", [1e-3, 1e-2])
 @pytest.mark.parametrize("method", ["RK4", pytest.param("Euler", marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", long_but(CHAINS, "screw-prismatic"))
