@@ -16,6 +16,7 @@ from lierb.compiler.internals import (
     address_of,
     call_address,
     cgutils,
+    compile_leanly,
     raise_address,
     release,
 )
@@ -50,7 +51,7 @@ def _enter(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
     dispatcher, code = key[0], (key[0], operands)
     with compiling:
         if code not in _addresses:
-            dispatcher.compile(operands)
+            compile_leanly(dispatcher, operands)
             result = dispatcher.overloads[operands]
             _callable.add(operands[1:])
             _addresses[code] = address_of(result)

@@ -22,6 +22,7 @@ from numba.core.caching import (
     UserWideCacheLocator,
 )
 from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
@@ -45,7 +46,29 @@ def tracing_context() -> Any:
     return cpu_target.target_context
 
 
-# ---- compiled code: where it lies, and what it can do without ----------------------------------
+# ---- compiled code: how it is made, where it lies, what it can do without -----------------------
+
+
+class _LeanLibrary(JITCodeLibrary):
+    """Code that is not optimised function by function before all of it is, together."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+
+def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
+    """dispatcher.compile(operands), in three quarters of LLVM's time.
+
+    Numba has LLVM optimise each function by itself, and then the module with all that it calls. For
+    one long function the former finds nothing that the latter would not.
+    """
+    codegen = cpu_target.target_context.codegen()
+    with global_compiler_lock:
+        libraries, codegen._library_class = codegen._library_class, _LeanLibrary
+        try:
+            return dispatcher.compile(operands)
+        finally:
+            codegen._library_class = libraries
 
 
 def address_of(result: Any) -> int:

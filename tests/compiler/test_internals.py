@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import ctypes
+import re
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,6 +179,53 @@ kernel(_line)
 @relies_on("AbstractTemplate", "infer_global", "signature")
 def test_templates_make_a_python_function_known_to_compiled_code():
     assert numba.njit(lambda x: _line(x, (x, 1.0)))(3.0) == (7.0, 3.0)
+
+
+# ---------------------------------------------------------------- compiling
+
+
+@numba.njit(**OPTIONS)
+def _halved(x):
+    return 0.5 * x
+
+
+def _sum_of_halves(values):
+    total = 0.0
+    for x in values:
+        total += _halved(x)
+    return total
+
+
+@relies_on("JITCodeLibrary", "compile_leanly")
+def test_code_compiled_leanly_is_optimised_as_a_whole_and_by_no_function(monkeypatch):
+    codegen, passes = internals.tracing_context().codegen(), []
+
+    def tell(manager):
+        make = getattr(codegen, manager)
+        monkeypatch.setattr(codegen, manager, lambda **o: passes.append(manager) or make(**o))
+
+    tell("_function_pass_manager")
+    tell("_module_pass_manager")
+
+    def passed(compiles):
+        dispatcher = numba.njit(_sum_of_halves, **OPTIONS)
+        del passes[:]
+        compiles(dispatcher, (float64[::1],))
+        assert dispatcher(np.arange(5.0)) == 5.0
+        (code,) = dispatcher.inspect_llvm().values()
+        body, *_ = re.findall(r"^define[^\n]*{$(.*?)^}", code, re.M | re.S)
+        return set(passes), re.findall(r"alloca|call .*halved", body)
+
+    def fails(dispatcher, operands):
+        with pytest.raises(numba.TypingError):
+            internals.compile_leanly(numba.njit(lambda x: x.nothing), (float64,))
+        dispatcher.compile(operands)
+
+    _halved(1.0)
+    both = {"_function_pass_manager", "_module_pass_manager"}
+    assert passed(internals.compile_leanly) == ({"_module_pass_manager"}, [])
+    assert passed(lambda dispatcher, operands: dispatcher.compile(operands)) == (both, [])
+    assert passed(fails) == (both, [])
 
 
 # ---------------------------------------------------------------- calls
