@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 from functools import cache
@@ -16,11 +17,11 @@ from numba import config, njit
 import lierb
 from kernels.packs import on_lanes
 from kernels.samples import GROUPS, dim, twists, unpacked
-from lierb.compiler.trace import kernel
+from lierb.compiler.trace import kernel, trial
 from lierb.kernels.groups import se3, so3, so3xr3
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
-from lierb.kernels.numbers.arithmetic import flatten
-from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.arithmetic import apart, flatten, fma, rounded_as_numpy, sqrt
+from lierb.kernels.numbers.dual import Dual, raw
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.numbers.zero import ZERO
 
@@ -249,6 +250,44 @@ def test_named_tuples_and_duals_keep_their_class_between_formulas():
         return second_square(squared(x), y)
 
     assert both(3.0, 5.0) == (48.0, 15.0, 1.0)
+
+
+def long_one(x, y):
+    return fma(x, y, 1.0 / y), sqrt(x) + y
+
+
+rarely_needed = apart(2)(long_one)
+
+
+def here_and_there(x, y):
+    """The same numbers with and without a call, and such as are rounded otherwise."""
+    product, root = rarely_needed(x, y)
+    with rounded_as_numpy(x):
+        rounded = rarely_needed(x, y)[0]
+    return (product, root, *rarely_needed(root, y), rounded), (
+        *long_one(x, y), *long_one(root, y), x * y + 1.0 / y,
+    )  # fmt: skip
+
+
+kernel(here_and_there)
+
+
+@needs_jit
+def test_what_is_kept_apart_is_emitted_once_and_gives_the_same_bits():
+    _, code = trial(here_and_there, 2)
+    assert len(re.findall(r"call .*long_one.2.rounded_once", code)) == 2
+    assert len(re.findall(r"define .*long_one.2.rounded_once", code)) == 1
+    called, inlined = njit(lambda x, y: here_and_there(x, y))(0.7, 0.3)
+    assert called == inlined
+
+
+@pytest.mark.parametrize("x", [0.7, np.array([0.7, 2.0]), Dual(0.7, (1.0, 2.0))])
+def test_without_a_trace_what_is_kept_apart_is_a_formula(x):
+    called, inlined = here_and_there(x, 0.3)
+    assert np.array_equal(np.array([*map(raw, called)]), np.array([*map(raw, inlined)]))
+    assert all(
+        a.parts == b.parts for a, b in zip(called, inlined, strict=True) if isinstance(a, Dual)
+    )
 
 
 def test_structural_zero_is_the_number_zero():

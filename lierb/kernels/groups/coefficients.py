@@ -22,6 +22,7 @@ from lierb.kernels.numbers.arithmetic import (
     PI,
     Cuts,
     all_lanes,
+    apart,
     branch,
     fma,
     horner,
@@ -175,13 +176,17 @@ def _long(z: Any) -> tuple[Any, ...]:
 
 def _half_long(z: Any) -> tuple[Any, ...]:
     below = z < 0.25 * SERIES
-
-    def somewhere() -> Any:
-        entire = _half_entire(minimum(z, 0.25 * SERIES))
-        return where(below, entire, _half_closed(where(below, 0.25 * SERIES, z)))
-
-    found: tuple[Any, ...] = branch(all_lanes(below), lambda: _half_entire(z), somewhere)
+    found: tuple[Any, ...] = branch(
+        all_lanes(below), lambda: _half_entire(z), lambda: _half_anywhere(z)
+    )
     return found
+
+
+@apart(len(HalfAngleCoefficients._fields))
+def _half_anywhere(z: Any) -> tuple[Any, ...]:
+    below = z < 0.25 * SERIES
+    entire = _half_entire(minimum(z, 0.25 * SERIES))
+    return where(below, entire, _half_closed(where(below, 0.25 * SERIES, z)))
 
 
 def _half_entire(z: Any) -> tuple[Any, ...]:

@@ -128,6 +128,27 @@ class Trace:
             )
         return Lane(self, self.builder.call(self.declared[key], values))
 
+    def function_of(
+        self, formula: Callable[..., Any], operands: list[ir.Type], count: int
+    ) -> ir.Function:
+        """A function in the module that is traced, of `count` results; made where it is missing."""
+        module, ty = self.builder.module, operands[0]
+        rounding = "twice" if self.rounds_twice else "once"
+        name = f"{formula.__module__}.{formula.__qualname__}.{_count(ty)}.rounded_{rounding}"
+        if name not in module.globals:
+            kind = ir.LiteralStructType([ty] * count)
+            function = ir.Function(module, ir.FunctionType(kind, operands), name)
+            function.linkage = "internal"
+            for attribute in ("cold", "noinline", "nounwind"):
+                function.attributes.add(attribute)
+            trace = Trace(ir.IRBuilder(function.append_basic_block()), self.target)
+            trace.rounds_twice = self.rounds_twice
+            result: ir.Value = ir.Constant(kind, ir.Undefined)
+            for k, x in enumerate(formula(*(Lane(trace, operand) for operand in function.args))):
+                result = trace.builder.insert_value(result, x.value, k)
+            trace.builder.ret(result)
+        return module.globals[name]
+
 
 def _count(ty: ir.Type) -> int:
     return ty.count if isinstance(ty, ir.VectorType) else 1
@@ -245,6 +266,14 @@ class Lane(Traced):
     def fma(a: Any, b: Any, c: Any) -> Any:
         trace = _trace_of_any((a, b, c))
         return a * b + c if trace.rounds_twice else trace.intrinsic("fma", (a, b, c))
+
+    @staticmethod
+    def call(formula: Callable[..., Any], count: int, *numbers: Any) -> tuple[Lane, ...]:
+        trace = _trace_of_any(numbers)
+        values = _same_type(trace, *numbers)
+        function = trace.function_of(formula, [v.type for v in values], count)
+        found = trace.builder.call(function, values)
+        return tuple(Lane(trace, trace.builder.extract_value(found, k)) for k in range(count))
 
     def real(self) -> Lane:
         return self
