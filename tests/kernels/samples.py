@@ -15,7 +15,7 @@ from lierb.kernels.groups.lie_functions import GROUPS, SIGNATURES
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 
-CUTOVERS = (0.1, 0.5, np.pi)  # rad: series of five terms, of eight, long series, closed forms
+CUTOVERS = (0.1, 0.75, np.pi)  # rad: series of five terms, of eight, long series, closed forms
 NUMBER_TYPES = ("lanes", "arrays", "floats")
 LINEAR = ("Ad", "ad", "dexp", "dexpinv")  # in their second argument
 

@@ -35,10 +35,10 @@ every_group = pytest.mark.parametrize("group", slow_but(GROUPS, "so3"))
 every_function = pytest.mark.parametrize("name", SIGNATURES)
 
 # Angles of every branch, in an order that puts them side by side in packs of 2, 4 and 8, and packs
-# of 2, 4 and 8 small ones and medium ones: 0.1, 0.5 and π are the cut-overs. 37 is no multiple of
+# of 2, 4 and 8 small ones and medium ones: 0.1, 0.75 and π are the cut-overs. 37 is no multiple of
 # any number of lanes.
 THETA = np.array(
-    [1e-9, 0.5, 5.0, 0.0, np.pi, 6.2, 0.0999999, 3.0, 0.1, 0.1000001, 3.1415, 3.1416, 1e-12, 6.0]
+    [1e-9, 0.75, 5.0, 0.0, np.pi, 6.2, 0.0999999, 3.0, 0.1, 0.1000001, 3.1415, 3.1416, 1e-12, 6.0]
     + [0.01] * 8
     + [0.3] * 8
     + [2.0, 1e-4, 4.0, 1e-3, 0.05, 0.09, 1e-6]

@@ -4,7 +4,7 @@
     a₁ = a′/θ          b₁ = b′/θ
     c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
 
-Each form where it loses nothing: five Taylor terms below 0.1 rad and eight below 0.5 rad (a time
+Each form where it loses nothing: five Taylor terms below 0.1 rad and eight below 0.75 rad (a time
 step's angles: RK4, and DOP853 or a spinning top); up to π the entire alternating series with
 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms above. The usual test against a tiny ε
 would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of 150 and 1900.
@@ -36,7 +36,8 @@ from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
 TINY = 0.0215**2  # θ² up to which a time step makes do with three terms, and four of sinc
 TINY_TERMS = 3
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
-MEDIUM = 0.5**2  # and eight
+MEDIUM = 0.75**2  # and eight; of c₀ and c₁, which have a pole, nine and ten
+MEDIUM_TERMS = 8
 SERIES = PI**2  # θ² up to which the entire series is used
 NAN = float("nan")
 
@@ -62,10 +63,10 @@ A1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 4
 B1_TERMS = _alternating(13, lambda k: Fraction(-(2 * k + 2), factorial(2 * k + 5)))
 E_TERMS = _alternating(12, lambda k: Fraction(2 * k + 2, factorial(2 * k + 6)))  # e = 2a c₁
 
-# c₀ = Σ |B₂ₖ₊₂| zᵏ/(2k+2)!, with the Bernoulli numbers |B₂| … |B₁₈|
-_BERNOULLI = "1/6 1/30 1/42 1/30 5/66 691/2730 7/6 3617/510 43867/798".split()
+# c₀ = Σ |B₂ₖ₊₂| zᵏ/(2k+2)!, with the Bernoulli numbers |B₂| … |B₂₂|
+_BERNOULLI = "1/6 1/30 1/42 1/30 5/66 691/2730 7/6 3617/510 43867/798 174611/330 854513/138".split()
 _C0 = [Fraction(number) / factorial(2 * k + 2) for k, number in enumerate(_BERNOULLI)]
-C0_TERMS = tuple(float(c) for c in _C0[:8])
+C0_TERMS = tuple(float(c) for c in _C0[:9])
 C1_TERMS = tuple(float(2 * (k + 1) * c) for k, c in enumerate(_C0[1:]))
 
 # (sinc φ − cos φ)/φ², and 16e at 2φ, as series in φ² for φ ≤ π/2
@@ -134,7 +135,7 @@ def _anywhere(
 
     def beyond_small() -> Any:
         medium = z < share * MEDIUM
-        series = taylor(z, 8, (*cuts, (small, 5)))
+        series = taylor(z, MEDIUM_TERMS, (*cuts, (small, 5)))
         return branch(all_lanes(medium), lambda: series, lambda: where(medium, series, beyond(z)))
 
     found: tuple[Any, ...] = branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
@@ -142,20 +143,22 @@ def _anywhere(
 
 
 def _taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
-    series = (A_TERMS, B_TERMS, A1_TERMS, B1_TERMS, C0_TERMS, C1_TERMS)
+    series = (A_TERMS, B_TERMS, A1_TERMS, B1_TERMS)
     return (
         _sinc_series(z, SINC_TERMS, terms, cuts),
         *(horner(z, every[:terms], cuts) for every in series),
+        *(_pole_series(z, every, terms, cuts) for every in (C0_TERMS, C1_TERMS)),
     )
 
 
 def _half_taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
-    sinc2, *series = DOUBLE_ANGLE_TERMS
+    sinc2, a4, b8, c04, c116 = DOUBLE_ANGLE_TERMS
     return (
         -(z * horner(z, A_TERMS[:terms], cuts)),
         horner(z, SINC_TERMS[:terms], cuts),
         _sinc_series(z, sinc2, terms, cuts),
-        *(horner(z, every[:terms], cuts) for every in series),
+        *(horner(z, every[:terms], cuts) for every in (a4, b8)),
+        *(_pole_series(z, every, terms, cuts) for every in (c04, c116)),
     )
 
 
@@ -166,6 +169,11 @@ def _sinc_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> A
         return terms + (terms == TINY_TERMS)
 
     return horner(z, series[: taken(terms)], tuple((mask, taken(n)) for mask, n in cuts))
+
+
+def _pole_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> Any:
+    """Of c₀ or c₁: all terms there are for medium angles."""
+    return horner(z, series if terms == MEDIUM_TERMS else series[:terms], cuts)
 
 
 def _long(z: Any) -> tuple[Any, ...]:

@@ -60,12 +60,12 @@ def of_bits(word: Any) -> Any:
 
 
 def rough_log2(x: Any) -> Any:
-    """log₂ x, not less and by at most 0.0861 more or less than so; x > 0, normal."""
+    """log₂ x, or up to 0.0861 less; x > 0, normal."""
     return real_of(bits_of(x)) * 2.0**-52 - 1023.0
 
 
 def rough_exp2(x: Any) -> Any:
-    """2ˣ to 0.2 %; |x| < 1000."""
+    """2ˣ to 0.33 %; |x| < 1000."""
     whole = floor(x)
     part = x - whole
     return of_bits(words_of((whole + 1023.0) * 2.0**52)) * (1.0 + part * (0.6565 + 0.3435 * part))
