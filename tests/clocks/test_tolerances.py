@@ -12,6 +12,7 @@ import pytest
 
 import lierb
 from clocks.truths import DATA, distance, problem_of, reference, states_of
+from lierb.kernels.stepping.step_size import beside_the_step
 
 FACTOR = 30.0
 END = {"heavy_top": "0.5", "free_body": "2", "fast_top": "0.05", "universal": "0.5"}  # about a turn
@@ -47,6 +48,19 @@ def errors(name: str, cspace: str, method: str, **options) -> dict[float, float]
         assert result.summary["status"].to_pylist() == ["ok"]
         found[rtol] = distance(states_of(result.summary, 0), true) / rtol
     return found
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_errors_weighed_beside_the_step_are_those_of_the_tableau(method):
+    tableau = lierb.TABLEAUS[method]
+    rows = np.atleast_2d(tableau.error).tolist()
+    parts = [beside_the_step(tuple(map(float, tableau.b)), tuple(row)) for row in rows]
+    for row, (step, rest) in zip(rows, parts, strict=True):
+        total = np.array(rest) + (step or 0.0)
+        np.testing.assert_allclose(total, row, rtol=0, atol=2e-16 * max(map(abs, row)))
+        assert np.count_nonzero(rest) <= np.count_nonzero(row)
+    if method == "DOP853":  # of 12 stages, as its authors give it: b − b̂ (dop853.f, bhh1 to bhh3)
+        assert min(np.count_nonzero(rest) for _, rest in parts) == 3
 
 
 @pytest.mark.parametrize(("name", "cspace", "method"), FORMS)

@@ -82,12 +82,29 @@ def _defect(
     plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]
 ) -> _Defect:
     """h Σ weights · slopes."""
-    x, v_or_mu, states = (
-        tuple(h * total for total in weighted((ZERO,) * len(rates[0]), weights, rates))
-        for rates in (slopes.x, slopes.v_or_mu, slopes.states)
-    )
+    base, rest = beside_the_step(plan.weights, weights)
+
+    def times(rates: tuple[Vec, ...]) -> Vec:
+        total = weighted((ZERO,) * len(rates[0]), base, rates)
+        return tuple(h * each for each in weighted(total, rest, rates))
+
+    x, v_or_mu, states = map(times, (slopes.x, slopes.v_or_mu, slopes.states))
     formulation = plan.formulation
     return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
+
+
+def beside_the_step(
+    step: tuple[float, ...], error: tuple[float, ...]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """An error's weights as those of the step, whose sum is known, and few others; or as they are.
+
+    Those of DOP853's third order differ from the step's in 3 of 12.
+    """
+    step += (0.0,) * (len(error) - len(step))
+    rest = tuple(e - b for e, b in zip(error, step, strict=True))
+    if sum(map(bool, rest)) < sum(map(bool, error)):
+        return step, rest
+    return (), error
 
 
 class _Scales(NamedTuple):
