@@ -269,6 +269,7 @@ class Lane(Traced):
 
     @staticmethod
     def call(formula: Callable[..., Any], count: int, *numbers: Any) -> tuple[Lane, ...]:
+        """Of `lierb.kernels.numbers.arithmetic.apart`."""
         trace = _trace_of_any(numbers)
         values = _same_type(trace, *numbers)
         function = trace.function_of(formula, [v.type for v in values], count)
