@@ -260,7 +260,7 @@ needs_fork = pytest.mark.skipif(
 # Each runs in a process of its own: a fork of pytest would take all of its threads' locks along.
 # The child may hang or be killed by its threading layer; the alarm turns a hang into SIGALRM.
 PRELUDE = """
-import multiprocessing, os, signal, sys, threading
+import gc, multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
@@ -311,6 +311,7 @@ while not lierb.compiler.code.is_compiling():
     pass
 def child():
     signal.alarm(15)
+    assert gc.isenabled()
     try:
         lierb.lie.so3.exp([1.0, 2.0, 3.0])
         print("ran", flush=True)

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import numba
 
-from lierb.compiler.code import is_compiling
+from lierb.compiler.code import collect_again, is_compiling
 from lierb.errors import ForkError
 
 REMEDY = "start workers with multiprocessing.get_context('spawn')"
@@ -41,6 +41,7 @@ def _after_fork() -> None:
     """In a forked child: what the parent had started, lierb or anybody."""
     global _lacks_threads, _lacks_compiler
     _lacks_compiler |= is_compiling()
+    collect_again()
     with suppress(ValueError):  # what Numba raises before its threads have started
         numba.threading_layer()
         _lacks_threads = True
