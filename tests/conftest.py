@@ -1,8 +1,7 @@
-"""Ctrl-C, garbage and the fault campaign; which tests pytest-xdist runs in one process."""
+"""Ctrl-C and the fault campaign; which tests pytest-xdist runs in one process."""
 
 from __future__ import annotations
 
-import gc
 import re
 import signal
 from collections.abc import Iterator
@@ -64,21 +63,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             whole = [item for item in items if item.get_closest_marker(mark)]
             items[:] = [item for item in items if item not in whole]
             config.hook.pytest_deselected(items=whole)
-
-
-def pytest_collection_finish() -> None:
-    """Look for cycles of garbage less often, and not in what the tests consist of.
-
-    Numba makes objects by the hundred thousand: a kernel compiles in five sixths of the time.
-    """
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(100_000)
-
-
-def pytest_sessionfinish() -> None:
-    """Some packages count at the end what is left."""
-    gc.unfreeze()
 
 
 @pytest.fixture
