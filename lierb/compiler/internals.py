@@ -57,7 +57,7 @@ class _LeanLibrary(JITCodeLibrary):
 
 
 def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
-    """dispatcher.compile(operands), in three quarters of LLVM's time.
+    """dispatcher.compile(operands), in two thirds of LLVM's time.
 
     Numba has LLVM optimise each function by itself, and then the module with all that it calls. For
     one long function the former finds nothing that the latter would not.

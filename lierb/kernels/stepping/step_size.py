@@ -96,9 +96,10 @@ def _defect(
 def beside_the_step(
     step: tuple[float, ...], error: tuple[float, ...]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """An error's weights as those of the step, whose sum is known, and few others; or as they are.
+    """An error's weights as those of the step and few others, or as they are.
 
-    Those of DOP853's third order differ from the step's in 3 of 12.
+    The step's sum is emitted as in the step itself, and LLVM takes the one for the other. DOP853's
+    weights of third order differ from the step's in 3 of 12.
     """
     step += (0.0,) * (len(error) - len(step))
     rest = tuple(e - b for e, b in zip(error, step, strict=True))
