@@ -245,3 +245,27 @@ def test_events_beyond_memory_are_told(monkeypatch):
     found.add(np.zeros((100, 20)))
     with pytest.raises(lierb.errors.MemoryLimitError, match="events so far takes 128 kB"):
         found.add(np.zeros((100, 20)))
+
+
+# ---- where results lie -------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(
+    pa.default_memory_pool().backend_name != "mimalloc", reason="lierb asks NumPy for memory then"
+)
+@pytest.mark.parametrize("clock", [{"dt": 1e-3}, {"rtol": 1e-6}], ids=str)
+def test_results_lie_in_arrows_pool(clock):
+    """It keeps what is given back: a run that follows another one has no page faults."""
+    before = pa.total_allocated_bytes()
+    result = lierb.integrate(**{**batch(20_000), **clock}, t_end=1e-3)
+    held = pa.total_allocated_bytes() - before
+    assert held >= 0.9 * result.summary.select(["rotation", "position", "omega", "v"]).nbytes
+    del result
+    assert pa.total_allocated_bytes() - before < 0.1 * held
+
+
+def test_what_arrow_keeps_for_later_counts_as_free(monkeypatch):
+    left = [1 * GB, 3 * GB]  # before and after it is asked to let go
+    monkeypatch.setattr(memory, "available", lambda: left.pop(0))
+    assert memory.is_free(2 * GB)
+    assert not left

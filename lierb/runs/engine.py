@@ -45,6 +45,7 @@ from lierb.kernels.stepping.systems import system_of
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.runs.forks import check_threads
+from lierb.runs.memory import room
 from lierb.runs.progress import Progress, reporter
 
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
@@ -211,7 +212,7 @@ class Output:
     @classmethod
     def empty(cls, plan: AnyPlan, count: int, clock: Times, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
-        summary, history, *states, multipliers, reactions, ends = map(np.empty, shapes)
+        summary, history, *states, multipliers, reactions, ends = map(room, shapes)
         return cls(plan, clock, summary, history, tuple(states), multipliers, reactions, ends, {})
 
     @property

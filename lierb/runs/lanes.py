@@ -188,14 +188,17 @@ class LaneRun:
     def _counter(self) -> NDArray[np.int64]:
         return np.zeros(2, dtype=np.int64)
 
+    @cached_property
+    def _jobs(self) -> NDArray:
+        """[thread][of the batch, of its desk], but for what differs from call to call."""
+        whole = self._record(self._arrays)
+        records = [whole + self._record(self._arrays | desk.arrays) for desk in self._desks]
+        return np.frombuffer(bytearray(b"".join(records)), LANE_JOB).reshape(self.threads, 2)
+
     def call(self, begin: int, turns: int, is_first: bool) -> float:
         """So many iterations of every thread's lanes; the seconds they took, compilation apart."""
-        records = []
-        for desk in self._desks:
-            records.append(self._record(self._arrays, begin, turns, is_first))
-            records.append(self._record(self._arrays | desk.arrays, 0 if is_first else 1, 0, False))
-        jobs = np.frombuffer(bytearray(b"".join(records)), LANE_JOB).reshape(self.threads, 2)
-        counter = self._counter
+        jobs, counter = self._jobs, self._counter
+        jobs["begin"], jobs["turns"] = (begin, 0 if is_first else 1), turns
         given = (self._arrays["inputs"][0], counter, jobs[0])
         jobs["serve"] = entry_of(serve, SERVICE, *given)
         if events_of(self.plan):
@@ -208,7 +211,7 @@ class LaneRun:
             run(*loop)
             return max(time.perf_counter() - began, 1e-6)
 
-    def _record(self, arrays: dict[str, NDArray], begin: int, turns: int, is_first: bool) -> bytes:
+    def _record(self, arrays: dict[str, NDArray]) -> bytes:
         numbers: list[int] = []
         for name in (*ARRAYS, *OWN_ARRAYS):
             array = arrays[name]
@@ -217,7 +220,7 @@ class LaneRun:
         plan, columns = self.plan, desk_of(self.plan)
         looks = LOOKS if plan.extension is not None else 1
         sizes = (
-            0, self.inputs.count, begin, turns, self.inputs.differ, self.output.rows,
+            0, self.inputs.count, 0, 0, self.inputs.differ, self.output.rows,
             len(events_of(plan)), looks, columns["sides"].start, columns["values"].start,
             columns["signals"].start, lane_column(plan), 0, 0,
         )  # fmt: skip
@@ -274,10 +277,9 @@ def integrate(
     check_threads()
     output = Output.empty(plan, inputs.count, times, with_state)
     used = engine.threads_for(threads, -(-inputs.count // plan.lanes))
-    if len(output.history):
-        output.history.fill(np.nan)  # of what comes after an end
-    for array in (*output.states, output.multipliers, output.reactions):
-        array.fill(np.nan)
+    if times.saved_rows:  # of what comes after an end
+        for array in (output.history, *output.states, output.multipliers, output.reactions):
+            array.fill(np.nan)
     output.summary[SUMMARY.index("raised")] = calls.CLEAR  # `hear` looks at those on their way, too
     width = EVENT_COLUMNS + output.links * POSE_AND_TWIST.count + signals_width(plan)
     run = LaneRun(plan, inputs, times, output, used, Events([], width))

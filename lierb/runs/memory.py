@@ -1,4 +1,4 @@
-"""How much memory there is, asked before much of it is taken.
+"""Memory for results: where it comes from, and how much there is.
 
 Linux grants memory that it does not have, and kills the process that comes to use it: that a run
 does not fit has to be known beforehand.
@@ -6,10 +6,15 @@ does not fit has to be known beforehand.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from contextlib import suppress
 from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
 
 from lierb.errors import MemoryLimitError
 
@@ -17,6 +22,20 @@ ALWAYS = 1 << 26  # bytes that nobody asks for: a run of one body shall not read
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
+SMALL = 1 << 16  # bytes that come from NumPy at once
+
+
+def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """As `numpy.empty`, from Arrow's pool where that is mimalloc, as it is by default.
+
+    The pool keeps what is given back for the next run. The C library gives it back to the system,
+    in some processes after every call, and the page faults of taking it again then last as long as
+    two steps of each trajectory.
+    """
+    size, pool = 8 * math.prod(shape), pa.default_memory_pool()
+    if size < SMALL or pool.backend_name != "mimalloc":
+        return np.empty(shape)
+    return np.frombuffer(pa.allocate_buffer(size, memory_pool=pool)).reshape(shape)
 
 
 def require_memory(size: int, what: str, remedy: str) -> None:
@@ -26,8 +45,11 @@ def require_memory(size: int, what: str, remedy: str) -> None:
 
 
 def is_free(size: int) -> bool:
-    """Whether so many bytes are."""
-    return size <= ALWAYS or size <= available()
+    """Whether so many bytes are, what Arrow keeps for later included."""
+    if size <= ALWAYS or size <= available():
+        return True
+    pa.default_memory_pool().release_unused()
+    return size <= available()
 
 
 def too_large(what: str, size: int, free: int, remedy: str) -> MemoryLimitError:

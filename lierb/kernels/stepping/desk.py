@@ -8,6 +8,7 @@ lane knows nothing of a plan: it is compiled once for all of them, and called by
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import get_type_hints
 
 import numpy as np
@@ -86,6 +87,7 @@ serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch
 """
 
 
+@lru_cache(64)
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
     looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
@@ -204,10 +206,14 @@ def copy_column(shown, array, lane, column):
 
 @shared
 def copy_columns(shown, array, first, lanes):
-    """Of all lanes: many numbers at once."""
+    """Of all lanes: many numbers at once.
+
+    By an index from 0 on. Of one that may be negative, for all that LLVM knows, it makes a scatter.
+    """
     for c in range(shown.shape[0]):
+        place = array[c, first : first + lanes]
         for lane in range(lanes):
-            array[c, first + lane] = shown[c, lane]
+            place[lane] = shown[c, lane]
 
 
 @shared

@@ -164,7 +164,7 @@ class TreeFormulation(Watching):
 
     # ---- what is read ----
 
-    @property
+    @cached_property
     def inputs(self) -> Columns:
         """What is read of a mechanism, then a state to go on from."""
         plan = self.plan
@@ -175,7 +175,7 @@ class TreeFormulation(Watching):
             Field("lane", (lane_end(plan).count,)),
         )
 
-    @property
+    @cached_property
     def state(self) -> Columns:
         count = len(self.plan.tree)
         return Columns(

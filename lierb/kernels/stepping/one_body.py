@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lierb.kernels.functions.function import size_of
@@ -105,14 +106,14 @@ class OneBody(Watching):
     links = 1
     joints = ()  # those whose errors have columns of their own
 
-    @property
+    @cached_property
     def inputs(self) -> Columns:
         columns = inputs_of(self.plan.elements, self.state.count)
         if not self.plan.has_lane_clocks:
             return columns
         return Columns(*columns.fields, Field("lane", (lane_end(self.plan).count,)))
 
-    @property
+    @cached_property
     def state(self) -> Columns:
         return Columns(*STATE.fields, Field("states", (size_of(states_of(self.plan)),)))
 
