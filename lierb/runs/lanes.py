@@ -128,10 +128,12 @@ class Events(NamedTuple):
 
     @property
     def table(self) -> Array:
-        """Sorted by trajectory and time; those that come after an end are left out."""
+        """Sorted by trajectory and time, those of one time as they were found; without those that
+        come after an end.
+        """
         found = np.concatenate([np.zeros((0, self.width)), *self.rows])
         found = found[found[:, 0] >= 0]
-        order = np.lexsort((found[:, 1], found[:, 2], found[:, 0]))
+        order = np.lexsort((found[:, 2], found[:, 0]))
         return np.ascontiguousarray(found[order])
 
 

@@ -179,6 +179,89 @@ def test_ticks_do_not_drift():
     assert column(summary, "stamped").tolist() == pytest.approx([999 * 0.1], rel=4e-16)
 
 
+# ---- ticks, rows, events and ends at one time --------------------------------------------------
+
+
+@lierb.event(terminal=True, at=1e9)
+def alarm(t, params):
+    return t - params.at
+
+
+@lierb.event(value=0.9)
+def passes(R, params):
+    return R[1, 0] - params.value
+
+
+def ball(start=None, every=0.3, at=1e9, **options):
+    """One that turns by 1 rad/s, a counter of ticks, an alarm, and an event at arcsin 0.9."""
+    problem, first = spinning([1.0], controllers=[counter(every=every)], events=passes())
+    given = first if start is None else start.end
+    options = {"dt": 0.1, "t_end": 1.5} | options
+    return lierb.integrate(problem, **given, events=alarm(at=at), **options)
+
+
+def turned_by(result) -> float:
+    R = column(result.summary, "rotation")[0]
+    return float(np.arctan2(R[3], R[0]))
+
+
+@pytest.mark.parametrize("at", [0.05, 0.3, 0.432, 0.6, 0.9999999999])
+def test_a_run_goes_on_from_a_terminal_event_where_it_was(at):
+    """Fixed steps are counted from there: no time is lost, and no tick."""
+    first = ball(at=at)
+    assert column(first.summary, "t")[0] == pytest.approx(at, abs=1e-14)
+    end = at + 1.5
+    second = ball(first, t_end=end)
+    assert turned_by(second) == pytest.approx(end, abs=1e-13)
+    times = [t for part in (first, second) for t in rows_of(part.events, "t")]
+    rising = float(np.arcsin(0.9))
+    expected = sorted(t for t in (at, rising, np.pi - rising) if t < end)
+    np.testing.assert_allclose(times, expected, rtol=0, atol=1e-12)
+    ticks = np.floor(end / 0.3 + 1e-9) + 1.0  # at 0, 0.3, …
+    assert column(second.summary, "ticks").tolist() == [ticks]
+
+
+@pytest.mark.parametrize("at", [0.3, 0.6])
+def test_a_terminal_event_at_a_tick_leaves_it_to_what_goes_on(at):
+    """What the summary says is what the event saw."""
+    result = ball(at=at)
+    (row,) = result.events.to_pylist()
+    assert row["ticks"] == column(result.summary, "ticks")[0] == round(at / 0.3)
+
+
+@pytest.mark.parametrize("clock", [{"dt": 0.1}, {"dt": 0.05}, {"dt": None, "rtol": 1e-6}], ids=str)
+def test_a_row_at_a_tick_shows_what_it_has_set(clock):
+    """Whatever the last bit of the time that was asked for: 0.3 is not 3 · 0.1."""
+    times = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    result = ball(every=0.1, t_end=1.0, save_at=times, **clock)
+    np.testing.assert_array_equal(rows_of(result.history, "ticks"), np.arange(2.0, 12.0))
+    assert column(result.summary, "ticks").tolist() == [11.0]
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.6, 0.9, 1.0, 1.2])
+def test_a_run_broken_at_a_tick_has_the_bits_of_one_run(cut):
+    """3 · 0.1 is a rounding beyond the tick at 0.3: no step of that length is made."""
+    whole, again = ball(), ball(ball(t_end=cut))
+    names = ["t", "rotation", "omega", "ticks", "stamped"]
+    for result in (whole, again):
+        assert result.summary["status"].to_pylist() == ["ok"]
+    np.testing.assert_array_equal(
+        *(table_bits(each.summary.select(names)) for each in (again, whole))
+    )
+
+
+def test_steps_reach_a_tick_that_is_nearly_a_whole_number_of_them_away():
+    """By their own length: a tenth of a nanosecond in 50 ms is no rounding."""
+
+    @lierb.states(clock=0.0)
+    def runs():
+        return {"clock": 1.0}
+
+    problem, start = spinning([1.0], controllers=[counter(every=0.05 * (1 + 1e-10))], states=runs())
+    summary = lierb.integrate(problem, **start, dt=0.05, t_end=50.0).summary
+    assert column(summary, "clock")[0] == pytest.approx(50.0, abs=1e-11)
+
+
 # ---- noise -------------------------------------------------------------------------------------
 
 

@@ -29,6 +29,11 @@ INF = float("inf")
 NEARLY = 1e-9  # of a step: what is left of a run, less than that, belongs to the step
 
 
+def rounding_at(time: Any) -> Any:
+    """How far apart two times may be that are one, s: sums of steps, and multiples of a period."""
+    return 4.0 * EPS * absolute(time)
+
+
 class Span(NamedTuple):
     """Of a run, s.
 
@@ -140,7 +145,7 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
     if plan.embedded is None:
         reached = clock.anchor + clock.h * (clock.counted + 1.0)
         end = where(lands, stop, reached)
-        is_whole = absolute(left - clock.h) <= NEARLY * clock.h
+        is_whole = absolute(left - clock.h) <= rounding_at(absolute(stop) + clock.h)
         lands = lands & ~is_whole
         h = where(lands, left, clock.h)
     else:  # no sliver is left for the last one

@@ -102,6 +102,7 @@ from lierb.kernels.stepping.lane_formulas import (
     ticked,
     tidied,
     time_between,
+    to_tick,
     verdict_on,
     with_due,
     with_failures,
@@ -274,8 +275,9 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 restored(plan, marks, accepted)
             state = taken(accepted, moved, state)
             fresh = taken(failed, failed, accepted)
-        if is_tick(plan, body, clock, held, fresh):
-            held = ticked(plan, body, state, clock, held, fresh, desk, job.seed)
+        ticks = to_tick(fresh, fate)
+        if is_tick(plan, body, clock, held, ticks):
+            held = ticked(plan, body, state, clock, held, ticks, desk, job.seed)
         fate = fate_now(clock, span, limits, record, fresh, fate)
         if looks_now(plan, clock, span, fresh, fate):
             seen = with_signals(plan, body, state, held)

@@ -57,6 +57,7 @@ from lierb.kernels.stepping.lane_clock import (
     fate_of,
     first_clock,
     judged,
+    rounding_at,
     to_measure,
     to_tidy,
     trial_of,
@@ -74,7 +75,7 @@ from lierb.kernels.stepping.signals import (
 )
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import EVENT, MAX_STEPS, OK
-from lierb.kernels.stepping.step_size import EPS, Tolerances, squared_error
+from lierb.kernels.stepping.step_size import Tolerances, squared_error
 from lierb.kernels.stepping.stepper import between, extended, trial_step
 from lierb.kernels.stepping.systems import system_of
 
@@ -184,7 +185,7 @@ def _first_tick(start: Any, every: Any) -> Any:
     """The number of the first one that is not before the start."""
     count = plain(start) / every
     whole = rint(count)
-    is_one = absolute(count - whole) <= 4.0 * EPS * absolute(count)
+    is_one = absolute(count - whole) <= rounding_at(count)
     return where(is_one, whole, floor(count) + 1.0)
 
 
@@ -213,6 +214,11 @@ def store_lane_end(plan: AnyPlan, clock: LaneClock, held: Held, ends: Any) -> No
 # ---- an arrival at the end of a step, or at a start ----
 
 
+def to_tick(fresh: Any, fate: Any) -> Any:
+    """Where a trajectory has arrived that goes on, so far: what a terminal event ends has no tick."""
+    return where(fate == 0.0, fresh, 0.0 * fresh)
+
+
 def is_tick(plan: AnyPlan, body: Any, clock: LaneClock, held: Held, fresh: Any) -> Any:
     """Whether a controller is to run somewhere."""
     due = fresh < -1.0  # never
@@ -222,7 +228,7 @@ def is_tick(plan: AnyPlan, body: Any, clock: LaneClock, held: Held, fresh: Any) 
 
 
 def _ticks(clock: LaneClock, tick: Any, every: Any, fresh: Any) -> Any:
-    return (fresh > 0.5) & (every * tick - clock.t <= 4.0 * EPS * absolute(clock.t))
+    return (fresh > 0.5) & (every * tick - clock.t <= rounding_at(clock.t))
 
 
 def ticked(
@@ -271,7 +277,14 @@ def looks_now(plan: AnyPlan, clock: LaneClock, span: Span, fresh: Any, fate: Any
 
 
 def _is_due(clock: LaneClock, fresh: Any) -> Any:
-    return (fresh > 0.5) & (clock.due <= clock.t)
+    return (fresh > 0.5) & (clock.due - clock.t <= rounding_at(clock.t))
+
+
+def _is_due_before(clock: LaneClock, accepted: Any) -> Any:
+    """Whether a row is due before the end of an accepted step. One that is due there is shown after
+    a tick.
+    """
+    return (accepted > 0.5) & (clock.t - clock.due > rounding_at(clock.t))
 
 
 class Look(NamedTuple):
@@ -347,7 +360,9 @@ def next_trial(
 ) -> Trial:
     stop = span.end + 0.0 * clock.t
     for every, tick in zip(_periods(plan, body), held.ticks, strict=True):
-        stop = minimum(stop, every * tick)
+        at = every * tick  # as near to the end as rounding, it is there
+        at = where(absolute(at - stop) <= rounding_at(stop), stop, at)
+        stop = minimum(stop, at)
     return trial_of(plan, clock, stop, active)
 
 
@@ -417,7 +432,7 @@ def is_due_between(plan: AnyPlan, clock: LaneClock, accepted: Any) -> Any:
     """
     if not plan.looks:
         return all_lanes(clock.t < clock.t)  # never
-    return any_lanes((accepted > 0.5) & (clock.due < clock.t))
+    return any_lanes(_is_due_before(clock, accepted))
 
 
 def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Trial) -> Any:
@@ -443,7 +458,7 @@ def mark_due_between(
     plan: AnyPlan, desk: Any, clock: LaneClock, trial: Trial, accepted: Any
 ) -> None:
     """MARK and THETA say where a row of the history is due, and when."""
-    due = (accepted > 0.5) & (clock.due < clock.t)
+    due = _is_due_before(clock, accepted)
     length = where(trial.h > 0.0, trial.h, 1.0)
     put_row(plan, desk, MARK, where(due, 1.0, 0.0 * clock.t))
     put_row(plan, desk, THETA, where(due, (clock.due - trial.start) / length, 0.0))
@@ -493,11 +508,14 @@ def ended_between(
     ends = last <= 1.0
     state = where(ends, there, made.state)
     t = where(ends, time_between(trial, last), clock.t)
-    return Ending(state, clock._replace(t=t), where(ends, float(EVENT + 1), fate))
+    clock = clock._replace(
+        t=t, anchor=where(ends, t, clock.anchor), counted=where(ends, 0.0, clock.counted)
+    )
+    return Ending(state, clock, where(ends, float(EVENT + 1), fate))
 
 
 for _formula in (
-    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, is_tick,
+    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick, is_tick,
     ticked, fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended,
     next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
     slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
