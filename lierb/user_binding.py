@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from lierb.errors import ArgumentError, ForceError
-from lierb.kernels.functions.function import Function, Shape, Shapes, outputs_of
+from lierb.kernels.functions.function import Function, Shape, Shapes, gives_condition, outputs_of
 from lierb.user_elements import Element, seeing
 from lierb.user_functions import why_untraced
 from lierb.user_signals import Controller, Event, ExtraStates, untraceable
@@ -46,8 +46,8 @@ def bound(
     """States, controllers and other elements of a problem, with all functions that see states or
     controls tried on those of the problem.
 
-    Raises ForceError for a function that sees others, or cannot run; ArgumentError for names that
-    there are twice.
+    Raises ForceError for a function that sees others, or cannot run, or of an event says whether it
+    has happened; ArgumentError for names that there are twice.
     """
     _require_different(states)
     states_there = tuple(pair for each in states for pair in each.columns)
@@ -55,7 +55,19 @@ def bound(
     _require_different((*states, *controllers))
     controls = tuple(pair for each in controllers for pair in each.columns)
     parts: tuple[Elements, ...] = (states, controllers, *others)
-    return tuple(tuple(e.bound(states_there, controls) for e in part) for part in parts)
+    found = tuple(tuple(e.bound(states_there, controls) for e in part) for part in parts)
+    for each in (e for part in found for e in part if isinstance(e, Event)):
+        _require_number(each)
+    return found
+
+
+def _require_number(event: Event) -> None:
+    """Raise ForceError for a condition, which crosses nothing: it jumps from 0 to 1."""
+    if any(f.is_traced and gives_condition(f) for f in event.kind.functions):
+        raise ForceError(
+            f"{event.name} returns whether something is so; an event is where a number crosses "
+            "zero: return the difference, such as t - 0.3 for t > 0.3, and give direction="
+        )
 
 
 def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:

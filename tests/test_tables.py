@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from cases import RECORD, slow_but, tiered
+from mechanisms.shared import four_bar
 
 import lierb
 from lierb import joints
@@ -651,6 +652,31 @@ def test_contradictory_rows_are_singular():
     assert summary["status"].to_pylist() == ["singular", "singular"]
     # The one contradicts itself at once; the other leaves the place where the rows say the same.
     assert column(summary, "t").tolist() == [DT, 2 * DT]
+
+
+@lierb.wrench
+def lost(t, R, r, omega, v):
+    return np.array([0.0, 0.0, lierb.where(t > 1.5 * DT, np.nan, 0.0)]), np.zeros(3)
+
+
+@pytest.mark.slow
+def test_a_force_that_is_nan_contradicts_no_row():
+    """Of a row in the Schur complement, and of a loop with rows that depend on others."""
+    joint = joints.universal(body_point=(0.0, 0.0, 0.3))
+    problem = lierb.Problem(lierb.Body(1.0, (1.0, 2.0, 2.5)), joint, forces=lost())
+    twist = problem.project((0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
+    bars = four_bar()
+    mechanism = lierb.Mechanism(bars.links, bars.loops, forces=lost().on("crank"))
+    pose0 = mechanism.close(mechanism.pose({"crank": 1.0}))
+    start = {"pose0": pose0, "twist0": mechanism.twist({}, pose0)}
+    with pytest.warns(FailedTrajectoryWarning, match="non_finite"):
+        found = [
+            run(problem, twist, method="Euler", t_end=4 * DT),
+            lierb.integrate(mechanism, **start, dt=DT, t_end=4 * DT, method="Euler"),
+        ]
+    for result in found:
+        assert result.summary["status"].to_pylist() == ["non_finite"]
+        assert column(result.summary, "t").tolist() == [3 * DT]
 
 
 # ---------------------------------------------------------------- metadata

@@ -310,3 +310,85 @@ def test_wrong_events_are_told():
             lierb.integrate(problem, **start, t_end=1.0, rtol=1e-6, events=wrong)
     with pytest.raises(lierb.errors.LierbError, match="direction"):
         lierb.event(direction=2)(lambda r: r[2])
+
+
+# ---- short visits, and what has no value -------------------------------------------------------
+
+
+@lierb.event(angle=0.0, within=1.0)
+def aimed(R, params):
+    """Positive while the body's e₁ is within an angle of a direction in the plane."""
+    cos, sin, least = (f(a) for f, a in (
+        (np.cos, params.angle), (np.sin, params.angle), (np.cos, params.within),
+    ))  # fmt: skip
+    return R[0, 0] * cos + R[1, 0] * sin - least
+
+
+@lierb.event(zero=0.3, first=1.0, last=1.0)
+def undefined(t, params):
+    is_lost = (params.first < t) & (t < params.last)
+    return lierb.where(is_lost, np.nan, t - params.zero)
+
+
+RATE = 6.0  # rad/s, of a ball
+COUNT = 300
+
+
+def visits(within=1.0, zero=-1.0, first=1.0, last=1.0, **clock):
+    angles = np.linspace(1.0, 5.0, COUNT)
+    events = [aimed(angle=angles, within=within), undefined(zero=zero, first=first, last=last)]
+    problem, start = spinning(np.full(COUNT, RATE), events=events)
+    clock = {"rtol": 1e-6} | clock
+    return angles, lierb.integrate(problem, **start, t_end=1.0, method="DOP853", **clock)
+
+
+@pytest.mark.parametrize("degrees", [1.0, 0.1, 0.01])
+@pytest.mark.parametrize(
+    "clock", [{"rtol": 1e-6}, {"rtol": 1e-9}, {"rtol": None, "dt": 0.25}], ids=str
+)
+def test_a_visit_is_seen_however_short(degrees, clock):
+    """Steps turn the ball by up to a radian, ten thousand times as far as it is within the angle.
+
+    The event is that flat there that rounding of 1e-16 moves a crossing by 1e-16 / (angle · rate).
+    """
+    within = np.radians(degrees)
+    angles, result = visits(within=within, **clock)
+    times = rows_of(result.events, "t").reshape(COUNT, 2)
+    true = (angles[:, None] + within * np.array([-1.0, 1.0])) / RATE
+    # of fixed steps those of the solution, which turns by 6.0 rad to 1e-12
+    np.testing.assert_allclose(times, true, rtol=0, atol=1e-14 / within + 1e-12)
+
+
+@pytest.mark.parametrize("clock", [{"rtol": 1e-6}, {"rtol": None, "dt": 0.1}], ids=str)
+def test_nothing_is_crossed_where_an_event_is_nan(clock):
+    """Neither into it, nor out of it, nor from one side of it to the other."""
+    for first, last, expected in ((0.29, 0.31, 0), (0.25, 0.6, 0), (0.5, 0.6, 1), (0.4, 2.0, 1)):
+        _, result = visits(within=0.0, zero=0.3, first=first, last=last, **clock)
+        assert result.summary["status"].to_pylist() == ["ok"] * COUNT
+        names = result.events["event"].to_pylist()
+        assert names.count("undefined") == expected * COUNT, (first, last)
+
+
+def test_a_condition_is_refused():
+    @lierb.event
+    def late(t):
+        return t > 0.3
+
+    with pytest.raises(lierb.errors.ForceError, match=r"late returns whether .* t - 0\.3"):
+        thrown(1.0, 0.0, events=late())
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-12])
+def test_what_has_crossed_may_bounce(rtol):
+    """It is beyond the ground by a rounding, and starts on it: in either direction."""
+    event = height(0.0, terminal=True)
+    problem, start = thrown(0.7, 1.3, events=[event, NEVER])
+    options = {"rtol": rtol, "method": "DP54", "cspace": "SO3xR3"}
+    first = lierb.integrate(problem, **start, t_end=3.0, **options)
+    (landed,) = first.t.tolist()
+    up = first.end | {"twist0": first.end["twist0"] * [1, 1, 1, 1, 1, -1]}
+    again = lierb.integrate(problem, **up, t_end=9.0, **options)
+    speed = np.sqrt(1.3**2 + 2.0 * G * 0.7)
+    assert again.t[0] - landed == pytest.approx(2.0 * speed / G, abs=1e-11)
+    through = lierb.integrate(problem, **first.end, t_end=9.0, **options)
+    assert through.summary["status"].to_pylist() == ["ok"]

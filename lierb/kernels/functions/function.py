@@ -367,6 +367,20 @@ def outputs_of(function: Function) -> Shapes:
     return found[-1]
 
 
+@lru_cache(256)
+def gives_condition(function: Function) -> bool:
+    """Whether a traced function returns whether something is so, in place of a number."""
+    found: list[bool] = []
+
+    def call(given: Given) -> Any:
+        returned = function.returned(given.own, given.arguments, given.signals, given.noise)
+        found.append(isinstance(returned, (Condition, bool, np.bool_)))
+        return ()
+
+    _traced_twice(function, call)
+    return found[-1]
+
+
 def _as_array(x: Any) -> Any:
     return numbers(x) if has_traced(x) and isinstance(x, (tuple, list)) else x
 

@@ -363,7 +363,7 @@ def multipliers_of(
     brought: Callable[[int], Any],
 ) -> tuple[list[Any], Any, Any]:
     """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on
-    others.
+    others, NaN where S is none.
 
     schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
     alone.   brought : the acceleration of row i that load and motion could bring about.
@@ -382,9 +382,9 @@ def multipliers_of(
             li.append(si[j] * pivots_inverse[j])
         pivot = less(schur[i][i], li, si)
         y.append(less(excess[i], li, y))
-        kept = pivot > PIVOT_TOLERANCE * (schur[i][i] + sizes[i])
-        pivots_inverse.append(where(kept, 1.0, 0.0) / where(kept, pivot, 1.0))
-        dropped.append(where(kept, 0.0, 1.0))
+        goes = pivot <= PIVOT_TOLERANCE * (schur[i][i] + sizes[i])  # false for NaN, which stays
+        pivots_inverse.append(where(goes, 0.0, 1.0) / where(goes, 1.0, pivot))
+        dropped.append(where(goes, 1.0, 0.0 * pivot))
         lower.append(li)
         scaled.append(si)
     multipliers: list[Any] = [y[i] * pivots_inverse[i] for i in range(m)]
@@ -406,6 +406,11 @@ def multipliers_of(
     if taken_for_granted(count <= 0.5):
         return multipliers, ZERO, count
     return multipliers, branch(any_lanes(count > 0.5), look, lambda: 0.0, likely=False), count
+
+
+def is_other_rank(dropped: Any, before: Any) -> Any:
+    """Whether another number of rows depend on others than at the start; not where that is NaN."""
+    return absolute(dropped - before) > 0.5
 
 
 def less(x: Any, left: list[Any], right: list[Any]) -> Any:

@@ -7,6 +7,7 @@ import numpy as np
 from lierb.compiler.code import cached
 from lierb.compiler.loops import histories_at, numbers_at, shared
 from lierb.kernels.stepping.desk import (
+    AGAIN,
     ASKED,
     AT_HIGH,
     AT_LOW,
@@ -27,11 +28,16 @@ from lierb.kernels.stepping.desk import (
     TURN,
     WHICH,
 )
+from lierb.kernels.stepping.driver import RESUMED
 from lierb.kernels.stepping.step_size import EPS
 
 STARTING, BEGINNING, GOING_ON, NARROWING, NOTING_DIP, NOTING_EVENTS = range(6)  # of `watch`
 SEARCHES = 120  # at most; every third one halves
+AT_ZERO = 1e-10  # of an event's range in a first step: where it starts at zero, to rounding
 NEAR = 0.125  # of an event's range in a step: how near to zero it must come to be looked at there
+FLAT = 0.05  # of that range, in a quarter: a slope that may be zero; and of a quarter, near a look
+DEEPER = 0.25  # of a dip's value: by how much less a parabola must say that it is, to look again
+TRUSTED, LOOKED = 8, 30  # looks at one dip: after which a parabola is trusted, and at most
 # What the state between a step's ends is asked for: events' values, to look for crossings, first at
 # equal distances, then where an event seems to come nearest to zero and to go back; and to find
 # one; a crossing, to note it; the end of a trajectory; a row of its history.
@@ -52,14 +58,18 @@ def watch(service, inputs, counter, jobs):
     elif asked == BEGINNING:
         begin_looks(desk, lanes)
         told[0, TASK], told[0, TURN], told[0, FIRST] = LOOKING, 0.0, events[0, 0] + 1.0
+        told[0, AGAIN] = 0.0
     elif asked == GOING_ON:
         first, task = int(told[0, FIRST]), int(told[0, TASK])
-        task, turn = next_task(desk, own, kinds, events, first, task, turn, lanes)
+        if task == LOOKING and turn + 1 == own.looks and job.begin != RESUMED:
+            start_at_zero(desk, own, job.start, lanes)
+        task, turn = next_task(desk, own, kinds, events, told, first, task, turn, lanes)
         told[0, TASK], told[0, TURN] = task, turn
     elif asked == NARROWING:
         narrow(desk, own, lanes)
     elif asked == NOTING_DIP:
         note_dip(desk, own, turn, lanes)
+        told[0, AGAIN] += 1.0
     else:
         note_events(desk, own, events, kinds, lanes)
 
@@ -92,6 +102,23 @@ def note_starts(desk, own, lanes):
 
 
 @shared
+def start_at_zero(desk, own, start, lanes):
+    """Of trajectories in their first step, whose events have been looked at: those that are zero at
+    its start, to rounding, are on neither side. So is a body that bounces off what it has crossed.
+    """
+    for lane in range(lanes):
+        if desk[TOOK, lane] > 0.0 and desk[START, lane] == start:
+            for event in range(own.watched):
+                value = desk[own.values + event, lane]
+                least, largest = value, value
+                for look in range(own.looks):
+                    at_look = desk[own.values + (look + 1) * own.watched + event, lane]
+                    least, largest = min(least, at_look), max(largest, at_look)
+                if abs(value) <= AT_ZERO * (largest - least):
+                    desk[own.sides + event, lane] = 0.0
+
+
+@shared
 def begin_looks(desk, lanes):
     """Before crossings are looked for in an accepted step."""
     for lane in range(lanes):
@@ -100,7 +127,7 @@ def begin_looks(desk, lanes):
 
 
 @shared
-def next_task(desk, own, kinds, events, first, task, turn, lanes):
+def next_task(desk, own, kinds, events, told, first, task, turn, lanes):
     """What is to be done next at a state between, and THETA, where that is; and the task's turn.
 
     first : place of the first event that is noted in this step.
@@ -113,6 +140,9 @@ def next_task(desk, own, kinds, events, first, task, turn, lanes):
         find_dips(desk, own, lanes)
         task, turn = DIPPING, -1
     if task == DIPPING:
+        if turn >= 0 and look_deeper(desk, own, turn, told[0, AGAIN], lanes):
+            return DIPPING, turn
+        told[0, AGAIN] = 0.0
         turn = next_dip(desk, own, turn + 1, lanes)
         if turn < own.watched:
             return DIPPING, turn
@@ -161,34 +191,44 @@ def dip_of(desk, first, every, lane):
         (3.0 * e + 10.0 * d - 18.0 * c + 6.0 * b - a) / 12.0,
         (25.0 * e - 48.0 * d + 36.0 * c - 16.0 * b + 3.0 * a) / 12.0,
     )
-    found, nearest = 2.0, NEAR * (max(values) - min(values))
+    extent = max(values) - min(values)
+    found, nearest = 2.0, NEAR * extent
     for look in range(LOOKS):
         side = side_of(values[look])
         low, high = side * values[look], side * values[look + 1]
         falls, rises = side * slopes[look], side * slopes[look + 1]
-        if high > 0.0 and falls < 0.0 and rises > 0.0:
-            bend = 3.0 * (low - high) + falls + rises
-            root = np.sqrt(bend * bend - falls * rises)
-            share = 1.0 - (rises + root - bend) / (rises - falls + 2.0 * root)
-            least = low + share * (falls + share * (share * (falls + rises + 2.0 * (low - high))
-                    + 3.0 * (high - low) - 2.0 * falls - rises))  # fmt: skip
-            if least < nearest and 0.0 < share < 1.0:
-                found, nearest = (look + share) / LOOKS, least
+        # A slope is known but roughly: where it is small, least may be on either side of a look.
+        if high > 0.0 and falls < FLAT * extent and rises > -FLAT * extent:
+            share, least = (0.0, low) if low < high else (1.0, high)
+            if falls < 0.0 and rises > 0.0:
+                bend = 3.0 * (low - high) + falls + rises
+                root = np.sqrt(bend * bend - falls * rises)
+                share = 1.0 - (rises + root - bend) / (rises - falls + 2.0 * root)
+                least = low + share * (falls + share * (share * (falls + rises + 2.0 * (low - high))
+                        + 3.0 * (high - low) - 2.0 * falls - rises))  # fmt: skip
+            if least < nearest:
+                found, nearest = (look + min(max(share, FLAT), 1.0 - FLAT)) / LOOKS, least
     return found
 
 
 @shared
 def next_dip(desk, own, event, lanes):
     """The next event, from this one on, that dips somewhere, and THETA; the count of events if none
-    does.
+    does. MARK says in which lanes, LOW, HIGH, AT_LOW and AT_HIGH between which looks.
     """
-    dips = dips_of(own)
-    while event < own.watched:
+    count, dips = own.watched, dips_of(own)
+    while event < count:
         found = False
         for lane in range(lanes):
             theta = desk[dips + event, lane]
-            desk[THETA, lane] = theta if theta < 1.0 else 0.0
-            found = found or theta < 1.0
+            desk[MARK, lane], desk[THETA, lane] = 0.0, 0.0
+            if theta < 1.0:
+                low = int(theta * LOOKS)
+                high = low + 1
+                found, desk[MARK, lane], desk[THETA, lane] = True, 1.0, theta
+                desk[LOW, lane], desk[HIGH, lane] = low / LOOKS, high / LOOKS
+                desk[AT_LOW, lane] = desk[own.values + low * count + event, lane]
+                desk[AT_HIGH, lane] = desk[own.values + high * count + event, lane]
         if found:
             break
         event += 1
@@ -197,17 +237,74 @@ def next_dip(desk, own, event, lanes):
 
 @shared
 def note_dip(desk, own, event, lanes):
-    """Of this event, its value at THETA."""
-    searched, dips = searched_of(own), dips_of(own)
+    """Of this event, its value at THETA: at the dip, or where it may be deeper."""
+    searched, dip = searched_of(own) + event, dips_of(own) + event
+    at_dip = dip + own.watched
     for lane in range(lanes):
-        desk[dips + own.watched + event, lane] = desk[searched + event, lane]
+        if desk[MARK, lane] == 0.0:
+            continue
+        theta, value, best = desk[THETA, lane], desk[searched, lane], desk[dip, lane]
+        side = side_of(desk[AT_LOW, lane])
+        if theta == best:
+            desk[at_dip, lane] = value
+            shift(desk, own, event, lane, side)
+        elif side * value < side * desk[at_dip, lane]:
+            bound, at_bound = (HIGH, AT_HIGH) if theta < best else (LOW, AT_LOW)
+            desk[bound, lane], desk[at_bound, lane] = best, desk[at_dip, lane]
+            desk[dip, lane], desk[at_dip, lane] = theta, value
+        else:
+            bound, at_bound = (LOW, AT_LOW) if theta < best else (HIGH, AT_HIGH)
+            desk[bound, lane], desk[at_bound, lane] = theta, value
+
+
+@shared
+def shift(desk, own, event, lane, side):
+    """Have the look beside a dip that is deeper for the dip, between the dip and the next look."""
+    dip, values = dips_of(own) + event, own.values + event
+    low, high = int(desk[LOW, lane] * LOOKS), int(desk[HIGH, lane] * LOOKS)
+    theta, value = desk[dip, lane], desk[dip + own.watched, lane]
+    if side * desk[AT_HIGH, lane] < side * value and high < LOOKS:
+        desk[dip, lane], desk[dip + own.watched, lane] = desk[HIGH, lane], desk[AT_HIGH, lane]
+        desk[LOW, lane], desk[AT_LOW, lane] = theta, value
+        desk[HIGH, lane] = (high + 1) / LOOKS
+        desk[AT_HIGH, lane] = desk[values + (high + 1) * own.watched, lane]
+    elif side * desk[AT_LOW, lane] < side * value and low > 0:
+        desk[dip, lane], desk[dip + own.watched, lane] = desk[LOW, lane], desk[AT_LOW, lane]
+        desk[HIGH, lane], desk[AT_HIGH, lane] = theta, value
+        desk[LOW, lane] = (low - 1) / LOOKS
+        desk[AT_LOW, lane] = desk[values + (low - 1) * own.watched, lane]
+
+
+@shared
+def look_deeper(desk, own, event, looked, lanes):
+    """THETA where the parabola through a dip and what is known beside it is least, as long as it
+    says, once it is to be trusted, that zero may be reached there. Whether any does.
+    """
+    dip, again = dips_of(own) + event, False
+    for lane in range(lanes):
+        if desk[MARK, lane] == 0.0:
+            continue
+        side, theta = side_of(desk[AT_LOW, lane]), desk[dip, lane]
+        value = side * desk[dip + own.watched, lane]
+        before, after = desk[LOW, lane] - theta, desk[HIGH, lane] - theta
+        falls = (side * desk[AT_LOW, lane] - value) / before
+        rises = (side * desk[AT_HIGH, lane] - value) / after
+        bend = (rises - falls) / (after - before)
+        slope = falls - bend * before
+        desk[MARK, lane], desk[THETA, lane] = 0.0, 0.0
+        deep = slope * slope > 4.0 * DEEPER * bend * value or looked < TRUSTED
+        if value > 0.0 and bend > 0.0 and deep and looked < LOOKED:
+            least = theta - 0.5 * slope / bend
+            if desk[LOW, lane] < least < desk[HIGH, lane] and least != theta:
+                again, desk[MARK, lane], desk[THETA, lane] = True, 1.0, least
+    return again
 
 
 @shared
 def next_crossings(desk, own, kinds, lanes):
     """The next crossing in each lane, as MARK, WHICH, LOW, HIGH, AT_LOW and AT_HIGH; whether there
     is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
-    and from there on neither side is the one that was left.
+    and from there on neither side is the one that was left. NaN is on no side, and crosses nothing.
     """
     found, looks, count, dips = False, own.looks, own.watched, dips_of(own)
     for lane in range(lanes):
@@ -242,7 +339,7 @@ def next_crossings(desk, own, kinds, lanes):
                     desk[AT_LOW, lane] = before if side * before > 0.0 else 0.0
                     desk[AT_HIGH, lane] = value
                 desk[own.sides + event, lane] = side_of(value)
-            elif side == 0.0:
+            elif side == 0.0 or value != value:
                 desk[own.sides + event, lane] = side_of(value)
         desk[CURSOR, lane] = cursor
     return found
@@ -282,6 +379,9 @@ def narrow(desk, own, lanes):
         if desk[MARK, lane] == 0.0 or theta >= desk[HIGH, lane] or theta <= desk[LOW, lane]:
             continue
         value = desk[searched + int(desk[WHICH, lane]), lane]
+        if value != value:
+            desk[MARK, lane] = 0.0
+            continue
         before, after = desk[AT_LOW, lane], desk[AT_HIGH, lane]
         side = side_of(value)  # no products of values: they may be too small for one
         beyond = side != side_of(before) if after == 0.0 else side == side_of(after)

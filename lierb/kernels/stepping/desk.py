@@ -50,7 +50,7 @@ from lierb.kernels.stepping.step_size import Tolerances
     ROWS,
 ) = range(19)  # fmt: skip
 # What a loop asks of a service, and is told by it.
-ASKED, TASK, TURN, FIRST, IS_NEW, ANSWER, TOLD = range(7)
+ASKED, TASK, TURN, FIRST, AGAIN, IS_NEW, ANSWER, TOLD = range(8)
 TAKING, HANDING_ENDS, HANDING_ROW = range(3)  # of `serve`
 LOOKS = 4  # at events in a step, where the method has a continuous extension
 STARTS = SUMMARY.index("starts")  # which is known before

@@ -25,7 +25,7 @@ from lierb.kernels.mechanics.newton_euler import (
     spinning,
 )
 from lierb.kernels.mechanics.rows import PITCHED, fixed_axes
-from lierb.kernels.mechanics.saddle import Load, has_others, solve
+from lierb.kernels.mechanics.saddle import Load, has_others, is_other_rank, solve
 from lierb.kernels.numbers.arithmetic import PI, absolute, any_lanes, branch, fma, where
 from lierb.kernels.numbers.vec import (
     ZERO6,
@@ -216,7 +216,7 @@ class SaddlePoint(OnOneChart):
         found = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
         singular = found.singular
         if has_others(plan.rows):  # another rank is another joint
-            singular = where(found.dropped == body.dropped, singular, 1.0)
+            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rate = plan.space.charts.dexpinv(neg(x), velocity, k)
         return Rates(x_rate, found.rate, found.power, singular)
 

@@ -215,7 +215,7 @@ def store_lane_end(plan: AnyPlan, clock: LaneClock, held: Held, ends: Any) -> No
 
 
 def to_tick(fresh: Any, fate: Any) -> Any:
-    """Where a trajectory has arrived that goes on, so far: what a terminal event ends has no tick."""
+    """Where one has arrived that goes on: a trajectory that an event has just ended has no tick."""
     return where(fate == 0.0, fresh, 0.0 * fresh)
 
 

@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.constraints import (
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
-from lierb.kernels.mechanics.saddle import kinds_of
+from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
 from lierb.kernels.mechanics.spatial import twist_at
 from lierb.kernels.mechanics.tree import (
     GROUND,
@@ -458,7 +458,7 @@ class TreeFormulation(Watching):
         found = self.accelerate(body, motion)
         singular = found.singular
         if self.rows:  # another rank is another mechanism
-            singular = where(found.dropped == body.dropped, singular, 1.0)
+            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
         for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
             x_rates += charts_of(node).dexpinv(neg(part), v, k)
