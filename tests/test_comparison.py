@@ -23,6 +23,7 @@ from lierb.errors import (
     TimeGridError,
     UnknownNameError,
 )
+from lierb.kernels.stepping.plan import plan_of
 from lierb.studies import comparing, reference
 from lierb.studies.comparison import ESCAPED
 from lierb.tableaus import TABLEAUS
@@ -236,8 +237,35 @@ def test_right_hand_sides_are_counted(found):
     for row in found.table.to_pylist():
         assert row["steps"] == round(T_END / row["dt"])
         assert row["evaluations"] == stages[row["method"]] * row["steps"]
-    assert comparing._stages(TABLEAUS["BS32"]) == 3
-    assert comparing._stages(TABLEAUS["DOP853"]) == 12
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, tableau in TABLEAUS.items() if tableau.error is not None]
+)
+def test_right_hand_sides_are_the_stages_of_a_step(name):
+    """A last stage that the next step begins with is computed anew there; two choose the first."""
+    tableau = TABLEAUS[name]
+    plan = plan_of(
+        1, rows=(), cspace="SE3", update="local", stages=tableau.A, weights=tableau.b,
+        multipliers=False,
+    )  # fmt: skip
+    assert comparing._evaluations(tableau, False, 10.0) == 10.0 * plan.last_stage
+    assert comparing._evaluations(tableau, True, 10.0) == 10.0 * len(plan.stages) + 2.0
+    counts = {"BS32": (3, 4), "DP54": (6, 7), "Tsit5": (6, 7), "DOP853": (12, 12)}
+    assert counts.get(name, (plan.last_stage, len(plan.stages))) == (
+        plan.last_stage, len(plan.stages),
+    )  # fmt: skip
+
+
+def test_order_is_told_of_what_moves():
+    """Of a body that turns about its centre of mass no position has an error."""
+    problem = lierb.Problem(box(), lierb.joints.spherical())
+    found = lierb.convergence(
+        problem, "RK4", DTS, twist0=problem.joint.twist(omega=OMEGA), t_end=T_END, repeats=0
+    )
+    assert found.order("RK4") == found.order("RK4", quantity="error.rotation")
+    assert found.order("RK4") == pytest.approx(4.0, rel=0.1)
+    assert np.isnan(found.order("RK4", quantity="error.position"))
 
 
 def test_cpu_time_is_that_of_the_thread(monkeypatch):
@@ -297,7 +325,7 @@ def test_tolerances_make_adaptive_runs(monkeypatch, exact):
         assert (row["rtol"], row["dt"]) == (rtol, None)
         assert (row["steps"], row["rejected"]) == (taken, rejected)
         assert row["step"] == pytest.approx(T_END / taken)
-        assert row["evaluations"] == 3 * (taken + rejected)
+        assert row["evaluations"] == 4 * (taken + rejected) + 2
     # over the mean step: of RK4, which has made these runs
     assert found.order("BS32", quantity="error.rotation") == pytest.approx(4.0, rel=0.1)
     assert {each.control for each in found.orders} == {"rtol"}
@@ -321,7 +349,7 @@ def test_errors_follow_the_tolerance(exact):
     # p = 5; the largest errors are of one trajectory, mean steps of three
     assert found.order("DP54", quantity="error.rotation") == pytest.approx(5.0, rel=0.1)
     steps, rejected = (column(found.table, name) for name in ("steps", "rejected"))
-    assert_allclose(column(found.table, "evaluations"), 6 * (steps + rejected))
+    assert_allclose(column(found.table, "evaluations"), 7 * (steps + rejected) + 2)
 
 
 # ---- arguments ---------------------------------------------------------------------------------

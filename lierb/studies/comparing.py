@@ -403,7 +403,7 @@ def _row(
         "method": run.tableau.name, "cspace": told_cspace(run.cspace), "dt": run.dt,
         "rtol": run.rtol, "step": run.dt if run.dt is not None else _or_none(length / mean),
         "steps": _or_none(mean), "rejected": _or_none(refused),
-        "evaluations": _or_none(_stages(run.tableau) * (mean + refused)),
+        "evaluations": _or_none(_evaluations(run.tableau, run.rtol is not None, mean + refused)),
         "cpu_time": _or_none(found.seconds),
         "trajectories": count, "failed": int(missing.sum()),
     }  # fmt: skip
@@ -423,9 +423,13 @@ def _or_none(number: float) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _stages(tableau: ButcherTableau) -> int:
-    """Right-hand sides of a step; the last stage may be the next step's first."""
-    return tableau.stages - tableau.is_fsal
+def _evaluations(tableau: ButcherTableau, is_adaptive: bool, steps: float) -> float:
+    """Right-hand sides of so many steps. Fixed ones need no stage that only the error asks for;
+    adaptive ones need all, and two to choose the first step by.
+    """
+    if is_adaptive:
+        return tableau.stages * steps + 2.0
+    return (1 + max(i for i, weight in enumerate(tableau.b) if weight)) * steps
 
 
 def _quantities(problem: Problem | Mechanism) -> list[str]:

@@ -105,18 +105,21 @@ class Comparison(Shown):
 
     # ---- tables ----
 
-    def order(
-        self, method: str, cspace: str | None = None, quantity: str = "error.position"
-    ) -> float:
+    def order(self, method: str, cspace: str | None = None, quantity: str | None = None) -> float:
         """An observed order; NaN where there is none to be seen.
 
         cspace : may be left out where there is one.   Of a method with dts and rtols, over dt.
+        quantity : a column of `table`. Default: error.position, or error.rotation where nothing
+            leaves its place.
 
         Raises UnknownNameError, ArgumentError where there is none to choose.
         """
         if not self.orders:
             raise ArgumentError("each method was run with one step; give two and more for orders")
         require_name("method", method, dict.fromkeys(each.method for each in self.orders))
+        if quantity is None:
+            moves = any(self.table["error.position"].to_pylist())
+            quantity = "error.position" if moves else "error.rotation"
         require_name("quantity", quantity, dict.fromkeys(each.quantity for each in self.orders))
         found = [
             each for each in self.orders

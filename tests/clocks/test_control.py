@@ -262,6 +262,39 @@ def test_steps_reach_a_tick_that_is_nearly_a_whole_number_of_them_away():
     assert column(summary, "clock")[0] == pytest.approx(50.0, abs=1e-11)
 
 
+@lierb.observable
+def level(controls):
+    return controls.ticks
+
+
+PERIODS = np.array([0.3, 0.25, 0.7])
+
+
+def levels(periods, **clock):
+    problem, start = spinning(
+        [1.0] * len(periods), controllers=[counter(every=periods)], observables=level()
+    )
+    summary = lierb.integrate(problem, **start, t_end=1.5, **clock).summary
+    return np.array([summary[f"level_{how}"].to_numpy() for how in ("min", "max", "mean", "final")])
+
+
+@pytest.mark.parametrize("clock", [
+    {"rtol": 1e-6}, {"dt": 0.1}, {"dt": 0.05, "measure_every": 7},
+], ids=str)  # fmt: skip
+def test_means_of_what_is_held_change_at_ticks(clock):
+    """n from its nth tick to the next one, and bits that do not depend on whose ticks these are."""
+    clock = {"method": "DP54"} | clock
+    found = levels(PERIODS, **clock)
+    for column_of, period in zip(found.T, PERIODS, strict=True):
+        ticks = period * np.arange(round(1.5 / period) + 1)
+        ticks = ticks[ticks <= 1.5 + 1e-12]
+        held = np.diff([*ticks, 1.5])
+        mean = np.arange(1.0, len(ticks) + 1.0) @ held / 1.5
+        np.testing.assert_allclose(column_of, [1.0, len(ticks), mean, len(ticks)], rtol=1e-13)
+    alone = np.concatenate([levels(PERIODS[[i]], **clock) for i in range(3)], axis=1)
+    np.testing.assert_array_equal(alone, found)
+
+
 # ---- noise -------------------------------------------------------------------------------------
 
 

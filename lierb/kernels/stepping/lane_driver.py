@@ -67,14 +67,15 @@ from lierb.kernels.stepping.driver import (
 from lierb.kernels.stepping.held import with_signals
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.lane_formulas import (
+    after_tick,
     any_of,
     as_ended,
     attempted,
+    before_tick,
     ended_between,
     fate_now,
     goes_on,
     is_due_between,
-    is_tick,
     is_to_tidy,
     load_lanes,
     looked,
@@ -275,9 +276,11 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 restored(plan, marks, accepted)
             state = taken(accepted, moved, state)
             fresh = taken(failed, failed, accepted)
-        ticks = to_tick(fresh, fate)
-        if is_tick(plan, body, clock, held, ticks):
+        ticks = to_tick(plan, body, clock, held, fresh, fate)
+        if any_of(ticks):
+            record, clock = before_tick(plan, body, state, held, record, clock, ticks)
             held = ticked(plan, body, state, clock, held, ticks, desk, job.seed)
+            record = after_tick(plan, body, state, held, record, clock, ticks)
         fate = fate_now(clock, span, limits, record, fresh, fate)
         if looks_now(plan, clock, span, fresh, fate):
             seen = with_signals(plan, body, state, held)

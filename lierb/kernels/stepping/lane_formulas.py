@@ -63,6 +63,7 @@ from lierb.kernels.stepping.lane_clock import (
     trial_of,
 )
 from lierb.kernels.stepping.layout import LANE_END
+from lierb.kernels.stepping.observables import observables_of, with_value
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import (
     controllers_of,
@@ -214,17 +215,12 @@ def store_lane_end(plan: AnyPlan, clock: LaneClock, held: Held, ends: Any) -> No
 # ---- an arrival at the end of a step, or at a start ----
 
 
-def to_tick(fresh: Any, fate: Any) -> Any:
-    """Where one has arrived that goes on: a trajectory that an event has just ended has no tick."""
-    return where(fate == 0.0, fresh, 0.0 * fresh)
-
-
-def is_tick(plan: AnyPlan, body: Any, clock: LaneClock, held: Held, fresh: Any) -> Any:
-    """Whether a controller is to run somewhere."""
+def to_tick(plan: AnyPlan, body: Any, clock: LaneClock, held: Held, fresh: Any, fate: Any) -> Any:
+    """1 where a controller is to run; not where an event has just ended a trajectory."""
     due = fresh < -1.0  # never
     for tick, every in zip(held.ticks, _periods(plan, body), strict=True):
         due = due | _ticks(clock, tick, every, fresh)
-    return any_lanes(due)
+    return where(due & (fate == 0.0), 1.0, 0.0 * fresh)
 
 
 def _ticks(clock: LaneClock, tick: Any, every: Any, fresh: Any) -> Any:
@@ -257,6 +253,44 @@ def ticked(
             _set(held.ticks, slice(number, number + 1), (tick + 1.0,), due),
         )
     return held
+
+
+def before_tick(
+    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, clock: LaneClock, ticks: Any
+) -> tuple[Record, LaneClock]:
+    """With what observables have been until now, where a tick changes what they see: of a mean the
+    interval that ends here has no part of what comes after it.
+    """
+    if not (observables_of(plan) and controllers_of(plan)):
+        return record, clock
+    due = (ticks > 0.5) & (clock.t > clock.seen)
+    half = 0.5 * (clock.t - clock.seen)
+    record = _with_observed(plan, body, state, held, record, clock.t, half, due)
+    return record, clock._replace(seen=where(due, clock.t, clock.seen))
+
+
+def after_tick(
+    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, clock: LaneClock, ticks: Any
+) -> Record:
+    """With what observables are from now on."""
+    if not (observables_of(plan) and controllers_of(plan)):
+        return record
+    return _with_observed(plan, body, state, held, record, clock.t, 0.0 * clock.t, ticks > 0.5)
+
+
+def _with_observed(
+    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, time: Any, half: Any,
+    mask: Any,
+) -> Record:  # fmt: skip
+    system, body = system_of(plan), with_signals(plan, body, state, held)
+    alive = record.status == OK
+    values = system.observed(body, system.seen(body, state, time), time)
+    pairs = zip(record.observed, values, strict=True)
+    now = tuple(
+        with_value(old, where(alive, value, NAN), half, alive, by_halves=True)
+        for old, value in pairs
+    )
+    return record._replace(observed=where(mask, now, record.observed))
 
 
 def _set(numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
@@ -515,11 +549,11 @@ def ended_between(
 
 
 for _formula in (
-    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick, is_tick,
-    ticked, fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended,
-    next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
-    slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
-    put_signals, put_trial, ended_between, with_signals, goes_on, store_lane_end, silenced, renewed,
-    restored,
+    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick,
+    before_tick, after_tick, ticked, fate_now, looks_now, looked, mark_due, with_due,
+    store_lane_summary, as_ended, next_trial, attempted, verdict_on, with_failures, is_to_tidy,
+    tidied, is_due_between, slopes_between, state_between, time_between, mark_due_between,
+    shown_between, put_values, put_signals, put_trial, ended_between, with_signals, goes_on,
+    store_lane_end, silenced, renewed, restored,
 ):  # fmt: skip
     kernel(_formula)
