@@ -280,6 +280,16 @@ def test_three_bodies_of_a_study_may_draw_rotation_vectors():
     assert ((found > 0.0) & (found < 1.0)).all()
 
 
+@pytest.mark.parametrize(("force", "told"), [
+    ({"type": "drag", "linear": [1.0, 2.0, 3.0]}, r"drag\.linear has shape \(3,\).* one number"),
+    ({"type": "drag", "linear": 1.0, "point": [[0.0] * 3] * 3}, r"drag\.point has shape \(3, 3\)"),
+])  # fmt: skip
+def test_numbers_of_each_bodys_own_are_drawn(force, told):
+    """Three of them for three bodies, too: a study of other parts would have others."""
+    with pytest.raises(StudyError, match=rf"problem\.forces\.{told}.*\[sample\]"):
+        started("free", {}, problem={"forces": [force]})
+
+
 @pytest.mark.parametrize("key", ["inertia", "second_moments"])
 def test_three_bodies_of_a_study_may_have_one_inertia_matrix(key):
     given = np.diag((1.0, 1.1, 1.2)).tolist() if key == "inertia" else [0.5, 0.6, 0.7]

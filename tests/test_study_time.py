@@ -680,6 +680,7 @@ WRONG = {
     ),
     "parameter": ({"problem.events.0.withn": 1.0}, "problem.events: .*withn.*within"),
     "period": ({TICKS: -0.1}, "problem.controllers: every"),
+    "periods": ({TICKS: [0.1] * 8}, r"problem.controllers.computer.every has shape \(.*one number"),
     "quantity": ({f"{SAMPLE}.wheel": [0.0, 0.0, 0.0]}, "problem.states: .*wheel"),
     "shape": ({f"{SAMPLE}.wheels": {"distribution": "uniform", "low": 0.0, "high": 1.0}}, "wheels"),
     "no_effect": ({"problem.controllers.computer.damping": 3.0}, "has no effect, since each body"),

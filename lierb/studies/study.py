@@ -466,6 +466,7 @@ class Study(Shown, Section):
             with at(f"problem.{table}"):
                 drawn = own.pop(f"{table}.{element.label}", {})
                 made[table].append(element.make(drawn, self._code))
+            _require_one(f"problem.{table}.{element.label}", made[table][-1], drawn)
             for key, values in drawn.items():
                 shapes = made[table][-1].kind.shapes
                 shape = shapes[key] if key in shapes else shapes[f"{INITIAL}{key}"]
@@ -613,6 +614,20 @@ def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
     saves = run["save_every"] is not None or run.get("save_at") is not None
     is_there = (True, saves, bool(study.get("problem", {}).get("events")))
     return tuple(name for name, there in zip(TABLES, is_there, strict=True) if there)
+
+
+def _require_one(label: str, element: Any, drawn: Mapping[str, Array]) -> None:
+    """Raise StudyError for numbers of each body's own that are not drawn: which bodies have them is
+    not to depend on how a study is cut into parts.
+    """
+    for name, array in element.parameters.items():
+        key, shape = name.removeprefix(INITIAL), element.kind.shapes[name]
+        if key not in drawn and array.ndim > len(shape):
+            what = f"a list of {prod(shape)} numbers" if shape else "one number"
+            raise StudyError(
+                f"{label}.{key} has shape {array.shape}; expected {what}, of all bodies; what "
+                "differs from body to body is a distribution in [sample]"
+            )
 
 
 def _require_shape(
