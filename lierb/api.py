@@ -100,7 +100,8 @@ def integrate(
         method's embedded one is, in each block, at most √(atol² + rtol² size²), over the method's
         `ButcherTableau.calibration`. Blocks: rotation (size 1 rad), position, omega, v, and each of
         the user's states. atol is a number, in SI units, or a dictionary by block ("states" for all
-        of these). Default: rtol 1e-6, atol 1e-3 rtol.
+        of these). Default: rtol 1e-6, atol 1e-3 rtol; of position and v in the body's radius of
+        gyration, a mechanism's as of one body, and that by second.
     dt_min, dt_max : of adaptive steps, s. One that would have to be shorter ends the trajectory
         with status "dt_min". Default: rounding of t, and no bound.
     max_steps : tried steps, after which a trajectory ends with status "max_steps". Default: none.

@@ -28,7 +28,9 @@ MOST_TICKS = 2.0**48  # beyond, steps between them would be a few roundings of t
 BLOCKS = ("rotation", "position", "omega", "v", "states")  # that have a tolerance of their own
 ADAPTIVE_METHOD = "DOP853"  # where none is given
 RTOL = 1e-6  # where only atol is given
-ATOL = 1e-3  # of rtol, where only that is given, in SI units of each block
+# Of rtol, where only that is given: in rad, rad/s, units of the states, and radii of gyration.
+ATOL = 1e-3
+IN_RADII = ("position", "v")
 LEAST_RTOL = 1e-15  # of what steps are held against, too
 MOST_SEED = 2**53
 
@@ -38,7 +40,7 @@ class Timing:
     """The arguments of `lierb.integrate` that say when: checked, in plain numbers.
 
     steps : of a grid of fixed steps; 0 with adaptive ones.   dt : of adaptive steps the first, or 0
-        to choose it.   atol : of each of BLOCKS.
+        to choose it.   atol : of each of BLOCKS; None where it is the body's own.
     save_every : 0 for none.   save_at : s, or None.
     is_of_lanes : whether each lane has a clock of its own.
     """
@@ -51,7 +53,7 @@ class Timing:
     measure_every: int
     save_every: int
     rtol: float | None = None
-    atol: tuple[float, ...] = ()
+    atol: tuple[float | None, ...] = ()
     dt_min: float = 0.0
     dt_max: float = math.inf
     max_steps: float = math.inf
@@ -111,12 +113,15 @@ class Timing:
                 save_at = np.clip(save_at, span.start, span.end)
         share = 1.0 / self.tableau.calibration
         rtol = max(share * (self.rtol or 0.0), LEAST_RTOL)
+        given = dict(zip(BLOCKS, self.atol or (0.0,) * len(BLOCKS), strict=True))
+        default = ATOL * (self.rtol or 0.0)
         rotation, position, omega, v, states = (
-            share * x for x in self.atol or (0.0,) * len(BLOCKS)
+            share * (default if x is None else x) for x in given.values()
         )
+        place_is_own, v_is_own = (float(given[name] is None) for name in IN_RADII)
         tolerances = Tolerances(
             self.dt, rtol, rotation, position, omega, v, states,
-            self.dt_min, self.dt_max, self.max_steps,
+            self.dt_min, self.dt_max, self.max_steps, place_is_own, v_is_own,
         )  # fmt: skip
         pairs = [(float(each.direction), float(each.terminal)) for each in events]
         kinds = np.array(pairs or [(0.0, 0.0)]).T.copy()
@@ -131,7 +136,8 @@ class Timing:
         found: dict[str, Any] = {}
         if self.is_adaptive:
             found["rtol"] = self.rtol
-            found["atol"] = dict(zip(BLOCKS, self.atol, strict=True))
+            pairs = zip(BLOCKS, self.atol, strict=True)
+            found["atol"] = {name: number for name, number in pairs if number is not None}
             found["dt_min"] = self.dt_min
             found["dt_max"] = None if self.dt_max == math.inf else self.dt_max
         found["max_steps"] = None if self.max_steps == math.inf else int(self.max_steps)
@@ -249,19 +255,19 @@ def _checked_rtol(rtol: Any) -> float:
     return given
 
 
-def _checked_atol(atol: Any, rtol: float) -> tuple[float, ...]:
-    """Of each block."""
-    default = ATOL * rtol
+def _checked_atol(atol: Any, rtol: float) -> tuple[float | None, ...]:
+    """Of each block; None where it counts in the body's own radius of gyration."""
     if atol is None:
-        return (default,) * len(BLOCKS)
+        atol = {}
     if isinstance(atol, Mapping):
         for name in atol:
             if name not in BLOCKS:
                 raise unknown_name("atol", str(name), BLOCKS)
         return tuple(
-            _checked_tolerance(f"atol[{name!r}]", atol[name]) if name in atol else default
+            _checked_tolerance(f"atol[{name!r}]", atol[name]) if name in atol
+            else None if name in IN_RADII else ATOL * rtol
             for name in BLOCKS
-        )
+        )  # fmt: skip
     return (_checked_tolerance("atol", atol),) * len(BLOCKS)
 
 

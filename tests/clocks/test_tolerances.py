@@ -6,6 +6,7 @@ are chosen by; the lower one says that no steps are wasted.
 """
 
 import functools
+import json
 
 import numpy as np
 import pytest
@@ -124,6 +125,41 @@ def test_atol_alone_is_what_counts_where_nothing_moves():
     assert found.summary["status"].to_pylist() == ["ok"]
     assert found.summary["steps"].to_pylist()[0] < 30
     assert found.summary["rejected"].to_pylist() == [0]
+
+
+@lierb.wrench
+def trap(t, R, r, omega, v, body):
+    return np.zeros(3), -body.mass * (R.T @ r)
+
+
+@pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.long)])
+def test_nothing_is_small_in_itself(cspace):
+    """A ball as large as it swings, in kilometres and in picometres: the same steps, and errors."""
+    found = []
+    for size in (1.0, 1e3, 1e-6, 1e-12):
+        body = lierb.bodies.sphere(size, mass=1.0)
+        problem = lierb.Problem(body, lierb.joints.free(), forces=trap())
+        pose0 = np.eye(4)
+        pose0[0, 3] = size
+        result = lierb.integrate(
+            problem, pose0=pose0, twist0=np.zeros(6), rtol=1e-6, t_end=20.0, cspace=cspace
+        )
+        off = result.position[0, 0] / size - np.cos(20.0)
+        found.append((result.summary["steps"][0].as_py(), off))
+    assert 0.0 < abs(found[0][1]) < FACTOR * 1e-6
+    for steps, off in found:
+        assert steps == found[0][0]
+        assert off == pytest.approx(found[0][1], rel=0.0, abs=1e-12)  # rounding of 30 steps
+
+
+def test_default_atol_is_what_metadata_leave_out():
+    """Given back, they are the same run."""
+    problem, twist0 = problem_of("heavy_top")
+    first = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6)
+    atol = json.loads(first.summary.schema.metadata[b"lierb"])["options"]["atol"]
+    assert atol == {"rotation": 1e-9, "omega": 1e-9, "states": 1e-9}
+    again = lierb.integrate(problem, twist0=twist0, t_end=0.1, rtol=1e-6, atol=atol)
+    assert again.summary == first.summary
 
 
 def steps_with(atol, rtol=1e-9) -> int:

@@ -98,6 +98,7 @@ class BodyConstants(NamedTuple):
     dropped: Any = ZERO  # how many of the rows depended on others at the start
     elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
     signals: Signals = NO_SIGNALS  # of the time that the body is asked about
+    girth: Any = ZERO  # the square of its radius of gyration, m²
 
     def momentum(self, velocity: Vec) -> Vec:
         """M V about the body frame's origin, on SE(3)."""
@@ -116,6 +117,17 @@ class BodyConstants(NamedTuple):
         torque = spin if not is_zero(*self.shift) else cross_add(momentum[3:], v, spin)
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force
+
+
+def girth_of(*bodies: tuple[Any, Mat]) -> Any:
+    """The square of a radius of gyration, m², of masses and inertias about centres of mass, as of
+    one body: tr Θ / 2m.
+    """
+    mass: Any = ZERO
+    trace: Any = ZERO
+    for own, inertia in bodies:
+        mass, trace = mass + own, trace + (inertia[0] + inertia[4] + inertia[8])
+    return 0.5 * trace / mass
 
 
 class Kinematics(NamedTuple):

@@ -144,6 +144,7 @@ class TreeConstants(NamedTuple):
     ends : of the plan's connections.   elements : what each is made of.
     dropped : how many rows depended on others at the start.
     signals : of the time that the mechanism is asked about.
+    girth : of all nodes, as of one body.
     """
 
     nodes: tuple[NodeConstants, ...]
@@ -152,6 +153,7 @@ class TreeConstants(NamedTuple):
     elements: tuple[Any, ...] = ()
     dropped: Any = ZERO
     signals: Signals = NO_SIGNALS
+    girth: Any = ZERO
 
     @property
     def mass(self) -> Any:

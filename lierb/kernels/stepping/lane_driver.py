@@ -173,7 +173,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     span = Span(job.start, job.end, job.origin, job.counted, job.every)
     limits = Tolerances(
         job.dt, job.rtol, job.rotation_atol, job.position_atol, job.omega_atol, job.v_atol,
-        job.states_atol, job.dt_min, job.dt_max, job.max_steps,
+        job.states_atol, job.dt_min, job.dt_max, job.max_steps, job.position_is_own, job.v_is_own,
     )  # fmt: skip
     carried, events, told = numbers_at(own.carried), numbers_at(own.events), numbers_at(own.told)
     room = events.shape[0] - lanes * own.watched * (own.looks + 1) - 1

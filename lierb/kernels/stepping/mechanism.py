@@ -22,7 +22,7 @@ from lierb.kernels.mechanics.constraints import (
     rotation_error_squared,
 )
 from lierb.kernels.mechanics.elements import Element
-from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
+from lierb.kernels.mechanics.newton_euler import Kinematics, Motion, girth_of
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows, Screw
 from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
 from lierb.kernels.mechanics.spatial import twist_at
@@ -194,9 +194,10 @@ class TreeFormulation(Watching):
             placed_element(element, k, c, nodes, read) for k, (element, c) in enumerate(acting)
         )
         ends += [Ends(HERE, HERE) if c.joint < 0 else ends[c.joint] for _, c in acting]
-        return TreeConstants(
+        found = TreeConstants(
             nodes, tuple(end._replace(elements=placed) for end in ends), gravity, placed
         )
+        return found._replace(girth=girth_of(*((n.rigid.mass, n.inertia) for n in nodes)))
 
     def start(self, body: TreeConstants, numbers: list[Any]) -> State:
         """The state from poses and twists in the user's frames; what is off a subgroup is left."""

@@ -23,6 +23,7 @@ from lierb.kernels.mechanics.newton_euler import (
     SO3xR3,
     about_a_point,
     closed_pose,
+    girth_of,
 )
 from lierb.kernels.mechanics.scale import bearings, start_tolerances
 from lierb.kernels.numbers.arithmetic import rounded_as_numpy, sqrt, where
@@ -134,6 +135,7 @@ class OneBody(Watching):
             shift = (*body.com[:2], ZERO)
             moved = body_of(plan.space, plan.elements, numbers, shift=shift)
             body = plan.space.centred(moved, (ZERO, ZERO, body.com[2]))._replace(shift=shift)
+        body = body._replace(girth=girth_of((body.mass, body.inertia)))
         return plan.formulation.prepared(body)
 
     def start(self, body: BodyConstants, numbers: list[Any]) -> State:

@@ -32,6 +32,7 @@ DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop
 class Tolerances(NamedTuple):
     """rtol, and atol of each block: rad, m, rad/s, m/s, and the units of the user's states.
 
+    position_is_own, v_is_own : 1 where atol counts in the body's own radius of gyration, not in m.
     dt : the first step, s, or 0 to choose it; of fixed steps all of them.
     dt_min, dt_max : s.   max_steps : accepted and rejected ones.
     """
@@ -46,6 +47,8 @@ class Tolerances(NamedTuple):
     dt_min: float
     dt_max: float
     max_steps: float
+    position_is_own: float
+    v_is_own: float
 
 
 def within(h: Any, limits: Tolerances) -> Any:
@@ -123,15 +126,22 @@ def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolera
     ends = [_sizes(plan, body, each) for each in (state, moved)]
     rtol = limits.rtol * limits.rtol
 
-    def allowed(atol: Any, *sizes: Any) -> Any:
+    def allowed(atol: Any, *sizes: Any, unit: Any = 1.0) -> Any:
         largest = sizes[0]
         for size in sizes[1:]:
             largest = maximum(largest, size)
-        return 1.0 / fma(atol, atol, rtol * largest)
+        return 1.0 / fma(atol * atol, unit, rtol * largest)
 
+    def unit(is_own: Any) -> Any:  # squared
+        return where(is_own > 0.5, body.girth, 1.0)
+
+    atols = (
+        (limits.position_atol, unit(limits.position_is_own)),
+        (limits.omega_atol, 1.0),
+        (limits.v_atol, unit(limits.v_is_own)),
+    )
     places, turning, moving = (
-        allowed(atol, *(end[i] for end in ends))
-        for i, atol in enumerate((limits.position_atol, limits.omega_atol, limits.v_atol))
+        allowed(atol, *(end[i] for end in ends), unit=size) for i, (atol, size) in enumerate(atols)
     )
     states = tuple(
         allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True)
