@@ -17,7 +17,7 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.noise import MOST, normal, normals
 from lierb.kernels.functions.signals import Noise
 
-LARGEST = 2**53  # up to which doubles are exact integers
+LARGEST = 2**53 - 1  # doubles are exact integers up to there, and no other one is rounded to it
 
 __all__ = ["normal", "sample"]
 
@@ -28,7 +28,7 @@ def sample(
     """What `normal(name, size)` gives in a controller, to the bit.
 
     seed, trajectory : of the run: `lierb.integrate(seed=…, trajectories=…)`. Whole numbers, 0 to
-        2⁵³, trajectory an array of them if wanted.
+        2⁵³ − 1, trajectory an array of them if wanted.
     tick : number of the call: it is at tick·T, T being the controller's period. An array if wanted.
     Returns trajectory's and tick's shapes broadcast, and then (size,) where it is a count.
 

@@ -182,7 +182,12 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 
 
 class Decorated:
-    """A function and its parameters' defaults; called with parameters, it is an element."""
+    """A function and its parameters' defaults; called with parameters, it is an element.
+
+    own : names of what it is called with that is no parameter.
+    """
+
+    own: tuple[str, ...] = ()
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         self.function, self.defaults = function, defaults
@@ -197,9 +202,12 @@ class Decorated:
 
         In an order that does not depend on who gives them: it is part of the kernel's name.
         """
+        takes_any = not self.defaults and (
+            not self.own or "params" in inspect.signature(self.function).parameters
+        )
         for name in given:
-            if self.defaults and name not in self.defaults:
-                raise unknown_name("parameter", name, self.defaults)
+            if not takes_any and name not in self.defaults:
+                raise unknown_name("parameter", name, (*self.own, *self.defaults))
         shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(given), ())
         return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
 

@@ -180,6 +180,7 @@ class StatesFunction(Decorated):
                 "@lierb.states(wheel=(0.0, 0.0, 0.0))"
             )
         self.units = _units(units, given)
+        self.own = tuple(given)
         super().__init__(function, _parameters(parameters, given))
 
     def __call__(self, **given: ArrayLike) -> ExtraStates:
@@ -213,6 +214,7 @@ class ControllerFunction(Decorated):
             )
         self.memory = _initial_values("memory", memory)
         self.units = _units(units, None)
+        self.own = ("every", *memory)
         super().__init__(function, _parameters(given, memory))
 
     def __call__(self, **given: ArrayLike) -> Controller:

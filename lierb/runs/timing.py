@@ -239,6 +239,8 @@ def _adaptive(
     longest = math.inf if dt_max is None else _checked_length("dt_max", dt_max)
     if least > longest:
         raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
+    if least >= end - start:
+        raise ArgumentError(f"dt_min={dt_min!r} s is no less than the whole run, {end - start!r} s")
     return Timing(
         tableau, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
         least, longest, most, times, is_of_lanes=True,
@@ -353,7 +355,7 @@ def checked_numbers(trajectories: Any, count: int) -> Array:
     if not (is_fit and (numbers >= 0).all() and (numbers < MOST_SEED).all()):
         raise ArgumentError(
             f"trajectories={told(trajectories)}; expected the number of each of the {count} "
-            "trajectories, whole and not negative"
+            "trajectories, whole numbers from 0 to 2**53 - 1"
         )
     return np.ascontiguousarray(numbers)
 

@@ -408,7 +408,9 @@ def test_draws_do_not_know_of_each_other(drawn):
 
 @pytest.mark.parametrize(("made", "match"), [
     (lambda: [pid(every=0.0)], "every"), (lambda: [pid(every=-1.0)], "every"),
-    (lambda: [pid(kq=1.0)], "kp"), (lambda: [pid(), pid()], "torque"),
+    (lambda: [pid(kq=1.0)], "kp"), (lambda: [pid(evry=1.0)], "Did you mean 'every'"),
+    (lambda: [pid(integrl=(0.0,) * 3)], "Did you mean 'integral'"),
+    (lambda: [pid(), pid()], "torque"),
     (lambda: [pid(integral=(1.0, 2.0))], "integral"),
 ])  # fmt: skip
 def test_wrong_controllers_are_told(made, match):

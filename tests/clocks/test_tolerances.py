@@ -184,6 +184,7 @@ def test_atol_by_block_lets_one_block_go():
     ({"atol": {"rotatoin": 1e-6}}, "rotation"), ({"atol": -1.0}, "atol"),
     ({"rtol": 1e-6, "method": "RK4"}, "RK4"),
     ({"rtol": 1e-6, "dt_min": 1.0, "dt_max": 0.1}, "dt_m"),
+    ({"rtol": 1e-6, "dt_min": float("inf")}, "dt_min"), ({"rtol": 1e-6, "dt_min": 1.0}, "dt_min"),
     ({"rtol": 1e-6, "max_steps": 0}, "max_steps"),
     ({"rtol": 1e-6, "save_every": 10}, "save_every"),
     ({"rtol": 1e-6, "dt": -0.1}, "dt"),
