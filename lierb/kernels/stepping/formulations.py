@@ -80,6 +80,7 @@ class OnOneChart:
     """What all formulations of one body have in common."""
 
     plan: Plan
+    is_homogeneous = False
 
     def before_step(self, body: BodyConstants, chart: Chart) -> Vec:
         """What all stages of a step share: gravity in the chart's axes."""
@@ -241,6 +242,11 @@ class Subgroup(OnOneChart):
     @property
     def takes_gentle_steps(self) -> bool:
         return self.is_light
+
+    @property
+    def is_homogeneous(self) -> bool:  # type: ignore[override]
+        """Whether the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
+        return not self.plan.acting
 
     @property
     def slides_as_it_turns(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler import calls
-from lierb.kernels.numbers.arithmetic import absolute, maximum, rint, where
+from lierb.kernels.numbers.arithmetic import absolute, all_lanes, branch, maximum, rint, where
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.layout import LANE_END
@@ -192,25 +192,34 @@ def judged(
         )
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
     accepted = going & meets & ~raised
-    refused = going & ~meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
     grown = trial.h * by.factor
     # A step that was cut short says little about a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
-    h = within(where(accepted, longer, where(refused, grown, clock.h)), limits)
-    least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
-    too_small = refused & (trial.h <= least)
-    too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
-    failed = where(too_many, float(MAX_STEPS), float(OK))
-    failed = where(too_small, where(fine, float(DT_MIN), worse), failed)
-    moved = clock._replace(
-        t=where(accepted, trial.end, clock.t),
-        h=h,
-        before=where(accepted, by.level, where(refused, 0.0, clock.before)),
-        steps=where(accepted, steps + 1.0, steps),
-        rejected=where(refused, clock.rejected + 1.0, clock.rejected),
+    taken = clock._replace(
+        t=trial.end, h=within(longer, limits), before=by.level, steps=steps + 1.0
     )
-    return Verdict(where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved)
+
+    def some_refused() -> tuple[Any, Any, LaneClock]:
+        refused = going & ~meets & ~raised
+        least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
+        too_small = refused & (trial.h <= least)
+        too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
+        failed = where(too_many, float(MAX_STEPS), float(OK))
+        failed = where(too_small, where(fine, float(DT_MIN), worse), failed)
+        again = clock._replace(
+            h=where(refused, within(grown, limits), within(clock.h, limits)),
+            before=where(refused, 0.0, clock.before),
+            rejected=where(refused, clock.rejected + 1.0, clock.rejected),
+        )
+        failed = where(raised, float(RAISED), failed)
+        return where(accepted, 1.0, 0.0 * steps), failed, where(accepted, taken, again)
+
+    one = 0.0 * steps
+    found: tuple[Any, Any, LaneClock] = branch(
+        all_lanes(accepted), lambda: (one + 1.0, one + float(OK), taken), some_refused
+    )
+    return Verdict(*found)
 
 
 def to_tidy(clock: LaneClock, fresh: Any, fate: Any) -> Any:

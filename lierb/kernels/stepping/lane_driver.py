@@ -222,7 +222,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
             seen = with_signals(plan, body, state, held)
             made = attempted(plan, seen, state, record, trial, limits)
             accepted, failed, clock = verdict_on(plan, made, clock, trial, limits, active)
-            record, fate = with_failures(record, clock, failed, fate)
+            if any_of(failed):
+                record, fate = with_failures(record, clock, failed, fate)
             moved = made.state
             if own.watched > 0 or is_due_between(plan, clock, accepted):
                 put_trial(plan, desk, trial, accepted)

@@ -161,6 +161,7 @@ class TreeFormulation(Watching):
 
     plan: MechanismPlan
     still = ()
+    is_homogeneous = False
 
     # ---- what is read ----
 

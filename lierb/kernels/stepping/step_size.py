@@ -17,7 +17,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
-from lierb.kernels.stepping.stepper import Slopes, rates_at, weighted
+from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
 
 EPS = 2.0**-52
 SAFETY = 0.8
@@ -87,11 +87,13 @@ def _defect(
     """h Σ weights · slopes."""
     base, rest = beside_the_step(plan.weights, weights)
 
-    def times(rates: tuple[Vec, ...]) -> Vec:
+    def times(unit: Any, rates: tuple[Vec, ...]) -> Vec:
         total = weighted((ZERO,) * len(rates[0]), base, rates)
-        return tuple(h * each for each in weighted(total, rest, rates))
+        return tuple(unit * each for each in weighted(total, rest, rates))
 
-    x, v_or_mu, states = map(times, (slopes.x, slopes.v_or_mu, slopes.states))
+    x_unit, unit = units_of(plan, h)
+    x, v_or_mu = times(x_unit, slopes.x), times(unit, slopes.v_or_mu)
+    states = times(h, slopes.states)
     formulation = plan.formulation
     return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
 

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import fma, maximum
-from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.arithmetic import fma, maximum, where
+from lierb.kernels.numbers.vec import Vec, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import rates_of_states, with_states
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import states_of
 from lierb.kernels.stepping.state import State
 
 Rows = tuple[tuple[float, ...], ...]
@@ -120,12 +121,15 @@ def _stages(
 ) -> tuple[Slopes, Any]:
     """The slopes of further stages behind those `known`, and the mark of a singular one."""
     formulation = plan.formulation
-    before = formulation.before_step(body, state.chart)
+    before, start = formulation.before_step(body, state.chart), state.v_or_mu
+    x_unit, unit = 0.5 * h, h
+    if counts_in_steps(plan):
+        before, start, x_unit, unit = scale(h * h, before), scale(h, start), 0.5, 1.0
     x_rates, rates, powers, more = map(list, known)
     singular: Any = ZERO
     for weights, factors in zip(rows, products, strict=True):
-        x = formulation.in_algebra(body, _advanced(plan, state.x, 0.5 * h, weights, x_rates))
-        v_or_mu = _advanced(plan, state.v_or_mu, h, weights, rates)
+        x = formulation.in_algebra(body, _advanced(plan, state.x, x_unit, weights, x_rates))
+        v_or_mu = _advanced(plan, start, unit, weights, rates)
         states = _advanced(plan, state.states, h, weights, more)
         at = fma(h, sum(weights), time)
         chart, falling = state.chart, before
@@ -152,14 +156,15 @@ def _combined(
 ) -> State:
     """The state with h Σ weights · slopes, its pose by so many exponentials, or by one."""
     formulation = plan.formulation
-    v_or_mu = _advanced(plan, state.v_or_mu, h, weights, slopes.v_or_mu)
-    (work,) = _advanced(plan, (state.work,), h, weights, slopes.work)
-    states = _advanced(plan, state.states, h, weights, slopes.states)
+    x_unit, unit = units_of(plan, h)
+    v_or_mu = _ended(plan, state.v_or_mu, unit, weights, slopes.v_or_mu)
+    (work,) = _ended(plan, (state.work,), h, weights, slopes.work)
+    states = _ended(plan, state.states, h, weights, slopes.states)
     still = (ZERO,) * len(state.x)
     if factors is not None:
         chart, x = _product(plan, body, state.chart, h, factors, slopes.x), still
     else:
-        x = formulation.in_algebra(body, _advanced(plan, state.x, 0.5 * h, weights, slopes.x))
+        x = formulation.in_algebra(body, _ended(plan, state.x, 0.5 * x_unit, weights, slopes.x))
         if plan.is_local:
             chart, x = formulation.moved(state.chart, x), still
         else:
@@ -176,6 +181,23 @@ def _product(plan: AnyPlan, body: Any, chart: Any, h: Any, factors: Rows, slopes
             x = formulation.in_algebra(body, _advanced(plan, still, 0.5 * h, weights, slopes))
             chart = formulation.moved(chart, x)
     return chart
+
+
+def counts_in_steps(plan: AnyPlan) -> bool:
+    """Whether a step measures time by its own length h: its slopes are h Ẋ and h² V̇, of h V under
+    h² times gravity, and a stage's sums need no product with h. Where all lanes have one h, such
+    products are made but once.
+    """
+    is_own = plan.embedded is not None and not plan.exponentials and not states_of(plan)
+    return is_own and plan.formulation.is_homogeneous
+
+
+def units_of(plan: AnyPlan, h: Any) -> tuple[Any, Any]:
+    """What sums of the slopes of X, and of V or μ, are multiplied by."""
+    if not counts_in_steps(plan):
+        return h, h
+    moves = h > 0.0  # not where a lane has nothing to do
+    return 1.0, where(moves, 1.0 / where(moves, h, 1.0), 0.0)
 
 
 class StageRates(NamedTuple):
@@ -214,6 +236,13 @@ def _advanced(plan: AnyPlan, base: Vec, h: Any, weights: tuple[Any, ...], rates:
     Where all steps are as long, so are all h wⱼ, and rates are added up by them; where lanes choose
     their own, h comes last, which saves a product for each weight.
     """
+    if plan.embedded is None or isinstance(h, float):
+        return weighted(base, weights, rates, h)
+    return _ended(plan, base, h, weights, rates)
+
+
+def _ended(plan: AnyPlan, base: Vec, h: Any, weights: tuple[Any, ...], rates: Any) -> Vec:
+    """The same at the end of a step: by the sum alone, of which the error is made as well."""
     if plan.embedded is None:
         return weighted(base, weights, rates, h)
     total = weighted((ZERO,) * len(base), weights, rates)
