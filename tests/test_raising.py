@@ -251,6 +251,41 @@ def test_what_raises_is_not_called_singular():
     assert statuses(held(1.0, method="Heun", kind=[CALM, CONSTANT])) == ["ok", "raised"]
 
 
+@lierb.controller(every=1.0)
+def ticking(t):
+    return {"ticked": t}
+
+
+@lierb.event(terminal=True, end=1e9)
+def ending(t, params):
+    return t - params.end
+
+
+@lierb.observable(unit="s")
+def choosy(t):
+    if 0.25 < t < 0.45:
+        raise ValueError("not now")
+    return t
+
+
+@pytest.mark.slow
+def test_what_happens_to_another_trajectory_asks_nothing_of_this_one():
+    """Looked at every half second; its neighbour ticks, or ends, at 0.3 s."""
+    body = lierb.Body(1.0, (0.4, 0.4, 0.4))
+    for changed in ({"every": 0.3}, {"end": 0.3}):
+        every = np.array([2.0, changed.get("every", 2.0)])
+        end = np.array([1e9, changed.get("end", 1e9)])
+        problem = lierb.Problem(
+            body, lierb.joints.free(), controllers=ticking(every=every), events=ending(end=end),
+            observables=choosy(),
+        )  # fmt: skip
+        with pytest.warns(FailedTrajectoryWarning):
+            found = lierb.integrate(
+                problem, twist0=np.zeros((2, 6)), dt=0.1, t_end=1.0, measure_every=5, method="Euler"
+            )
+        assert found.summary["status"].to_pylist() == ["ok", "raised"]
+
+
 def test_a_motor_s_torque_may_raise():
     """A function of time alone is called once for all bodies of a block."""
 

@@ -22,7 +22,7 @@ ALWAYS = 1 << 26  # bytes that nobody asks for: a run of one body shall not read
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
-SMALL = 1 << 16  # bytes that come from NumPy at once
+POOLED = range(1 << 16, 1 << 25)  # bytes: less is had at once, and more is not to be kept
 
 
 def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
     two steps of each trajectory.
     """
     size, pool = 8 * math.prod(shape), pa.default_memory_pool()
-    if size < SMALL or pool.backend_name != "mimalloc":
+    if size not in POOLED or pool.backend_name != "mimalloc":
         return np.empty(shape)
     return np.frombuffer(pa.allocate_buffer(size, memory_pool=pool)).reshape(shape)
 

@@ -239,8 +239,6 @@ def _adaptive(
     longest = math.inf if dt_max is None else _checked_length("dt_max", dt_max)
     if least > longest:
         raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
-    if least >= end - start:
-        raise ArgumentError(f"dt_min={dt_min!r} s is no less than the whole run, {end - start!r} s")
     return Timing(
         tableau, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
         least, longest, most, times, is_of_lanes=True,
@@ -285,7 +283,7 @@ def _checked_tolerance(name: str, given: Any) -> float:
 
 def _checked_length(name: str, given: Any, zero: bool = False) -> float:
     number = _real(given)
-    if not (0.0 < number <= math.inf or (zero and number == 0.0)):
+    if not (0.0 < number <= math.inf or (zero and number == 0.0)) or (zero and number == math.inf):
         raise ArgumentError(f"{name}={told(given)}; expected a positive time in s")
     return number
 

@@ -378,6 +378,17 @@ def test_a_condition_is_refused():
         thrown(1.0, 0.0, events=late())
 
 
+@pytest.mark.parametrize("clock", [{"rtol": 1e-6}, {"rtol": None, "dt": 0.5}], ids=str)
+def test_what_starts_at_zero_to_rounding_lands_when_it_comes_back(clock):
+    """Within the first quarter of the first step."""
+    heights = np.array([0.0, 1e-13, -1e-13, 1e-12])
+    event = height(0.0, terminal=True, direction=-1)
+    problem, start = thrown(heights, np.full(4, 0.1), events=[event, NEVER])
+    options = {"method": "DP54", "cspace": "SO3xR3", "rtol": 1e-6} | clock
+    result = lierb.integrate(problem, **start, t_end=4.0, **options)
+    np.testing.assert_allclose(result.t, 0.2 / G, rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("rtol", [1e-6, 1e-9, 1e-12])
 def test_what_has_crossed_may_bounce(rtol):
     """It is beyond the ground by a rounding, and starts on it: in either direction."""

@@ -198,6 +198,15 @@ def test_rows_after_the_end_are_nan():
     assert result.history["t"].to_pylist() == [0.2, 0.2, 0.4, 0.4, 0.6, 0.6, 0.8, 0.8]
 
 
+@pytest.mark.parametrize("clock", [{"rtol": 1e-6}, {"rtol": None, "dt": 0.1}], ids=str)
+@pytest.mark.parametrize("end", [1.0, 1e9 + 1.0])
+def test_rows_within_rounding_of_the_end_are_all_there(clock, end):
+    times = [end - 0.5, *(end - n * np.spacing(end) for n in (3, 2, 1)), end]
+    result = heavy_top(t0=end - 1.0, t_end=end, save_at=times, **clock)
+    assert np.isfinite(rows_of(result.history, "position_error")).all()
+    assert np.isfinite(rows_of(result.history, "omega")).all()
+
+
 def test_rows_do_not_depend_on_other_times():
     """A row is the same whatever else is asked for."""
     few = heavy_top(rtol=1e-6, save_at=(0.3, 0.7)).history

@@ -126,8 +126,10 @@ def distance(found: State, true: State) -> float:
     return max(parts)
 
 
-def states_of(table, row: int) -> State:
-    """The state in a row of a summary or a history."""
+def states_of(table, row: int, link: str = "") -> State:
+    """The state in a row of a summary or a history; of a mechanism, that of a link."""
     shapes = ((3, 3), 3, 3, 3)
     pairs = zip(State._fields, shapes, strict=True)
-    return State(*(np.array(table[f][row].as_py(), float).reshape(shape) for f, shape in pairs))
+    prefix = link and f"{link}."
+    columns = ((table[f"{prefix}{field}"], shape) for field, shape in pairs)
+    return State(*(np.array(c[row].as_py(), float).reshape(shape) for c, shape in columns))

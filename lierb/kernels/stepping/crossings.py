@@ -104,7 +104,8 @@ def note_starts(desk, own, lanes):
 @shared
 def start_at_zero(desk, own, start, lanes):
     """Of trajectories in their first step, whose events have been looked at: those that are zero at
-    its start, to rounding, are on neither side. So is a body that bounces off what it has crossed.
+    its start, to rounding, are on neither side until they have left it. What has crossed is beyond
+    zero by a rounding, and may bounce. A run that goes on as it was knows its sides to the bit.
     """
     for lane in range(lanes):
         if desk[TOOK, lane] > 0.0 and desk[START, lane] == start:
@@ -176,11 +177,15 @@ def find_dips(desk, own, lanes):
         for event in range(count):
             desk[dips + event, lane] = 2.0
             if own.looks == LOOKS and desk[TOOK, lane] > 0.0:
-                desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane)
+                starts = desk[own.sides + event, lane] == 0.0
+                desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane, starts)
 
 
 @shared
-def dip_of(desk, first, every, lane):
+def dip_of(desk, first, every, lane, starts):
+    """starts : whether the event is zero at the step's start, to rounding: it may leave zero on one
+    side and be on the other one at the first look.
+    """
     a, b, c = desk[first, lane], desk[first + every, lane], desk[first + 2 * every, lane]
     d, e = desk[first + 3 * every, lane], desk[first + 4 * every, lane]
     values = (a, b, c, d, e)
@@ -194,7 +199,7 @@ def dip_of(desk, first, every, lane):
     extent = max(values) - min(values)
     found, nearest = 2.0, NEAR * extent
     for look in range(LOOKS):
-        side = side_of(values[look])
+        side = side_of(values[1 if starts and look == 0 else look])
         low, high = side * values[look], side * values[look + 1]
         falls, rises = side * slopes[look], side * slopes[look + 1]
         # A slope is known but roughly: where it is small, least may be on either side of a look.
@@ -244,7 +249,7 @@ def note_dip(desk, own, event, lanes):
         if desk[MARK, lane] == 0.0:
             continue
         theta, value, best = desk[THETA, lane], desk[searched, lane], desk[dip, lane]
-        side = side_of(desk[AT_LOW, lane])
+        side = side_of(desk[AT_HIGH, lane])
         if theta == best:
             desk[at_dip, lane] = value
             shift(desk, own, event, lane, side)
@@ -284,7 +289,7 @@ def look_deeper(desk, own, event, looked, lanes):
     for lane in range(lanes):
         if desk[MARK, lane] == 0.0:
             continue
-        side, theta = side_of(desk[AT_LOW, lane]), desk[dip, lane]
+        side, theta = side_of(desk[AT_HIGH, lane]), desk[dip, lane]
         value = side * desk[dip + own.watched, lane]
         before, after = desk[LOW, lane] - theta, desk[HIGH, lane] - theta
         falls = (side * desk[AT_LOW, lane] - value) / before
@@ -295,6 +300,8 @@ def look_deeper(desk, own, event, looked, lanes):
         deep = slope * slope > 4.0 * DEEPER * bend * value or looked < TRUSTED
         if value > 0.0 and bend > 0.0 and deep and looked < LOOKED:
             least = theta - 0.5 * slope / bend
+            if looked % 3.0 == 2.0:  # or one side stays as it is
+                least = theta + 0.5 * (before if -before > after else after)
             if desk[LOW, lane] < least < desk[HIGH, lane] and least != theta:
                 again, desk[MARK, lane], desk[THETA, lane] = True, 1.0, least
     return again

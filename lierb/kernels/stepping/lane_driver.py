@@ -67,11 +67,9 @@ from lierb.kernels.stepping.driver import (
 from lierb.kernels.stepping.held import with_signals
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.lane_formulas import (
-    after_tick,
     any_of,
     as_ended,
     attempted,
-    before_tick,
     ended_between,
     fate_now,
     goes_on,
@@ -279,15 +277,15 @@ def integrate_lanes(plan, inputs, counter, jobs):
             fresh = taken(failed, failed, accepted)
         ticks = to_tick(plan, body, clock, held, fresh, fate)
         if any_of(ticks):
-            record, clock = before_tick(plan, body, state, held, record, clock, ticks)
-            held = ticked(plan, body, state, clock, held, ticks, desk, job.seed)
-            record = after_tick(plan, body, state, held, record, clock, ticks)
+            record, clock, held = ticked(
+                plan, body, state, record, clock, held, ticks, desk, job.seed
+            )
         fate = fate_now(clock, span, limits, record, fresh, fate)
         if looks_now(plan, clock, span, fresh, fate):
             seen = with_signals(plan, body, state, held)
             shown, record, clock = looked(plan, seen, state, held, record, clock, span, fresh, fate)
             fate = fate_now(clock, span, limits, record, fresh, fate)
-            if mark_due(plan, desk, clock, fresh):
+            while mark_due(plan, desk, clock, fresh):  # some may be due within a rounding
                 _store_row(plan, seen, inputs, state, record, shown, own, job.rows, clock.t)
                 told[0, ASKED] = HANDING_ROW
                 call(job.serve, inputs, counter, jobs)

@@ -63,7 +63,7 @@ from lierb.kernels.stepping.lane_clock import (
     trial_of,
 )
 from lierb.kernels.stepping.layout import LANE_END
-from lierb.kernels.stepping.observables import observables_of, with_value
+from lierb.kernels.stepping.observables import Kept, observables_of, with_value
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import (
     controllers_of,
@@ -227,22 +227,62 @@ def _ticks(clock: LaneClock, tick: Any, every: Any, fresh: Any) -> Any:
     return (fresh > 0.5) & (every * tick - clock.t <= rounding_at(clock.t))
 
 
+class Ticked(NamedTuple):
+    record: Record
+    clock: LaneClock
+    held: Held
+
+
 def ticked(
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    record: Record,
+    clock: LaneClock,
+    held: Held,
+    ticks: Any,
+    desk: Any,
+    seed: Any,
+) -> Ticked:
+    """With what controllers set, where they are to run; each sees what those before it have set.
+    A mean's interval that ends here has no part of what comes after it.
+    """
+    others = silenced(plan, ticks)
+    watches = observables_of(plan) and controllers_of(plan)
+    if watches:
+        due = (ticks > 0.5) & (clock.t > clock.seen)
+        half = 0.5 * (clock.t - clock.seen)
+        before = _observed(plan, body, state, held, record, clock.t, half)
+        record = record._replace(observed=where(due, before, record.observed))
+        clock = clock._replace(seen=where(due, clock.t, clock.seen))
+    held = _controlled(plan, body, state, clock, held, ticks, desk, seed)
+    if watches:
+        zero = 0.0 * clock.t
+        after = _observed(plan, body, state, held, record, clock.t, zero)
+        after = tuple(
+            new._replace(total=old.total, lost=old.lost)  # an infinite one stays so
+            for new, old in zip(after, record.observed, strict=True)
+        )
+        record = record._replace(observed=where(ticks > 0.5, after, record.observed))
+    restored(plan, others, ticks)
+    return Ticked(record, clock, held)
+
+
+def _controlled(
     plan: AnyPlan,
     body: Any,
     state: State,
     clock: LaneClock,
     held: Held,
-    fresh: Any,
+    ticks: Any,
     desk: Any,
     seed: Any,
 ) -> Held:
-    """With what controllers set now; each sees what those before it have just set."""
     system, trajectory = system_of(plan), row_of(plan, desk, NUMBER)
     periods = _periods(plan, body)
     for number, every in enumerate(periods):
         tick = held.ticks[number]
-        due = _ticks(clock, tick, every, fresh)
+        due = _ticks(clock, tick, every, ticks)
         at = with_signals(plan, body, state, held)
         seen = system.seen(at, state, clock.t)
         noise = Noise(seed, trajectory, tick)
@@ -255,42 +295,17 @@ def ticked(
     return held
 
 
-def before_tick(
-    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, clock: LaneClock, ticks: Any
-) -> tuple[Record, LaneClock]:
-    """With what observables have been until now, where a tick changes what they see: of a mean the
-    interval that ends here has no part of what comes after it.
-    """
-    if not (observables_of(plan) and controllers_of(plan)):
-        return record, clock
-    due = (ticks > 0.5) & (clock.t > clock.seen)
-    half = 0.5 * (clock.t - clock.seen)
-    record = _with_observed(plan, body, state, held, record, clock.t, half, due)
-    return record, clock._replace(seen=where(due, clock.t, clock.seen))
-
-
-def after_tick(
-    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, clock: LaneClock, ticks: Any
-) -> Record:
-    """With what observables are from now on."""
-    if not (observables_of(plan) and controllers_of(plan)):
-        return record
-    return _with_observed(plan, body, state, held, record, clock.t, 0.0 * clock.t, ticks > 0.5)
-
-
-def _with_observed(
-    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, time: Any, half: Any,
-    mask: Any,
-) -> Record:  # fmt: skip
+def _observed(
+    plan: AnyPlan, body: Any, state: State, held: Held, record: Record, time: Any, half: Any
+) -> tuple[Kept, ...]:
+    """What is kept of the observables, with one value more."""
     system, body = system_of(plan), with_signals(plan, body, state, held)
     alive = record.status == OK
     values = system.observed(body, system.seen(body, state, time), time)
-    pairs = zip(record.observed, values, strict=True)
-    now = tuple(
+    return tuple(
         with_value(old, where(alive, value, NAN), half, alive, by_halves=True)
-        for old, value in pairs
+        for old, value in zip(record.observed, values, strict=True)
     )
-    return record._replace(observed=where(mask, now, record.observed))
 
 
 def _set(numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
@@ -341,9 +356,12 @@ def looked(
     fate: Any,
 ) -> Look:
     now = to_measure(clock, span, fresh, fate)
+    asked = where(now | _is_due(clock, fresh), 1.0, 0.0 * fresh)
+    others = silenced(plan, asked)
     half = 0.5 * (clock.t - clock.seen)
     shown, seen = observe(plan, body, state, record, clock.steps, clock.t, half, by_halves=True)
     record = where(now, seen, without_measures(plan, record, seen))
+    restored(plan, others, asked)
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
     return Look((*shown, *state.states, *held.controls), record, clock)
 
@@ -550,7 +568,7 @@ def ended_between(
 
 for _formula in (
     any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick,
-    before_tick, after_tick, ticked, fate_now, looks_now, looked, mark_due, with_due,
+    ticked, fate_now, looks_now, looked, mark_due, with_due,
     store_lane_summary, as_ended, next_trial, attempted, verdict_on, with_failures, is_to_tidy,
     tidied, is_due_between, slopes_between, state_between, time_between, mark_due_between,
     shown_between, put_values, put_signals, put_trial, ended_between, with_signals, goes_on,

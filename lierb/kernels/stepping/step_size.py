@@ -26,6 +26,9 @@ DAMPING = 0.1  # of the PI controller: β = 0.1 / k, α = 1 / k − 0.75 β
 LEAST_REMEMBERED = -26.0  # log₂ of a squared error: 1e-8
 SMALLEST, LARGEST = 1e-20, 1e60  # of a squared error: what is beyond changes a step no more
 LEAST_ULPS = 16.0  # of the time, in a step
+# What rounding may leave of what gravity does to v and to a position in a step: high orders have
+# weights of up to 50 and more.
+ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
 
 
@@ -61,7 +64,7 @@ def squared_error(
 ) -> Any:
     """The square of a step's error, against 1."""
     assert plan.embedded is not None
-    scales = _scales(plan, body, state, moved, limits)
+    scales = _scales(plan, body, state, moved, limits, h)
     found = [
         _largest(plan, body, _defect(plan, body, slopes, h, weights), scales)
         for weights in plan.embedded.weights
@@ -123,27 +126,38 @@ class _Scales(NamedTuple):
     states: tuple[Any, ...]
 
 
-def _scales(plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolerances) -> _Scales:
-    """By the larger of a block's sizes at both ends of the step."""
+def _scales(
+    plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolerances, h: Any = ZERO
+) -> _Scales:
+    """By the larger of a block's sizes at both ends of the step.
+
+    Where atol is the body's own, no less is asked for than rounding leaves of its weight and of a
+    force that holds it: a small body's size is less than that.
+    """
     ends = [_sizes(plan, body, each) for each in (state, moved)]
     rtol = limits.rtol * limits.rtol
 
-    def allowed(atol: Any, *sizes: Any, unit: Any = 1.0) -> Any:
+    def allowed(atol: Any, *sizes: Any, unit: Any = 1.0, least: Any = ZERO) -> Any:
         largest = sizes[0]
         for size in sizes[1:]:
             largest = maximum(largest, size)
-        return 1.0 / fma(atol * atol, unit, rtol * largest)
+        return 1.0 / (fma(atol * atol, unit, rtol * largest) + least)
 
     def unit(is_own: Any) -> Any:  # squared
         return where(is_own > 0.5, body.girth, 1.0)
 
+    falls = h * h * dot(body.gravity, body.gravity)
     atols = (
-        (limits.position_atol, unit(limits.position_is_own)),
-        (limits.omega_atol, 1.0),
-        (limits.v_atol, unit(limits.v_is_own)),
-    )
+        (
+            limits.position_atol, unit(limits.position_is_own),
+            limits.position_is_own * ROUNDED_PLACE**2 * (h * h * falls),
+        ),
+        (limits.omega_atol, 1.0, ZERO),
+        (limits.v_atol, unit(limits.v_is_own), limits.v_is_own * ROUNDED_V**2 * falls),
+    )  # fmt: skip
     places, turning, moving = (
-        allowed(atol, *(end[i] for end in ends), unit=size) for i, (atol, size) in enumerate(atols)
+        allowed(atol, *(end[i] for end in ends), unit=size, least=least)
+        for i, (atol, size, least) in enumerate(atols)
     )
     states = tuple(
         allowed(limits.states_atol, *pair) for pair in zip(*(e[3] for e in ends), strict=True)
