@@ -253,13 +253,15 @@ def note_dip(desk, own, event, lanes):
         if theta == best:
             desk[at_dip, lane] = value
             shift(desk, own, event, lane, side)
-        elif side * value < side * desk[at_dip, lane]:
-            bound, at_bound = (HIGH, AT_HIGH) if theta < best else (LOW, AT_LOW)
-            desk[bound, lane], desk[at_bound, lane] = best, desk[at_dip, lane]
+            continue
+        beside, at_beside = theta, value
+        if side * value < side * desk[at_dip, lane]:
+            beside, at_beside = best, desk[at_dip, lane]
             desk[dip, lane], desk[at_dip, lane] = theta, value
+        if beside < desk[dip, lane]:
+            desk[LOW, lane], desk[AT_LOW, lane] = beside, at_beside
         else:
-            bound, at_bound = (LOW, AT_LOW) if theta < best else (HIGH, AT_HIGH)
-            desk[bound, lane], desk[at_bound, lane] = theta, value
+            desk[HIGH, lane], desk[AT_HIGH, lane] = beside, at_beside
 
 
 @shared
