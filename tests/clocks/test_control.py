@@ -408,8 +408,8 @@ def test_draws_do_not_know_of_each_other(drawn):
 
 @pytest.mark.parametrize(("made", "match"), [
     (lambda: [pid(every=0.0)], "every"), (lambda: [pid(every=-1.0)], "every"),
-    (lambda: [pid(kq=1.0)], "kp"), (lambda: [pid(evry=1.0)], "Did you mean 'every'"),
-    (lambda: [pid(integrl=(0.0,) * 3)], "Did you mean 'integral'"),
+    (lambda: [pid(kq=1.0)], "kp"), (lambda: [pid(everi=1.0)], "Did you mean 'every'"),
+    (lambda: [pid(integrall=(0.0,) * 3)], "Did you mean 'integral'"),
     (lambda: [pid(), pid()], "torque"),
     (lambda: [pid(integral=(1.0, 2.0))], "integral"),
 ])  # fmt: skip
