@@ -57,7 +57,8 @@ NO_NUMBERS = {  # abstract, or of other things
     "mechanics.rows.HeldBody.pitch", "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection",
-    "stepping.formulations.SaddlePoint.is_light", "stepping.plan.AnyPlan.formulation",
+    "stepping.formulations.SaddlePoint.is_light", "stepping.formulations.Subgroup.is_homogeneous",
+    "stepping.plan.AnyPlan.formulation",
     "stepping.signals.Watching.motions",
 }  # fmt: skip
 
