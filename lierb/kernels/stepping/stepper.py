@@ -25,7 +25,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 class Slopes(NamedTuple):
-    """What the stages of a step have found, one entry each."""
+    """What the stages of a step have found, one entry each; by h where `counts_in_steps`."""
 
     x: tuple[Vec, ...]  # Ẋ; of a commutator-free method V
     v_or_mu: tuple[Vec, ...]
