@@ -67,7 +67,8 @@ def controlled(count: int, which=slice(None)):
 
     given = {name: array[which] for name, array in fleet(count).items()}
     held = lierb.joints.spherical()
-    body = lierb.Body(np.full(len(given["omega"]), 100.0), given["moments"])
+    inertia = given["moments"][:, :, None] * np.eye(3)
+    body = lierb.Body(np.full(len(given["omega"]), 100.0), inertia)
     problem = lierb.Problem(body, held, forces=[thrusters()], controllers=[attitude()])
     pose0 = np.tile(np.eye(4), (len(given["omega"]), 1, 1))
     pose0[:, :3, :3] = given["rotation"]
