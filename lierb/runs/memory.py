@@ -32,10 +32,10 @@ def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
     in some processes after every call, and the page faults of taking it again then last as long as
     two steps of each trajectory.
     """
-    size, pool = 8 * math.prod(shape), pa.default_memory_pool()
-    if size not in POOLED or pool.backend_name != "mimalloc":
+    size = 8 * math.prod(shape)
+    if size not in POOLED or pa.default_memory_pool().backend_name != "mimalloc":
         return np.empty(shape)
-    return np.frombuffer(pa.allocate_buffer(size, memory_pool=pool)).reshape(shape)
+    return np.frombuffer(pa.allocate_buffer(size)).reshape(shape)
 
 
 def require_memory(size: int, what: str, remedy: str) -> None:

@@ -283,7 +283,8 @@ def _checked_tolerance(name: str, given: Any) -> float:
 
 def _checked_length(name: str, given: Any, zero: bool = False) -> float:
     number = _real(given)
-    if not (0.0 < number <= math.inf or (zero and number == 0.0)) or (zero and number == math.inf):
+    fits = 0.0 <= number < math.inf if zero else 0.0 < number <= math.inf
+    if not fits:
         raise ArgumentError(f"{name}={told(given)}; expected a positive time in s")
     return number
 

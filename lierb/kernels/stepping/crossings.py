@@ -58,7 +58,6 @@ def watch(service, inputs, counter, jobs):
     elif asked == BEGINNING:
         begin_looks(desk, lanes)
         told[0, TASK], told[0, TURN], told[0, FIRST] = LOOKING, 0.0, events[0, 0] + 1.0
-        told[0, AGAIN] = 0.0
     elif asked == GOING_ON:
         first, task = int(told[0, FIRST]), int(told[0, TASK])
         if task == LOOKING and turn + 1 == own.looks and job.begin != RESUMED:

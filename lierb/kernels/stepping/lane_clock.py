@@ -215,9 +215,9 @@ def judged(
         failed = where(raised, float(RAISED), failed)
         return where(accepted, 1.0, 0.0 * steps), failed, where(accepted, taken, again)
 
-    one = 0.0 * steps
+    zero = 0.0 * steps
     found: tuple[Any, Any, LaneClock] = branch(
-        all_lanes(accepted), lambda: (one + 1.0, one + float(OK), taken), some_refused
+        all_lanes(accepted), lambda: (zero + 1.0, zero + float(OK), taken), some_refused
     )
     return Verdict(*found)
 
