@@ -341,10 +341,16 @@ def test_command_says_what_is_wrong(options, said, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_SECONDS", 0.5)
     file = tmp_path / "study.toml"
     file.write_text(TEXT)
+    started, start = [], dask.distributed.Client.start
+    monkeypatch.setattr(
+        dask.distributed.Client, "start", lambda c, **given: (started.append(c), start(c, **given))
+    )
     result = invoke(file, "--out", tmp_path / "out", *options)
     assert result.exit_code in (1, 2)
     assert said in result.output
     assert not (tmp_path / "out").exists()
+    # Amidst another one's start the collector would wait for ever to close it.
+    assert all(client.status == "closed" for client in started)
 
 
 def test_command_joins_a_scheduler(client, tmp_path):

@@ -120,9 +120,13 @@ def client_of(scheduler: str) -> Iterator[Client]:
     from distributed import Client
 
     _be_quiet()
+    client = Client.__new__(Client)  # kept, to be closed where its start fails
     try:
-        client = Client(scheduler, timeout=CONNECT_SECONDS)
+        client.__init__(scheduler, timeout=CONNECT_SECONDS)
     except Exception as error:  # each kind of address has its own
+        # Left to the collector, it may be closed amidst another one's start, and wait for its lock.
+        with suppress(Exception):
+            client.close()
         raise StudyError(
             f"no Dask scheduler answers at {scheduler}: {error}; expected an address such as "
             "tcp://10.0.0.1:8786, as the scheduler prints it when it starts"
