@@ -212,12 +212,12 @@ def integrate(
         return error is None
 
     _require_memory(plan, times, count, recorded)
-    checked = on_violation != "off" and not ready.goes_on
-    metadata = provenance(
+    checked = on_violation != "off" and ready.before is None
+    described_run = provenance(
         problem,
         twist0=ready.twist0,
         pose0=ready.pose0,
-        is_continued=ready.goes_on,
+        before=ready.before,
         plan=plan,
         options=options,
         more=more,
@@ -233,10 +233,11 @@ def integrate(
             with_state="state" in recorded, threads=threads, progress=progress, check=checked_start,
         )  # fmt: skip
         output = run(plan, inputs, times)
+        metadata = described_run()
         result = Result(
             summary_table(output, metadata, problem),
             history_table(output, recorded, plan, metadata, problem) if timing.saves else None,
-            End(problem, plan, output, STATUS_NAMES),
+            End(problem, plan, output, STATUS_NAMES, metadata),
             events_table(output, metadata, problem) if problem.events else None,
         )
     except MemoryError as error:

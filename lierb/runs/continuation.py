@@ -34,7 +34,7 @@ class Continuation:
     """The driver's state at the end of a run, and what it belongs to.
 
     state : `end_columns` of the plan, [column][body].
-    twist0 : (n, 6), of a mechanism by link.   t0 : s.
+    twist0 : (n, 6), of a mechanism by link.   t0 : s.   provenance : of the run.
     """
 
     problem: Problem | Mechanism
@@ -43,6 +43,7 @@ class Continuation:
     t0: float
     clock: Times
     state: Array
+    provenance: str
 
     def fits(self, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float) -> bool:
         """Whether a run that starts so goes on from here; other forces may act from now on."""
@@ -226,13 +227,14 @@ def continuation_of(pose0: Any) -> Continuation | None:
 class End:
     """The end of a run, from which it can go on.
 
-    statuses : names of the statuses, by their codes.
+    statuses : names of the statuses, by their codes.   provenance : of the run.
     """
 
     problem: Problem | Mechanism
     plan: AnyPlan
     output: Output
     statuses: dict[int, str]
+    provenance: str
 
     def keywords(self) -> dict[str, Any]:
         """pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
@@ -246,7 +248,7 @@ class End:
             twists = {name: twist for name, (_, twist) in pairs.items()}
             poses = EndPoses({name: pose for name, (pose, _) in pairs.items()})
         poses.continuation = Continuation(
-            self.problem, self.plan, twists, t, clock, self.output.ends
+            self.problem, self.plan, twists, t, clock, self.output.ends, self.provenance
         )
         return {"pose0": poses, "twist0": twists, "t0": t}
 

@@ -42,7 +42,7 @@ def ready_mechanism(
         clock = known.clock_of(clock)
     state = None if known is None else known.state_of(plan)
     inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)
-    return Ready(plan, inputs, clock, poses, twists, known is not None)
+    return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
 
 
 def arrays_of(mechanism: Mechanism, argument: str, given: Any) -> dict[str, Array]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from functools import cache, lru_cache
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -23,6 +25,9 @@ from lierb.model import Problem
 from lierb.user_elements import Element
 
 LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
+LARGE = 1 << 16  # numbers of a start whose digest takes longer than to start a thread for it
+
+Start = Array | dict[str, Array]  # of a mechanism by link
 
 
 @cache
@@ -46,11 +51,34 @@ def machine() -> dict[str, Any]:
 
 
 def provenance(
+    problem: Problem | Mechanism, *, twist0: Start, pose0: Start | None, **more: Any
+) -> Callable[[], str]:
+    """What gives the text of `_described`, once it is asked for: the digests of a large start are
+    made in a thread of their own, beside the run.
+    """
+    described = partial(_described, problem, twist0=twist0, pose0=pose0, **more)
+    if more["before"] is None and _count_of(twist0) + _count_of(pose0) >= LARGE:
+        pool = ThreadPoolExecutor(1, "lierb")
+        found = pool.submit(described)
+        pool.shutdown(wait=False)
+        return found.result
+    text = described()
+    return lambda: text
+
+
+def _count_of(start: Start | None) -> int:
+    """Numbers of it."""
+    if start is None:
+        return 0
+    return sum(map(_count_of, start.values())) if isinstance(start, dict) else start.size
+
+
+def _described(
     problem: Problem | Mechanism,
     *,
-    twist0: Array | dict[str, Array],
-    pose0: Array | dict[str, Array] | None,
-    is_continued: bool,
+    twist0: Start,
+    pose0: Start | None,
+    before: str | None,
     plan: AnyPlan,
     options: dict[str, Any],
     more: dict[str, Any],
@@ -58,15 +86,15 @@ def provenance(
     """A JSON object.
 
     options : hashable.   more : such that are not, or differ from run to run.
-    is_continued : whether twist0 and pose0 stand for the end of another run, to rounding.
+    before : of the run for whose end twist0 and pose0 stand, to rounding, if they do.
     """
     if problem not in _problems:
         _problems[problem] = json.dumps(_described_problem(problem))
     start = {
-        "twist0": _described_start(twist0),
-        "pose0": None if pose0 is None else _described_start(pose0),
+        "twist0": _described_start(twist0, before),
+        "pose0": None if pose0 is None else _described_start(pose0, before),
     }
-    if is_continued:
+    if before is not None:
         start["continued"] = True
     whole_problem = _merged(_problems[problem], json.dumps(start))
     return _merged(
@@ -115,11 +143,13 @@ def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
 _problems: WeakKeyDictionary[Problem | Mechanism, str] = WeakKeyDictionary()
 
 
-def _described_start(given: Array | dict[str, Array]) -> Any:
-    """Of a mechanism by link."""
+def _described_start(given: Start, before: str | None) -> Any:
     if isinstance(given, dict):
-        return {name: described_array(array) for name, array in given.items()}
-    return described_array(given)
+        return {name: _described_start(array, before) for name, array in given.items()}
+    if before is None or given.size <= LISTED:
+        return described_array(given)
+    digest = hashlib.sha256(before.encode())  # of kilobytes, not megabytes
+    return {"shape": list(given.shape), "end_of": digest.hexdigest()}
 
 
 def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:

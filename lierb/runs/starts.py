@@ -19,7 +19,7 @@ from lierb.runs.engine import Inputs
 class Ready(NamedTuple):
     """pose0, twist0 : as arrays, of a mechanism by link; pose0 is None for the closed joint.
 
-    goes_on : whether it starts from the driver's own state, where another run has ended.
+    before : provenance of the run at whose end it starts, from the driver's own state, if it does.
     """
 
     plan: AnyPlan
@@ -27,7 +27,7 @@ class Ready(NamedTuple):
     clock: Clock | None
     pose0: Any
     twist0: Any
-    goes_on: bool
+    before: str | None
 
 
 def ready_body(
@@ -63,4 +63,4 @@ def ready_body(
     state = None if known is None else known.state_of(plan)
     starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
     inputs = Inputs(problem, system_of(plan).inputs, starts, count, t0, state)
-    return Ready(plan, inputs, clock, poses, twists, known is not None)
+    return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
