@@ -25,7 +25,7 @@ from lierb.errors import (
     UnknownNameError,
 )
 from lierb.kernels.stepping.clock import time_of
-from lierb.kernels.stepping.driver import UNSEEN, store_start
+from lierb.kernels.stepping.driver import UNSEEN, load_given, store_start
 
 POINT = (-0.15, 0.0375, 0.0)
 BOX = (0.0126563, 0.0468281, 0.0569531)
@@ -46,7 +46,9 @@ def stop_before_running(monkeypatch):
             for body in range(chunk.start, chunk.stop):
                 numbers = np.array(run.inputs.numbers(body))[:, None]
                 with np.errstate(all="ignore"):
-                    store_start(run.plan, numbers, run.output.summary, body, time_of(run.clock, 0))
+                    time = time_of(run.clock, 0)
+                    given = load_given(run.plan, numbers, time)
+                    store_start(run.plan, given, numbers, run.output.summary, body, time)
         if end > 0 and (begin != UNSEEN or run.output.starts(chunk.start, chunk.stop).all()):
             raise DriverReached
         return 1.0

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.compiler.entries import take_turn
+from lierb.compiler.entries import take_turns
 from lierb.errors import ForkError
 
 pytestmark = pytest.mark.skipif(
@@ -136,7 +136,7 @@ def test_no_number_is_taken_twice():
         counter = np.zeros(1, np.int64)
         for _ in numba.prange(threads):
             while True:
-                number = take_turn(counter)
+                number = take_turns(counter, 1)
                 if number >= count:
                     break
                 times[number] += 1
@@ -264,7 +264,7 @@ import gc, multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
-from lierb.compiler.entries import take_turn
+from lierb.compiler.entries import take_turns
 
 top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
 

@@ -112,22 +112,22 @@ def _propagate(context: Any, raised: Any) -> Any:
     return types.none(raised), generate
 
 
-def take_turn(counter: Any) -> Any:
-    """The number in `counter`, an int64 array, then raised by one: no two threads get the same."""
+def take_turns(counter: Any, count: Any) -> Any:
+    """The number in `counter`, an int64 array, which is then raised by so many, for one thread."""
     number = counter[0]
-    counter[0] = number + 1
+    counter[0] = number + count
     return number
 
 
 @intrinsic
-def _atomic_increment(context: Any, counter: Any) -> Any:
+def _atomic_add(context: Any, counter: Any, count: Any) -> Any:
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, args: Any) -> Any:
         array = context.make_array(counter)(context, builder, args[0])
-        return builder.atomic_rmw("add", array.data, ir.Constant(INT64, 1), "monotonic")
+        return builder.atomic_rmw("add", array.data, args[1], "monotonic")
 
-    return types.int64(counter), generate
+    return types.int64(counter, types.int64), generate
 
 
-@overload(take_turn)
-def _take_turn(counter):  # no annotations: Numba compares signatures
-    return lambda counter: _atomic_increment(counter)
+@overload(take_turns)
+def _take_turns(counter, count):  # no annotations: Numba compares signatures
+    return lambda counter, count: _atomic_add(counter, count)

@@ -21,7 +21,13 @@ from lierb.kernels.mechanics.constraints import (
     rotation_error_squared,
 )
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Kinematics
-from lierb.kernels.mechanics.scale import Tolerances, bearings, start_tolerances
+from lierb.kernels.mechanics.scale import (
+    PoseTolerances,
+    TwistTolerances,
+    bearings,
+    pose_tolerances,
+    twist_tolerances,
+)
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.layout import inputs_of
@@ -73,14 +79,15 @@ def _violation_of(inputs: Inputs, number: int) -> LierbError | None:
     placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
     x = SE3.kinematics(body, placed, velocity)._replace(time=np.float64(inputs.time))
     labels = [body_label(argument, number, inputs.count) for argument in ("pose0", "twist0")]
-    allowed = start_tolerances(problem.rows, parameters, pose, twist, x, body)
-    return _pose_violation(problem, x, body, allowed, labels[0]) or _twist_violation(
-        problem, x, body, velocity, allowed, labels[1]
+    held = pose_tolerances(parameters, pose)
+    moving = twist_tolerances(problem.rows, parameters, held, twist, x, body)
+    return _pose_violation(problem, x, body, held, labels[0]) or _twist_violation(
+        problem, x, body, velocity, moving, labels[1]
     )
 
 
 def _pose_violation(
-    problem: Problem, x: Kinematics, body: BodyConstants, allowed: Tolerances, label: str
+    problem: Problem, x: Kinematics, body: BodyConstants, allowed: PoseTolerances, label: str
 ) -> PoseError | None:
     rows, joint = problem.rows, problem.joint
     if any(bearing <= 0.0 for bearing in bearings(rows, x.q)):
@@ -121,7 +128,7 @@ def _twist_violation(
     x: Kinematics,
     body: BodyConstants,
     velocity: Vec,
-    allowed: Tolerances,
+    allowed: TwistTolerances,
     label: str,
 ) -> TwistError | None:
     rates = [r.prescribed_rate(x, body) for r in problem.rows]
@@ -129,7 +136,7 @@ def _twist_violation(
         return unfit
     squares = rate_errors_squared(problem.rows, x, body, velocity)
     for what, unit, squared, most in zip(
-        ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, allowed[2:], strict=True
+        ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, allowed, strict=True
     ):
         error = _root(squared)
         if error <= most < np.inf:

@@ -25,7 +25,10 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.functions.function import line_that_raised
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.driver import (
+    BODIES,
+    POSES,
     RESUMED,
+    TWISTS,
     UNSEEN,
     carried_columns,
     end_columns,
@@ -49,7 +52,7 @@ from lierb.runs.memory import room
 from lierb.runs.progress import Progress, reporter
 
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
-ZERO_STATE = np.zeros(1)
+ZERO = np.zeros(1)
 
 # In one chunk at the least: what is carried of them stays in the cache beside the state.
 CHUNK_BODIES = 4096
@@ -100,6 +103,11 @@ def _places_of(field: Field, array: Array) -> Places:
     return places
 
 
+def _nowhere(count: int) -> Places:
+    """Of so many columns that nobody asks for: a zero, for all bodies."""
+    return np.full((count, 2), (ZERO.ctypes.data, 0), dtype=np.int64)
+
+
 @lru_cache(64)
 def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
     """Of a field's numbers in an item, in bytes."""
@@ -113,7 +121,7 @@ def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
     """Found once: of a call for one body it takes a tenth of the time."""
     if problem not in _layouts:
         arrays = numbers_of(problem)
-        places = np.zeros((columns["state"].start, 2), dtype=np.int64)
+        places = _nowhere(columns["state"].start)
         for field, part in columns:
             if field.name in arrays:
                 places[part] = _places_of(field, arrays[field.name])
@@ -152,20 +160,26 @@ class Inputs:
     state: Array | None = None
 
     @property
-    def differ(self) -> bool:
-        """Whether bodies do, not only their starts."""
-        return _layout(self.problem, self.columns).differ
+    def differ(self) -> int:
+        """What does from trajectory to trajectory: TWISTS, POSES or BODIES."""
+        if _layout(self.problem, self.columns).differ:
+            return BODIES
+        are_one = self.state is not None or all(
+            array.ndim == len(self.columns.field(name).shape) or len(array) == 1
+            for name, array in self.starts.items()
+            if name != "twist"
+        )
+        return TWISTS if are_one else POSES
 
     def places(self, plan: AnyPlan) -> Places:
-        """Of every column: a run that does not go on asks for no state."""
+        """Of every column: a run that goes on asks for no pose and twist, others for no state."""
         columns, places = self.columns, _layout(self.problem, self.columns).places.copy()
-        for name, array in self.starts.items():
-            places[columns[name]] = _places_of(columns.field(name), array)
         if self.state is None:
+            for name, array in self.starts.items():
+                places[columns[name]] = _places_of(columns.field(name), array)
             return places
         at = columns["state"].start
-        of_state = np.zeros((columns.count - at, 2), np.int64)
-        of_state[:, 0] = ZERO_STATE.ctypes.data
+        of_state = _nowhere(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
             of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
         return np.concatenate([places, of_state])

@@ -25,6 +25,8 @@ from lierb.kernels.stepping.desk import (
     LOOKS,
     OWN_ARRAYS,
     SERVICE,
+    SHARE,
+    SHARE_END,
     TOLD,
     desk_of,
     serve,
@@ -255,15 +257,16 @@ class LaneRun:
 
     def done(self) -> float:
         """Trajectories so far, those on their way by their time."""
-        going, share = 0, 0.0
+        waiting, going, share = 0.0, 0, 0.0
         first = desk_of(self.plan)["clock"].start
         span = self.times.span
         for desk in self._desks:
-            rows = desk.arrays["desk"]
+            rows, told = desk.arrays["desk"], desk.arrays["told"][0]
+            waiting += max(told[SHARE_END] - told[SHARE], 0.0)
             on_way = rows[ACTIVE] > 0.0
             going += int(np.count_nonzero(on_way))
             share += float(((rows[first, on_way] - span.start) / (span.end - span.start)).sum())
-        return min(int(self._counter[0]), self.inputs.count) - going + share
+        return min(int(self._counter[0]), self.inputs.count) - waiting - going + share
 
 
 def integrate(

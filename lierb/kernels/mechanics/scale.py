@@ -37,36 +37,46 @@ def rounding_of(p: Parameters, pose: Pose) -> Any:
     return ROUNDING * (norm(pose[1]) + norm(p.ground[1]) + norm(p.body[1]))
 
 
-class Tolerances(NamedTuple):
-    """The largest errors that a start may have, in the order of `Measures`."""
+class PoseTolerances(NamedTuple):
+    """The largest errors that the pose of a start may have, and ℓ, m."""
 
+    length: Any
     position: Any  # m
-    rotation: Any
+    rotation: Any = START_TOLERANCE
+
+
+class TwistTolerances(NamedTuple):
+    """The largest errors that its twist may have."""
+
     velocity: Any  # m/s
     rotation_rate: Any  # rad/s
 
 
-def start_tolerances(
-    rows: Rows, p: Parameters, pose: Pose, twist: Vec, x: Kinematics, body: BodyConstants
-) -> Tolerances:
-    """Of a start in the user's frames; `x` and `body` are the same in joint axes.
+def pose_tolerances(p: Parameters, pose: Pose) -> PoseTolerances:
+    """Of a pose in the user's frames."""
+    length = length_of(p)
+    return PoseTolerances(length, fma(START_TOLERANCE, length, rounding_of(p, pose)))
+
+
+def twist_tolerances(
+    rows: Rows, p: Parameters, held: PoseTolerances, twist: Vec, x: Kinematics, body: BodyConstants
+) -> TwistTolerances:
+    """Of a twist in the user's frames; `x` and `body` are the same in joint axes.
 
     A velocity may be off as a position may, and by the rounding of the speed that gravity and
     motors bring about in the problem's own time: a body at rest has none but that.
+
+    held : of the pose.
     """
-    length = length_of(p)
-    position = fma(START_TOLERANCE, length, rounding_of(p, pose))
-    omega = twist[:3]
+    omega, length = twist[:3], held.length
     speed = norm(cross_add(omega, p.com, twist[3:])) + length * norm(omega)
     ahead = sqrt(norm(p.gravity) / length)  # rad/s
     for r in rows:
         if not r.is_holonomic:
             ahead = ahead + sqrt(absolute(r.acceleration(x, body)))
     brought = ROUNDING * ahead
-    return Tolerances(
-        position,
-        START_TOLERANCE,
-        fma(position / length, speed, length * brought),
+    return TwistTolerances(
+        fma(held.position / length, speed, length * brought),
         fma(START_TOLERANCE, speed / length, brought),
     )
 

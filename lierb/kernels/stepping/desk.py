@@ -14,11 +14,10 @@ from typing import get_type_hints
 import numpy as np
 
 from lierb.compiler.code import cached
-from lierb.compiler.entries import take_turn
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.tags import Tag
 from lierb.kernels.functions.function import size_of
-from lierb.kernels.stepping.driver import ARRAYS
+from lierb.kernels.stepping.driver import ARRAYS, take_share
 from lierb.kernels.stepping.lane_clock import LaneClock, Span
 from lierb.kernels.stepping.layout import Columns, Field
 from lierb.kernels.stepping.measures import SUMMARY
@@ -50,7 +49,7 @@ from lierb.kernels.stepping.step_size import Tolerances
     ROWS,
 ) = range(19)  # fmt: skip
 # What a loop asks of a service, and is told by it.
-ASKED, TASK, TURN, FIRST, AGAIN, IS_NEW, ANSWER, TOLD = range(8)
+ASKED, TASK, TURN, FIRST, AGAIN, IS_NEW, ANSWER, SHARE, SHARE_END, TOLD = range(10)
 TAKING, HANDING_ENDS, HANDING_ROW = range(3)  # of `serve`
 LOOKS = 4  # at events in a step, where the method has a continuous extension
 STARTS = SUMMARY.index("starts")  # which is known before
@@ -125,7 +124,7 @@ def serve(service, inputs, counter, jobs):
     desk, told, lanes = numbers_at(own.desk), numbers_at(own.told), inputs.shape[1]
     asked = told[0, ASKED]
     if asked == TAKING:
-        going = take_next(desk, job, inputs, counter, lanes, told[0, IS_NEW] > 0.0)
+        going = take_next(desk, told, job, inputs, counter, lanes)
         told[0, ANSWER] = 1.0 if going else 0.0
     elif asked == HANDING_ENDS:
         hand_over_ends(desk, own, job, lanes)
@@ -217,10 +216,11 @@ def copy_columns(shown, array, first, lanes):
 
 
 @shared
-def take_next(desk, job, inputs, counter, lanes, is_new):
-    """Lanes whose trajectory has ended take the next ones; MARK says which have one. Whether there
-    is any on its way.
+def take_next(desk, told, job, inputs, counter, lanes):
+    """Lanes whose trajectory has ended take the next ones of the thread's share; MARK says which
+    have one. Whether there is any on its way.
     """
+    is_new = told[0, IS_NEW] > 0.0
     places, varying = integers_at(job.places), integers_at(job.varying)
     save_at, numbers = numbers_at(job.save_at), numbers_at(job.numbers)
     going = False
@@ -228,7 +228,10 @@ def take_next(desk, job, inputs, counter, lanes, is_new):
         desk[MARK, lane] = 0.0
         if desk[FATE, lane] > 0.0:
             desk[FATE, lane] = 0.0
-            taken = take_turn(counter)
+            if told[0, SHARE] >= told[0, SHARE_END]:
+                told[0, SHARE], told[0, SHARE_END] = take_share(counter, job.stop, job.inputs[1])
+            taken = int(told[0, SHARE])
+            told[0, SHARE] += 1.0
             is_one = taken < job.stop
             desk[MARK, lane] = 1.0 if is_one else 0.0
             desk[ACTIVE, lane] = desk[MARK, lane]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from lierb.compiler import calls
 from lierb.compiler.code import OPTIONS, cached
-from lierb.compiler.entries import call, raise_again, take_turn
+from lierb.compiler.entries import call, raise_again, take_turns
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
 from lierb.kernels.groups.coefficients import TINY
@@ -71,6 +71,8 @@ from lierb.kernels.stepping.systems import system_of
 
 # In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
 UNSEEN, RESUMED = -1, -2
+TWISTS, POSES, BODIES = range(3)  # each with those before it
+SHARES = 8  # in which a thread takes what would be its part, the first of them
 NAN = float("nan")
 
 
@@ -98,7 +100,7 @@ JOB = np.dtype(
             ("stop", np.int64),  # the one after its last
             ("begin", np.int64),  # step of this call
             ("end", np.int64),  # 0: to look at the start alone
-            ("differ", np.int64),  # 1 where bodies do, 0 where but their starts do
+            ("differ", np.int64),  # from trajectory to trajectory: TWISTS, POSES or BODIES
             ("rows", np.int64),  # of the states, for each link: all saved times, or the last one
             *get_type_hints(Clock).items(),
         ],
@@ -192,8 +194,18 @@ def load_body(plan: AnyPlan, inputs: Any) -> Any:
     return system_of(plan).body(_inputs(plan, inputs))
 
 
-def initial_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
-    state: State = system_of(plan).start(body, _inputs(plan, inputs))
+def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
+    """What all starts in one pose have in common."""
+    return system_of(plan).placed(body, _inputs(plan, inputs))
+
+
+def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
+    """The same of what is looked at, whether they are on the joint."""
+    return system_of(plan).given(_inputs(plan, inputs), time)
+
+
+def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
+    state: State = system_of(plan).start(body, placed, _inputs(plan, inputs))
     return state
 
 
@@ -601,20 +613,22 @@ def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> N
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
 
 
-def store_start(plan: AnyPlan, inputs: Any, summary: Any, column: Any, time: Any) -> None:
+def store_start(
+    plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
+) -> None:
     """Whether the start, as given, is on the joint.
 
     time : s, of the start.
     """
-    starts = system_of(plan).starts_well(_inputs(plan, inputs), time)
+    starts = system_of(plan).starts_well(given, _inputs(plan, inputs), time)
     scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 
 
 for _formula in (
-    load_body, initial_state, initial_record, resumed_state, load_state, load_record,
-    store_carried, advance, advance_still, has_still, is_still, is_gentle, advance_gently, tidy,
-    observe, store_measures, store_state, store_forces, store_summary, store_start, store_end,
-    heard, without_measures,
+    load_body, load_placed, load_given, initial_state, initial_record, resumed_state, load_state,
+    load_record, store_carried, advance, advance_still, has_still, is_still, is_gentle,
+    advance_gently, tidy, observe, store_measures, store_state, store_forces, store_summary,
+    store_start, store_end, heard, without_measures,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -623,7 +637,7 @@ for _formula in (
 
 
 @numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
-def _integrate_block(plan, body, inputs, first, job, clock):
+def _integrate_block(plan, body, placed, given, inputs, first, job, clock):
     """A call's steps of the block that starts with the chunk's trajectory `first`.
 
     With begin = UNSEEN the start is looked at first. With begin = RESUMED the state to start from
@@ -632,7 +646,7 @@ def _integrate_block(plan, body, inputs, first, job, clock):
     column, summary = job.first + first, numbers_at(job.summary)
     last, stop = clock.steps, job.end
     if job.begin == UNSEEN:
-        store_start(plan, inputs, summary, column, time_of(clock, 0))
+        store_start(plan, given, inputs, summary, column, time_of(clock, 0))
     if stop == 0:
         return
     carried, history = numbers_at(job.carried), histories_at(job.history)
@@ -649,7 +663,7 @@ def _integrate_block(plan, body, inputs, first, job, clock):
     elif k > 0:
         state = load_state(plan, body, carried, first)
     else:
-        state = initial_state(plan, body, inputs)
+        state = initial_state(plan, body, placed, inputs)
     if k > 0:
         record = load_record(plan, carried, first)
     else:
@@ -710,17 +724,32 @@ def pack(job, inputs, first, is_new):
     is_new : whether `inputs` lacks even what all trajectories share.
     """
     places, varying = integers_at(job.places), integers_at(job.varying)
-    begin, last = job.first + first, job.stop - 1
+    begin, last = job.first + first, job.stop - job.first - first - 1
     for i in range(inputs.shape[0] if is_new else varying.shape[1]):
         c = i if is_new else varying[0, i]
-        address, stride = places[c, 0], places[c, 1]
+        stride = places[c, 1]
+        address = places[c, 0] + stride * begin
         for lane in range(inputs.shape[1]):
-            inputs[c, lane] = number_at(address + stride * min(begin + lane, last))
+            inputs[c, lane] = number_at(address)
+            address += stride if lane < last else 0
+
+
+@shared
+def take_share(counter, count, threads):
+    """The first of the next numbers below `count` for a thread, and the one behind the last.
+
+    They become fewer and fewer, so that all threads end together on cores that are not equally
+    fast. Neighbours go to one thread: two that write side by side wait for each other, in short
+    runs for as long as the work takes.
+    """
+    size = max((count - counter[0]) // (SHARES * threads), 1)
+    first = take_turns(counter, size)
+    return first, min(first + size, count)
 
 
 @cached()
 def integrate_blocks(plan, inputs, counter, jobs):
-    """Block after block: each thread takes the next, since cores need not be equally fast.
+    """Block after block, share by share.
 
     inputs : where the thread brings a block's numbers together.
     counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
@@ -731,14 +760,18 @@ def integrate_blocks(plan, inputs, counter, jobs):
     blocks = (job.stop - job.first + lanes - 1) // lanes
     is_new = True
     while True:
-        block = take_turn(counter)
-        if block >= blocks:
+        first, end = take_share(counter, blocks, job.inputs[1])
+        if first >= end:
             break
-        pack(job, inputs, block * lanes, is_new)
-        if is_new or job.differ:  # what all share is found once
-            body = load_body(plan, inputs)
-        _integrate_block(plan, body, inputs, block * lanes, job, clock)
-        is_new = False
+        for block in range(first, end):
+            pack(job, inputs, block * lanes, is_new)
+            if is_new or job.differ == BODIES:  # what all share is found once
+                body = load_body(plan, inputs)
+            if is_new or job.differ != TWISTS:
+                placed = load_placed(plan, body, inputs)
+                given = load_given(plan, inputs, time_of(clock, 0))
+            _integrate_block(plan, body, placed, given, inputs, block * lanes, job, clock)
+            is_new = False
 
 
 @cached(parallel=True)

@@ -16,7 +16,7 @@ import numba
 from numba import prange
 
 from lierb.compiler.code import OPTIONS, cached
-from lierb.compiler.entries import call, raise_again, take_turn
+from lierb.compiler.entries import call, raise_again
 from lierb.compiler.loops import histories_at, numbers_at
 from lierb.kernels.stepping.crossings import (
     BEGINNING,
@@ -48,10 +48,13 @@ from lierb.kernels.stepping.desk import (
     TURN,
 )
 from lierb.kernels.stepping.driver import (
+    BODIES,
     RESUMED,
+    TWISTS,
     UNSEEN,
     heard,
     load_body,
+    load_given,
     load_record,
     load_state,
     pack,
@@ -63,6 +66,7 @@ from lierb.kernels.stepping.driver import (
     store_start,
     store_state,
     store_summary,
+    take_share,
 )
 from lierb.kernels.stepping.held import with_signals
 from lierb.kernels.stepping.lane_clock import Span
@@ -146,14 +150,17 @@ def _store_ends(plan, body, inputs, state, record, clock, held, fate, span, own)
 def _look_at_starts(plan, inputs, counter, job):
     """Whether trajectories start on their joints, block by block."""
     is_new, lanes = True, inputs.shape[1]
-    summary = numbers_at(job.summary)
+    summary, blocks = numbers_at(job.summary), (job.stop + lanes - 1) // lanes
     while True:
-        first = take_turn(counter) * lanes
-        if first >= job.stop:
+        first, end = take_share(counter, blocks, job.inputs[1])
+        if first >= end:
             break
-        pack(job, inputs, first, is_new)
-        store_start(plan, inputs, summary, first, job.start)
-        is_new = False
+        for block in range(first, end):
+            pack(job, inputs, block * lanes, is_new)
+            if is_new or job.differ != TWISTS:
+                given = load_given(plan, inputs, job.start)
+            store_start(plan, given, inputs, summary, block * lanes, job.start)
+            is_new = False
 
 
 @cached()
@@ -193,7 +200,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             fate = row_of(plan, desk, FATE)
             if told[0, ANSWER] == 0.0:
                 break
-            if is_new or job.differ:
+            if is_new or job.differ == BODIES:
                 body = load_body(plan, inputs)
             marks = renewed(plan, fresh)
             if job.begin == RESUMED:

@@ -42,6 +42,7 @@ from lierb.kernels.stepping.driver import (
     are_finite,
     initial_record,
     initial_state,
+    load_placed,
     observe,
     state_columns,
     tidy,
@@ -156,7 +157,8 @@ def restored(plan: AnyPlan, before: Any, known: Any) -> None:
 
 def own_start(plan: AnyPlan, body: Any, inputs: Any, desk: Any) -> State:
     """The state with the initial values of the user's own."""
-    state, zero = initial_state(plan, body, inputs), 0.0 * row_of(plan, desk, NUMBER)
+    placed = load_placed(plan, body, inputs)
+    state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, desk, NUMBER)
     own = system_of(plan).initial_states(body) if states_of(plan) else ()
     return state._replace(states=tuple(zero + x for x in own))
 

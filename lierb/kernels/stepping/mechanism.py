@@ -200,7 +200,11 @@ class TreeFormulation(Watching):
         )
         return found._replace(girth=girth_of(*((n.rigid.mass, n.inertia) for n in nodes)))
 
-    def start(self, body: TreeConstants, numbers: list[Any]) -> State:
+    def placed(self, body: TreeConstants, numbers: list[Any]) -> tuple[()]:
+        """Nothing: starts of links depend on twists and poses together."""
+        return ()
+
+    def start(self, body: TreeConstants, placed: Any, numbers: list[Any]) -> State:
         """The state from poses and twists in the user's frames; what is off a subgroup is left."""
         plan, read = self.plan, self.inputs.parts(numbers)
         given = {
@@ -391,7 +395,10 @@ class TreeFormulation(Watching):
             multipliers += [solution[place, r] for r in acting.rows]
         return tuple(multipliers), wrenches
 
-    def starts_well(self, numbers: list[Any], time: Any) -> Any:
+    def given(self, numbers: list[Any], time: Any) -> tuple[()]:
+        return ()
+
+    def starts_well(self, given: Any, numbers: list[Any], time: Any) -> Any:
         """1: mechanisms are looked at before they are packed, by `lierb.mechanism_checks`."""
         return 1.0
 

@@ -13,6 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import quaternion, so3
 from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics.constraints import (
+    position_error_squared,
+    rate_errors_squared,
+    rotation_error_squared,
+)
 from lierb.kernels.mechanics.elements import Element, body_with
 from lierb.kernels.mechanics.newton_euler import (
     SE3,
@@ -25,7 +30,12 @@ from lierb.kernels.mechanics.newton_euler import (
     closed_pose,
     girth_of,
 )
-from lierb.kernels.mechanics.scale import bearings, start_tolerances
+from lierb.kernels.mechanics.scale import (
+    PoseTolerances,
+    bearings,
+    pose_tolerances,
+    twist_tolerances,
+)
 from lierb.kernels.numbers.arithmetic import rounded_as_numpy, sqrt, where
 from lierb.kernels.numbers.vec import (
     IDENTITY,
@@ -54,6 +64,32 @@ class Seen(NamedTuple):
 
     pose: Pose
     velocity: Vec
+
+
+class Placed(NamedTuple):
+    """What all starts of a body in one pose have in common.
+
+    parameters : with the joint's axes that are used.   pose : in the user's frames.   chart : C₀.
+    """
+
+    parameters: Parameters
+    pose: Pose
+    chart: Chart
+
+
+class Given(NamedTuple):
+    """A body and its pose in the joint's axes as the user has them.
+
+    held : the pose, in the user's frames.   seat : the same, in joint axes.
+    fits : 1 where it is on the joint, else 0.
+    """
+
+    parameters: Parameters
+    body: BodyConstants
+    held: Pose
+    seat: Pose
+    allowed: PoseTolerances
+    fits: Any
 
 
 def parameters_of(
@@ -138,13 +174,17 @@ class OneBody(Watching):
         body = body._replace(girth=girth_of((body.mass, body.inertia)))
         return plan.formulation.prepared(body)
 
-    def start(self, body: BodyConstants, numbers: list[Any]) -> State:
-        plan = self.plan
-        parameters, pose, twist = parameters_of(numbers, body.turn, body.shift)
-        placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-        chart, v_or_mu = plan.formulation.start(
-            body, parameters, twist, quaternion.from_pose(placed), velocity
-        )
+    def placed(self, body: BodyConstants, numbers: list[Any]) -> Placed:
+        space, formulation = self.plan.space, self.plan.formulation
+        parameters, pose, _ = parameters_of(numbers, body.turn, body.shift)
+        seat, still = space.to_joint_axes(parameters, pose, ZERO6)
+        chart, _ = formulation.start(body, parameters, ZERO6, quaternion.from_pose(seat), still)
+        return Placed(parameters, pose, chart)
+
+    def start(self, body: BodyConstants, placed: Placed, numbers: list[Any]) -> State:
+        (parameters, pose, chart), twist = placed, INPUTS.parts(numbers)["twist"]
+        _, velocity = self.plan.space.to_joint_axes(parameters, pose, twist)
+        _, v_or_mu = self.plan.formulation.start(body, parameters, twist, chart, velocity)
         still = tuple(0.0 * v for v in velocity)
         state = State(chart, still, v_or_mu, 0.0 * parameters.mass)
         return self.structured(state, parameters.pitch)
@@ -214,18 +254,29 @@ class OneBody(Watching):
         found = accelerate(self.plan, body, chart, velocity, time)
         return found.multipliers, [found.reaction]
 
-    def starts_well(self, numbers: list[Any], time: Any) -> Any:
-        """1 where the start, as given, is on the joint, else 0."""
-        plan = self.plan
-        parameters, pose, twist = parameters_of(numbers)
-        placed, velocity = plan.space.to_joint_axes(parameters, pose, twist)
-        body = body_of(plan.space, plan.elements, numbers)
-        x = plan.space.kinematics(body, placed, velocity)._replace(time=time)
-        off = measured(plan, body, placed, velocity, ZERO, ZERO, time)
-        allowed = start_tolerances(plan.rows, parameters, pose, twist, x, body)
+    def given(self, numbers: list[Any], time: Any) -> Given:
+        space, rows = self.plan.space, self.plan.rows
+        parameters, pose, _ = parameters_of(numbers)
+        seat, still = space.to_joint_axes(parameters, pose, ZERO6)
+        body = body_of(space, self.plan.elements, numbers)
+        x = space.kinematics(body, seat, still)._replace(time=time)
+        allowed = pose_tolerances(parameters, pose)
         fine = allowed.position <= LARGEST  # false for NaN
-        for name, most in allowed._asdict().items():
-            fine = fine & (sqrt(off[f"{name}_error"]) <= most) & (most <= LARGEST)
-        for bearing in bearings(plan.rows, placed[0]):
+        fine = fine & (sqrt(position_error_squared(rows, x, body)) <= allowed.position)
+        fine = fine & (sqrt(rotation_error_squared(rows, x, body)) <= allowed.rotation)
+        for bearing in bearings(rows, x.q):
             fine = fine & (bearing > 0.0)
+        return Given(parameters, body, pose, seat, allowed, where(fine, 1.0, 0.0))
+
+    def starts_well(self, given: Given, numbers: list[Any], time: Any) -> Any:
+        """1 where the start, as given, is on the joint, else 0."""
+        space, rows, body = self.plan.space, self.plan.rows, given.body
+        twist = INPUTS.parts(numbers)["twist"]
+        _, velocity = space.to_joint_axes(given.parameters, given.held, twist)
+        x = space.kinematics(body, given.seat, velocity)._replace(time=time)
+        allowed = twist_tolerances(rows, given.parameters, given.allowed, twist, x, body)
+        fine = given.fits > 0.5
+        errors = rate_errors_squared(rows, x, body, velocity)
+        for squared, most in zip(errors, allowed, strict=True):
+            fine = fine & (sqrt(squared) <= most) & (most <= LARGEST)
         return where(fine, 1.0, 0.0)
