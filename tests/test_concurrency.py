@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.compiler.entries import take_turns
 from lierb.errors import ForkError
+from lierb.kernels.stepping.driver import take_share
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="there are no threads with the JIT off"
@@ -136,13 +136,27 @@ def test_no_number_is_taken_twice():
         counter = np.zeros(1, np.int64)
         for _ in numba.prange(threads):
             while True:
-                number = take_turns(counter, 1)
-                if number >= count:
+                first, end = take_share(counter, count, threads)
+                if first >= end:
                     break
-                times[number] += 1
+                for number in range(first, end):
+                    times[number] += 1
         return times
 
-    assert (taken(numba.get_num_threads(), 100_000) == 1).all()
+    for count in (1, 7, 100_000):
+        assert (taken(numba.get_num_threads(), count) == 1).all()
+
+
+@pytest.mark.parametrize("count", [1, 5, 10_000])
+@pytest.mark.parametrize("threads", [1, 3, 64])
+def test_shares_become_smaller_so_that_threads_end_together(threads, count):
+    counter, sizes = np.zeros(1, np.int64), []
+    while (share := take_share(counter, count, threads))[0] < share[1]:
+        sizes.append(share[1] - share[0])
+    assert sum(sizes) == count
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[-1] == 1
+    assert max(sizes) <= max(count / (8 * threads), 1)
 
 
 # ---------------------------------------------------------------- progress
@@ -264,7 +278,6 @@ import gc, multiprocessing, os, signal, sys, threading
 import numba, numpy as np
 import lierb
 from lierb.errors import ForkError
-from lierb.compiler.entries import take_turns
 
 top = lierb.Problem(lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.spherical())
 

@@ -7,7 +7,7 @@ import pytest
 from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, tiered
 
 import lierb
-from lierb.errors import FailedTrajectoryWarning
+from lierb.errors import FailedTrajectoryWarning, PoseError, TwistError
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
 from lierb.kernels.stepping.layout import inputs_of
@@ -66,6 +66,35 @@ TWISTS = _twists(1000)
 @pytest.fixture(scope="module")
 def expected() -> np.ndarray:
     return _bits(_run(TWISTS))
+
+
+@pytest.mark.parametrize("solver", ["auto", "saddle"])
+def test_bits_do_not_depend_on_the_poses_of_the_others(solver):
+    """What a pose decides is found once where all have it, and for each block where they differ."""
+    problem, count = _problem(), 37
+    twists, hinge = TWISTS[:count], problem.joint.body_frame[:3, 3]
+    held = problem.joint.closed_pose
+    turned = held[:3, :3] @ lierb.lie.so3.exp(np.random.default_rng(4).normal(size=(count, 3)))
+    poses = np.tile(held, (count, 1, 1))
+    poses[:, :3, :3] = turned
+    poses[:, :3, 3] += (held[:3, :3] - turned) @ hinge  # the joint's point stays
+    together = _bits(_run(twists, pose0=poses, solver=solver, check="raise"))
+    for i in (0, 9, 36):
+        alone = _bits(_run(twists[i : i + 1], pose0=poses[i], solver=solver, check="raise"))
+        np.testing.assert_array_equal(together[i : i + 1], alone)
+
+
+@pytest.mark.parametrize("which", ["pose0", "twist0"])
+def test_a_start_off_its_joint_is_found_behind_others(which):
+    """In the compiled check, which looks once at a pose that all have."""
+    problem = _problem()
+    poses = np.tile(problem.joint.closed_pose, (37, 1, 1))
+    given = {"pose0": poses, "twist0": TWISTS[:37].copy()}
+    given[which][29, ..., -1] += 1e-3
+    if which == "twist0":
+        del given["pose0"]
+    with pytest.raises((PoseError, TwistError), match=rf"{which}\[29\]"):
+        _run(given.pop("twist0"), check="raise", **given)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 17])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import pickle
@@ -318,6 +319,22 @@ def test_end_goes_on_under_other_forces():
     # the same motion but for the start's rounding, over 100 steps of up to 30 rad/s
     speeds = [column(r.summary, "omega") for r in (further, again)]
     np.testing.assert_allclose(*speeds, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [2, 50])
+def test_a_large_end_is_named_by_the_metadata_of_its_run(count):
+    problem, twist0 = lively("spherical")
+    first = run(problem, STEPS, twist0=np.repeat(twist0[:1], count, axis=0))
+    before = first.summary.schema.metadata[b"lierb"]
+    told = json.loads(run(problem, 2 * STEPS, **first.end).summary.schema.metadata[b"lierb"])
+    start = {name: told["problem"][name] for name in ("pose0", "twist0")}
+    assert told["problem"]["continued"] is True
+    if count == 2:  # so few are written out
+        assert start == {name: first.end[name].tolist() for name in start}
+        return
+    named = hashlib.sha256(before).hexdigest()
+    shapes = {"pose0": [count, 4, 4], "twist0": [count, 6]}
+    assert start == {name: {"shape": shapes[name], "end_of": named} for name in start}
 
 
 def test_end_is_what_the_summary_says_and_is_read_only():

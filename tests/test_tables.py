@@ -1,5 +1,6 @@
 """The tables of a run: schema, rows, and every number recomputed from the recorded state."""
 
+import hashlib
 import json
 from types import SimpleNamespace
 
@@ -810,6 +811,16 @@ def test_metadata_of_a_large_batch_is_a_digest(top):
     ]
     assert told[0]["shape"] == [1000, 6]
     assert told[0]["sha256"] != told[1]["sha256"]
+
+
+def test_the_digest_of_a_start_is_that_of_its_bytes(top):
+    """Of a large one, which is made beside the run, too."""
+    problem, twists = top
+    for count in (11, 1 << 14):
+        many = np.linspace(0.5, 1.0, count)[:, None] * twists[0]
+        told = provenance(run(problem, many, t_end=DT).summary)["problem"]["twist0"]
+        digest = hashlib.sha256(many.tobytes()).hexdigest()
+        assert told == {"shape": [count, 6], "sha256": digest}
 
 
 def test_metadata_names_a_users_tableau(top):
