@@ -35,6 +35,7 @@ picture: $(VENV)/.docs  ## draw the picture of the front page again
 	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png
 
 test: $(VENV)/.dev  ## run the tests, on up to four cores
+	$(BIN)/python -m compileall -q lierb  # once, where PYTHONDONTWRITEBYTECODE is set
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 $(ARGS)
 
 test-oldest: $(OLDEST)/.test  ## run the tests with every dependency at its lower bound
