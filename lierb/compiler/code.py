@@ -14,7 +14,12 @@ import numpy as np
 from numba import types
 
 from lierb.compiler.disk_cache import DiskCache
-from lierb.compiler.internals import COMPILER_LOCK, compile_leanly, set_cache
+from lierb.compiler.internals import (
+    ALLOCATES_NOTHING,
+    COMPILER_LOCK,
+    compile_leanly,
+    set_cache,
+)
 from lierb.compiler.tags import Tag
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
@@ -22,8 +27,11 @@ from lierb.compiler.tags import Tag
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
-def cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: njit with OPTIONS and the disk cache, for a function that is no closure."""
+def cached(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator: njit with OPTIONS and the disk cache, for a function that is no closure, and that
+    makes no array unless it is parallel.
+    """
+    options = {"parallel": True} if parallel else ALLOCATES_NOTHING
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**OPTIONS, **options)(function)

@@ -39,6 +39,9 @@ __all__ = [
 BIT = ir.IntType(1)
 INT64 = ir.IntType(64)
 COMPILER_LOCK = global_compiler_lock._lock  # held by whatever thread compiles
+# An option of njit: no references are counted. Of each value of a formula, Numba takes all numbers
+# out to look for arrays among them, which is a tenth of the time to a kernel.
+ALLOCATES_NOTHING = {"_nrt": False}
 
 
 def tracing_context() -> Any:

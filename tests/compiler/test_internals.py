@@ -21,7 +21,7 @@ import lierb
 from lierb.compiler import internals
 from lierb.compiler.code import OPTIONS
 from lierb.compiler.entries import call, entry_of, raise_again
-from lierb.compiler.internals import INT64, cgutils
+from lierb.compiler.internals import ALLOCATES_NOTHING, INT64, cgutils
 from lierb.compiler.tags import Tag
 from lierb.compiler.trace import kernel
 
@@ -61,7 +61,7 @@ def test_every_private_part_has_a_test():
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "cgutils"
     }
-    assert imported | functions | used | {"COMPILER_LOCK"} == RELIED_ON
+    assert imported | functions | used | {"ALLOCATES_NOTHING", "COMPILER_LOCK"} == RELIED_ON
 
 
 def test_no_other_module_imports_a_private_part():
@@ -380,6 +380,18 @@ def _looking(x):
 
 
 kernel(_looking)
+
+
+@relies_on("ALLOCATES_NOTHING")
+def test_code_that_counts_no_references_reads_arrays_and_makes_none():
+    @numba.njit(**ALLOCATES_NOTHING)
+    def second(array):
+        row = array[1]
+        return row[0]
+
+    assert second(np.arange(6.0).reshape(3, 2)) == 2.0
+    with pytest.raises(numba.TypingError, match="NRT required"):
+        numba.njit(lambda count: np.zeros(count), **ALLOCATES_NOTHING)(3)
 
 
 @relies_on("COMPILER_LOCK", "global_compiler_lock")

@@ -12,13 +12,12 @@ from functools import lru_cache
 from struct import Struct
 from typing import Any, NamedTuple, get_type_hints
 
-import numba
 import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
 from lierb.compiler import calls
-from lierb.compiler.code import OPTIONS, cached
+from lierb.compiler.code import cached
 from lierb.compiler.entries import call, raise_again, take_turns
 from lierb.compiler.loops import histories_at, integers_at, number_at, numbers_at, shared
 from lierb.compiler.trace import kernel
@@ -636,87 +635,6 @@ for _formula in (
 # ---- the loop over steps and the loop over blocks ------------------------------------------------
 
 
-@numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
-def _integrate_block(plan, body, placed, given, inputs, first, job, clock):
-    """A call's steps of the block that starts with the chunk's trajectory `first`.
-
-    With begin = UNSEEN the start is looked at first. With begin = RESUMED the state to start from
-    is one of the inputs.
-    """
-    column, summary = job.first + first, numbers_at(job.summary)
-    last, stop = clock.steps, job.end
-    if job.begin == UNSEEN:
-        store_start(plan, given, inputs, summary, column, time_of(clock, 0))
-    if stop == 0:
-        return
-    carried, history = numbers_at(job.carried), histories_at(job.history)
-    states = (
-        histories_at(job.rotation),
-        histories_at(job.position),
-        histories_at(job.omega),
-        histories_at(job.v),
-    )
-    multipliers, reactions = histories_at(job.multipliers), histories_at(job.reactions)
-    resumes, k, h = job.begin == RESUMED, max(job.begin, 0), clock.dt
-    if resumes:
-        state = resumed_state(plan, body, inputs)
-    elif k > 0:
-        state = load_state(plan, body, carried, first)
-    else:
-        state = initial_state(plan, body, placed, inputs)
-    if k > 0:
-        record = load_record(plan, carried, first)
-    else:
-        record = initial_record(plan, body, state)
-    still = is_still(plan, state, h)
-    fresh = k == 0
-    while True:
-        time = time_of(clock, k)
-        measure, save, row = seen_at(clock, k)
-        if fresh and (measure or save):
-            shown, seen = observe(plan, body, state, record, k, time, share_of(clock, k))
-            record = seen if measure else without_measures(plan, record, seen)
-            if save:
-                store_measures(plan, record, shown, history, row, column)
-                saved = history.shape[1]
-                store_forces(
-                    plan, body, state, record, multipliers, reactions, row, saved, column, time
-                )
-                if k == last:  # before, the next step fails
-                    record = heard(plan, record, k)
-            if k == last or (save and job.rows > 1):
-                row = job.rows - 1 if k == last else row
-                store_state(plan, body, inputs, state, record, states, row, job.rows, column)
-        if k >= stop:
-            break
-        # After the measures: they see what rounding did.
-        end, tidies = ahead_of(clock, k, stop)
-        if tidies and (k > 0 or resumes):
-            state = tidy(plan, body, state)
-        if still and is_gentle(plan, body, state, record, h):
-            while k < end:
-                moved, fine = advance_gently(plan, body, state, time_of(clock, k), h)
-                if not fine:
-                    break
-                state = moved
-                k += 1
-        if still and has_still(plan, h):
-            while k < end:
-                time = time_of(clock, k)
-                k += 1
-                state, record = advance_still(plan, body, state, record, k, time, h)
-        while k < end:
-            time = time_of(clock, k)
-            k += 1
-            state, record = advance(plan, body, state, record, k, time, h)
-        fresh = True
-    if stop < last:
-        store_carried(plan, carried, first, state, record)
-    else:
-        store_summary(plan, record, summary, column)
-        store_end(plan, state, numbers_at(job.ends), column)
-
-
 @shared
 def pack(job, inputs, first, is_new):
     """A block's numbers from where the user has them; past the last trajectory, its own again.
@@ -749,7 +667,10 @@ def take_share(counter, count, threads):
 
 @cached()
 def integrate_blocks(plan, inputs, counter, jobs):
-    """Block after block, share by share.
+    """A call's steps of block after block, share by share.
+
+    With begin = UNSEEN starts are looked at first. With begin = RESUMED the states to start from
+    are among the inputs.
 
     inputs : where the thread brings a block's numbers together.
     counter : [0, 0], of blocks that some thread has taken; of what has ended one, if anything.
@@ -757,21 +678,92 @@ def integrate_blocks(plan, inputs, counter, jobs):
     job, lanes = jobs[0], inputs.shape[1]
     # Apart from the record: what a loop reads from memory might have been written there.
     clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
+    carried, summary, ends = numbers_at(job.carried), numbers_at(job.summary), numbers_at(job.ends)
+    history, multipliers = histories_at(job.history), histories_at(job.multipliers)
+    reactions, saved = histories_at(job.reactions), history.shape[1]
+    states = (
+        histories_at(job.rotation),
+        histories_at(job.position),
+        histories_at(job.omega),
+        histories_at(job.v),
+    )
+    last, stop, resumes, h = clock.steps, job.end, job.begin == RESUMED, clock.dt
     blocks = (job.stop - job.first + lanes - 1) // lanes
-    is_new = True
+    is_new, block, behind = True, 0, 0
     while True:
-        first, end = take_share(counter, blocks, job.inputs[1])
-        if first >= end:
-            break
-        for block in range(first, end):
-            pack(job, inputs, block * lanes, is_new)
-            if is_new or job.differ == BODIES:  # what all share is found once
-                body = load_body(plan, inputs)
-            if is_new or job.differ != TWISTS:
-                placed = load_placed(plan, body, inputs)
-                given = load_given(plan, inputs, time_of(clock, 0))
-            _integrate_block(plan, body, placed, given, inputs, block * lanes, job, clock)
-            is_new = False
+        if block == behind:
+            block, behind = take_share(counter, blocks, job.inputs[1])
+            if block >= behind:
+                break
+        first, k = block * lanes, max(job.begin, 0)
+        column, fresh = job.first + first, k == 0
+        pack(job, inputs, first, is_new)
+        if is_new or job.differ == BODIES:  # what all share is found once
+            body = load_body(plan, inputs)
+        if is_new or job.differ != TWISTS:
+            placed = load_placed(plan, body, inputs)
+            given = load_given(plan, inputs, time_of(clock, 0))
+        is_new = False
+        block += 1
+        if job.begin == UNSEEN:
+            store_start(plan, given, inputs, summary, column, time_of(clock, 0))
+        if stop == 0:
+            continue
+        if resumes:
+            state = resumed_state(plan, body, inputs)
+        elif k > 0:
+            state = load_state(plan, body, carried, first)
+        else:
+            state = initial_state(plan, body, placed, inputs)
+        if k > 0:
+            record = load_record(plan, carried, first)
+        else:
+            record = initial_record(plan, body, state)
+        still = is_still(plan, state, h)
+        while True:
+            time = time_of(clock, k)
+            measure, save, row = seen_at(clock, k)
+            if fresh and (measure or save):
+                shown, seen = observe(plan, body, state, record, k, time, share_of(clock, k))
+                record = seen if measure else without_measures(plan, record, seen)
+                if save:
+                    store_measures(plan, record, shown, history, row, column)
+                    store_forces(
+                        plan, body, state, record, multipliers, reactions, row, saved, column, time
+                    )
+                    if k == last:  # before, the next step fails
+                        record = heard(plan, record, k)
+                if k == last or (save and job.rows > 1):
+                    row = job.rows - 1 if k == last else row
+                    store_state(plan, body, inputs, state, record, states, row, job.rows, column)
+            if k >= stop:
+                break
+            # After the measures: they see what rounding did.
+            end, tidies = ahead_of(clock, k, stop)
+            if tidies and (k > 0 or resumes):
+                state = tidy(plan, body, state)
+            if still and is_gentle(plan, body, state, record, h):
+                while k < end:
+                    moved, fine = advance_gently(plan, body, state, time_of(clock, k), h)
+                    if not fine:
+                        break
+                    state = moved
+                    k += 1
+            if still and has_still(plan, h):
+                while k < end:
+                    time = time_of(clock, k)
+                    k += 1
+                    state, record = advance_still(plan, body, state, record, k, time, h)
+            while k < end:
+                time = time_of(clock, k)
+                k += 1
+                state, record = advance(plan, body, state, record, k, time, h)
+            fresh = True
+        if stop < last:
+            store_carried(plan, carried, first, state, record)
+        else:
+            store_summary(plan, record, summary, column)
+            store_end(plan, state, ends, column)
 
 
 @cached(parallel=True)
