@@ -603,10 +603,15 @@ def doubled(tag, x):
     return x + x
 
 
+def sized(tag, x):
+    return x.size
+
+
 def test_code_is_found_by_its_tag_and_its_arguments_types():
     dispatcher, tag = cached()(doubled), Times(1.0)
     found = [compiled(dispatcher, tag, x)(tag, x) for x in (3.0, 3, 3.0)]
     assert list(map(type, found)) == [float, int, float]
+    dispatcher = cached()(sized)  # for no code that is kept makes an array
     rows = [np.ones((2, 2)), np.ones((2, 1)), np.ones((2, 2), order="F"), np.ones(2)]
     entered = [entries.entry_of(dispatcher, tag, row) for row in rows]
     assert entered[0] == entered[1]  # of several kinds, and one type
