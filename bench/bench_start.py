@@ -1,13 +1,21 @@
-"""What a user waits for: a process's first result, and a call with next to nothing to do."""
+"""What a user waits for: a process's first result, and calls with next to nothing to do."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+import timeit
+from functools import partial
 
+import numpy as np
 import pytest
 from bench_integrate import integrated, problem_of
+from cases import GRAVITY
+
+import lierb
+
+MANY, DT = 1 << 16, 1 / 48
 
 PROGRAM = """
 import lierb
@@ -37,3 +45,29 @@ def test_one_body_ten_steps(threads, benchmark):
     run = integrated(problem_of("spherical", "tilted", 1), steps=10, threads=threads)
     run()
     benchmark.pedantic(run, rounds=500, iterations=1)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("start", ["one pose", "an end"])
+def test_one_step_of_many(start, threads, benchmark):
+    """The speed of whole calls for one step each, over that of the steps of a long one."""
+    body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
+    top = lierb.Problem(body, lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0)), GRAVITY)
+    omega = np.array([6.28, 3.14, 0.63]) + np.random.default_rng(0).normal(size=(MANY, 3))
+
+    def run(steps, threads=1, t0=0.0, **begun):
+        lierb.integrate(
+            top, **begun, dt=DT, t0=t0, t_end=t0 + steps * DT, method="DOP853",
+            measure_every=steps, threads=threads, progress=False,
+        )  # fmt: skip
+
+    begun = {"twist0": top.joint.twist(omega=omega)}
+    seconds = [
+        min(timeit.repeat(partial(run, steps, **begun), number=1, repeat=4)) for steps in (48, 480)
+    ]
+    if start == "an end":
+        begun = lierb.integrate(top, **begun, dt=DT, t_end=DT, method="DOP853").end
+    benchmark.pedantic(partial(run, 1, threads, **begun), rounds=25, warmup_rounds=2)
+    step = (seconds[1] - seconds[0]) / 432
+    benchmark.extra_info["ratio"] = round(step / benchmark.stats.stats.min, 3)
+    benchmark.extra_info["unit"] = "of the speed of one thread's steps"

@@ -226,7 +226,7 @@ class LaneRun:
         sizes = (
             0, self.inputs.count, 0, 0, self.inputs.differ, self.output.rows,
             len(events_of(plan)), looks, columns["sides"].start, columns["values"].start,
-            columns["signals"].start, lane_column(plan), 0, 0,
+            columns["shown"].start, lane_column(plan), 0, 0,
         )  # fmt: skip
         times = self.times
         return _PACKED.pack(*numbers, *sizes, times.seed, *times.span, *times.tolerances)

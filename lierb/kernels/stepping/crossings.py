@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lierb.compiler.code import cached
-from lierb.compiler.loops import histories_at, numbers_at, shared
+from lierb.compiler.loops import numbers_at, shared
 from lierb.kernels.stepping.desk import (
     AGAIN,
     ASKED,
@@ -405,8 +405,6 @@ def narrow(desk, own, lanes):
 @shared
 def note_events(desk, own, events, kinds, lanes):
     """One row for each crossing that has been found, with the state there, which is on the desk."""
-    rotation, position = histories_at(own.rotation), histories_at(own.position)
-    omega, v = histories_at(own.omega), histories_at(own.v)
     for lane in range(lanes):
         if desk[MARK, lane] == 0.0:
             continue
@@ -414,15 +412,8 @@ def note_events(desk, own, events, kinds, lanes):
         events[0, 0] = place
         events[place, 0], events[place, 1] = desk[TRAJECTORY, lane], event
         events[place, 2] = desk[START, lane] + theta * desk[LENGTH, lane]
-        column = EVENT_COLUMNS
-        for link in range(rotation.shape[0]):
-            for part in (rotation, position, omega, v):
-                for c in range(part.shape[2]):
-                    events[place, column] = part[link, lane, c]
-                    column += 1
-        for row in range(own.signals, own.signals + events.shape[1] - column):
-            events[place, column] = desk[row, lane]
-            column += 1
+        for c in range(events.shape[1] - EVENT_COLUMNS):
+            events[place, EVENT_COLUMNS + c] = desk[own.shown + c, lane]
         if kinds[1, event] > 0.0:
             desk[LAST, lane] = min(desk[LAST, lane], theta)
 

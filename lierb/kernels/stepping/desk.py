@@ -19,7 +19,7 @@ from lierb.compiler.tags import Tag
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.stepping.driver import ARRAYS, take_share
 from lierb.kernels.stepping.lane_clock import LaneClock, Span
-from lierb.kernels.stepping.layout import Columns, Field
+from lierb.kernels.stepping.layout import POSE_AND_TWIST, Columns, Field
 from lierb.kernels.stepping.measures import SUMMARY
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import (
@@ -30,6 +30,7 @@ from lierb.kernels.stepping.signals import (
     signals_width,
 )
 from lierb.kernels.stepping.step_size import Tolerances
+from lierb.kernels.stepping.systems import system_of
 
 # Rows of a desk that loops over lanes read and write.
 (
@@ -59,7 +60,7 @@ EVENT_COLUMNS = 3  # trajectory, event, t
 OWN_ARRAYS = ("desk", "told", "save_at", "numbers", "events", "kinds")
 _SIZES = (
     "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
-    "signals", "own_summary", "serve", "watch",
+    "shown", "own_summary", "serve", "watch",
 )  # fmt: skip
 LANE_JOB = np.dtype(
     (
@@ -81,7 +82,7 @@ events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their
 kinds : [direction, is terminal][event].
 first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how
 often each is asked in a step.
-sides, values, signals : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
+sides, values, shown : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
 serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch`.
 """
 
@@ -90,16 +91,17 @@ serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
     looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
-    then what lanes carry.
+    POSE_AND_TWIST of every link, states and outputs, of what is to be shown; then what lanes carry.
     """
-    events, signals = len(events_of(plan)), signals_width(plan)
+    events = len(events_of(plan))
+    shown = POSE_AND_TWIST.count * system_of(plan).links + signals_width(plan)
     return Columns(
         Field("rows", (ROWS,)),
         Field("sides", (events,)),
         Field("values", (LOOKS + 1, events)),
         Field("searched", (events,)),
         Field("dips", (2, events)),
-        Field("signals", (signals,)),
+        Field("shown", (shown,)),
         Field("clock", (len(LaneClock._fields),)),
         Field("controls", (size_of(outputs_of(plan)),)),
         Field("memory", (size_of(memory_of(plan)),)),
@@ -153,25 +155,26 @@ def hand_over_row(desk, own, job, lanes):
             for c in range(6):
                 reactions[joint * rows + row, column, c] = own_reactions[joint, lane, c]
         if job.rows > 1:
-            hand_over_state(own, job, lane, column, row)
+            hand_over_state(desk, own, job, lane, column, row)
         desk[NEXT, lane] = row + 1
         desk[DUE, lane] = save_at[0, row + 1] if row + 1 < rows else np.inf
 
 
 @shared
-def hand_over_state(own, job, lane, column, row):
+def hand_over_state(desk, own, job, lane, column, row):
     """Of all links."""
-    copy_links(histories_at(own.rotation), histories_at(job.rotation), lane, column, row, job.rows)
-    copy_links(histories_at(own.position), histories_at(job.position), lane, column, row, job.rows)
-    copy_links(histories_at(own.omega), histories_at(job.omega), lane, column, row, job.rows)
-    copy_links(histories_at(own.v), histories_at(job.v), lane, column, row, job.rows)
-
-
-@shared
-def copy_links(shown, array, lane, column, row, rows):
-    for link in range(shown.shape[0]):
-        for c in range(shown.shape[2]):
-            array[link * rows + row, column, c] = shown[link, lane, c]
+    states = (
+        histories_at(job.rotation),
+        histories_at(job.position),
+        histories_at(job.omega),
+        histories_at(job.v),
+    )
+    shown = own.shown
+    for place in range(row, states[0].shape[0], job.rows):
+        for array in states:
+            for c in range(array.shape[2]):
+                array[place, column, c] = desk[shown, lane]
+                shown += 1
 
 
 @shared
@@ -194,7 +197,7 @@ def hand_over_ends(desk, own, job, lanes):
             if not in_a_row:
                 copy_column(own_summary, summary, lane, column)
                 copy_column(own_ends, ends, lane, column)
-            hand_over_state(own, job, lane, column, job.rows - 1)
+            hand_over_state(desk, own, job, lane, column, job.rows - 1)
 
 
 @shared

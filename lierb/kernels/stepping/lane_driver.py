@@ -64,7 +64,6 @@ from lierb.kernels.stepping.driver import (
     store_forces,
     store_measures,
     store_start,
-    store_state,
     store_summary,
     take_share,
 )
@@ -87,7 +86,7 @@ from lierb.kernels.stepping.lane_formulas import (
     next_trial,
     own_start,
     put_row,
-    put_signals,
+    put_shown,
     put_trial,
     put_values,
     renewed,
@@ -114,31 +113,20 @@ from lierb.kernels.stepping.step_size import Tolerances
 
 
 @numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
-def _store_row(plan, body, inputs, state, record, shown, own, rows, time):
+def _store_row(plan, body, inputs, state, record, held, shown, desk, own, rows, time):
     """A row of the history on the desk.   rows : of the states, in the results."""
     store_measures(plan, record, shown, histories_at(own.history), 0, 0)
     multipliers, reactions = histories_at(own.multipliers), histories_at(own.reactions)
     store_forces(plan, body, state, record, multipliers, reactions, 0, 1, 0, time)
     if rows > 1:
-        _store_state(plan, body, inputs, state, record, own)
+        put_shown(plan, body, inputs, state, record, held, desk)
 
 
 @numba.njit(**OPTIONS, inline="always")
-def _store_state(plan, body, inputs, state, record, own):
-    states = (
-        histories_at(own.rotation),
-        histories_at(own.position),
-        histories_at(own.omega),
-        histories_at(own.v),
-    )
-    store_state(plan, body, inputs, state, record, states, 0, 1, 0)
-
-
-@numba.njit(**OPTIONS, inline="always")
-def _store_ends(plan, body, inputs, state, record, clock, held, fate, span, own):
+def _store_ends(plan, body, inputs, state, record, clock, held, fate, span, desk, own):
     """Of all lanes, those included that go on."""
     record = heard(plan, record, clock.steps)
-    _store_state(plan, body, inputs, state, record, own)
+    put_shown(plan, body, inputs, state, record, held, desk)
     summary = numbers_at(own.summary)
     store_lane_summary(plan, state, held, clock, record, summary, own.own_summary)
     store_summary(plan, as_ended(record, clock, span, fate), summary, 0)
@@ -191,7 +179,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         if any_of(fate):
             if not is_new:
                 put_row(plan, desk, FATE, fate)
-                _store_ends(plan, body, inputs, state, record, clock, held, fate, span, own)
+                _store_ends(plan, body, inputs, state, record, clock, held, fate, span, desk, own)
                 told[0, ASKED] = HANDING_ENDS
                 call(job.serve, inputs, counter, jobs)
             told[0, ASKED], told[0, IS_NEW] = TAKING, 1.0 if is_new else 0.0
@@ -260,8 +248,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                             told[0, ASKED] = NARROWING if task == SEARCHING else NOTING_DIP
                             call(job.watch, inputs, counter, jobs)
                     elif task == NOTING:
-                        _store_state(plan, body, inputs, there, record, own)
-                        put_signals(plan, there, held, desk)
+                        put_shown(plan, body, inputs, there, record, held, desk)
                         told[0, ASKED] = NOTING_EVENTS
                         call(job.watch, inputs, counter, jobs)
                     elif task == ENDING:
@@ -274,7 +261,9 @@ def integrate_lanes(plan, inputs, counter, jobs):
                         at = with_signals(plan, body, there, held)
                         shown, record = shown_between(plan, at, there, held, record, clock)
                         time = clock.due
-                        _store_row(plan, at, inputs, there, record, shown, own, job.rows, time)
+                        _store_row(
+                            plan, at, inputs, there, record, held, shown, desk, own, job.rows, time
+                        )
                         restored(plan, others, due)
                         told[0, ASKED] = HANDING_ROW
                         call(job.serve, inputs, counter, jobs)
@@ -293,7 +282,9 @@ def integrate_lanes(plan, inputs, counter, jobs):
             shown, record, clock = looked(plan, seen, state, held, record, clock, span, fresh, fate)
             fate = fate_now(clock, span, limits, record, fresh, fate)
             while mark_due(plan, desk, clock, fresh):  # some may be due within a rounding
-                _store_row(plan, seen, inputs, state, record, shown, own, job.rows, clock.t)
+                _store_row(
+                    plan, seen, inputs, state, record, held, shown, desk, own, job.rows, clock.t
+                )
                 told[0, ASKED] = HANDING_ROW
                 call(job.serve, inputs, counter, jobs)
                 clock = with_due(plan, desk, clock)

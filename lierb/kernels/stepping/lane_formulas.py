@@ -46,6 +46,7 @@ from lierb.kernels.stepping.driver import (
     observe,
     state_columns,
     tidy,
+    user_state,
     without_measures,
 )
 from lierb.kernels.stepping.held import Held, with_signals
@@ -536,8 +537,12 @@ def put_values(
             put_row(plan, desk, first + i, value)
 
 
-def put_signals(plan: AnyPlan, state: State, held: Held, desk: Any) -> None:
-    _put_rows(plan, desk, "signals", (state.states, held.controls))
+def put_shown(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, held: Held, desk: Any
+) -> None:
+    """All that tables show of a state."""
+    links = user_state(plan, body, inputs, state, record)
+    _put_rows(plan, desk, "shown", (*links, state.states, held.controls))
 
 
 def put_trial(plan: AnyPlan, desk: Any, trial: Trial, accepted: Any) -> None:
@@ -573,7 +578,7 @@ for _formula in (
     ticked, fate_now, looks_now, looked, mark_due, with_due,
     store_lane_summary, as_ended, next_trial, attempted, verdict_on, with_failures, is_to_tidy,
     tidied, is_due_between, slopes_between, state_between, time_between, mark_due_between,
-    shown_between, put_values, put_signals, put_trial, ended_between, with_signals, goes_on,
+    shown_between, put_values, put_shown, put_trial, ended_between, with_signals, goes_on,
     store_lane_end, silenced, renewed, restored,
 ):  # fmt: skip
     kernel(_formula)
