@@ -15,6 +15,7 @@ Mat = tuple[Any, ...]
 
 ZERO3: Vec = (ZERO, ZERO, ZERO)
 ZERO6: Vec = ZERO3 + ZERO3
+ZERO9: Mat = ZERO6 + ZERO3
 UNIT: tuple[Vec, ...] = ((1.0, ZERO, ZERO), (ZERO, 1.0, ZERO), (ZERO, ZERO, 1.0))
 IDENTITY: Mat = UNIT[0] + UNIT[1] + UNIT[2]
 JACOBI_SWEEPS = 4  # leave 3e-25 of a matrix beside its diagonal; three, 1e-6

@@ -264,7 +264,7 @@ class Subgroup(OnOneChart):
         self, body: BodyConstants, parameters: Parameters, twist: Vec, chart: Chart, velocity: Vec
     ) -> tuple[Chart, Vec]:
         """C₀ and μ; what is off H is dropped."""
-        inside = subgroup.in_subalgebra(self.slots, velocity, parameters.pitch)
+        inside = subgroup.in_subalgebra(self.slots, velocity, body.pitch)
         p, d = subgroup.on_subgroup(self.slots, chart)
         on_manifold = self.on_manifold(body, (quaternion.normalised(p), d))
         return on_manifold, subgroup.momentum_of(self.slots, body, inside)

@@ -41,6 +41,7 @@ from lierb.kernels.numbers.vec import (
     IDENTITY,
     ZERO3,
     ZERO6,
+    ZERO9,
     Mat,
     Vec,
     diagonal,
@@ -69,10 +70,10 @@ class Seen(NamedTuple):
 class Placed(NamedTuple):
     """What all starts of a body in one pose have in common.
 
-    parameters : with the joint's axes that are used.   pose : in the user's frames.   chart : C₀.
+    frames : with the joint's axes that are used.   pose : in the user's frames.   chart : C₀.
     """
 
-    parameters: Parameters
+    frames: Parameters
     pose: Pose
     chart: Chart
 
@@ -84,7 +85,7 @@ class Given(NamedTuple):
     fits : 1 where it is on the joint, else 0.
     """
 
-    parameters: Parameters
+    frames: Parameters
     body: BodyConstants
     held: Pose
     seat: Pose
@@ -121,6 +122,21 @@ def parameters_of(
         where(pose[1][0] == pose[1][0], pose, closed),
         parts["twist"],
     )
+
+
+# What a twist asks for. All else would go through the compiler from where it is found to where
+# nobody uses it, for a tenth of the time to a kernel.
+
+
+def _frames_of(parameters: Parameters) -> Parameters:
+    return parameters._replace(mass=ZERO, inertia=ZERO9, pitch=ZERO, length=ZERO)
+
+
+def _held_of(body: BodyConstants) -> BodyConstants:
+    return body._replace(
+        mass=ZERO, inertia=ZERO9, inertia_inverse=ZERO9, com=ZERO3, gravity=ZERO3,
+        energy_origin=ZERO, origin_inertia=ZERO9, first_moment=ZERO3,
+    )  # fmt: skip
 
 
 def body_of(
@@ -179,15 +195,15 @@ class OneBody(Watching):
         parameters, pose, _ = parameters_of(numbers, body.turn, body.shift)
         seat, still = space.to_joint_axes(parameters, pose, ZERO6)
         chart, _ = formulation.start(body, parameters, ZERO6, quaternion.from_pose(seat), still)
-        return Placed(parameters, pose, chart)
+        return Placed(_frames_of(parameters), pose, chart)
 
     def start(self, body: BodyConstants, placed: Placed, numbers: list[Any]) -> State:
-        (parameters, pose, chart), twist = placed, INPUTS.parts(numbers)["twist"]
-        _, velocity = self.plan.space.to_joint_axes(parameters, pose, twist)
-        _, v_or_mu = self.plan.formulation.start(body, parameters, twist, chart, velocity)
+        (frames, pose, chart), twist = placed, INPUTS.parts(numbers)["twist"]
+        _, velocity = self.plan.space.to_joint_axes(frames, pose, twist)
+        _, v_or_mu = self.plan.formulation.start(body, frames, twist, chart, velocity)
         still = tuple(0.0 * v for v in velocity)
-        state = State(chart, still, v_or_mu, 0.0 * parameters.mass)
-        return self.structured(state, parameters.pitch)
+        state = State(chart, still, v_or_mu, 0.0 * body.mass)
+        return self.structured(state, body.pitch)
 
     def state_of(self, numbers: Sequence[Any], body: BodyConstants | None = None) -> State:
         """From its numbers side by side."""
@@ -266,15 +282,16 @@ class OneBody(Watching):
         fine = fine & (sqrt(rotation_error_squared(rows, x, body)) <= allowed.rotation)
         for bearing in bearings(rows, x.q):
             fine = fine & (bearing > 0.0)
-        return Given(parameters, body, pose, seat, allowed, where(fine, 1.0, 0.0))
+        fits = where(fine, 1.0, 0.0)
+        return Given(_frames_of(parameters), _held_of(body), pose, seat, allowed, fits)
 
     def starts_well(self, given: Given, numbers: list[Any], time: Any) -> Any:
         """1 where the start, as given, is on the joint, else 0."""
         space, rows, body = self.plan.space, self.plan.rows, given.body
         twist = INPUTS.parts(numbers)["twist"]
-        _, velocity = space.to_joint_axes(given.parameters, given.held, twist)
+        _, velocity = space.to_joint_axes(given.frames, given.held, twist)
         x = space.kinematics(body, given.seat, velocity)._replace(time=time)
-        allowed = twist_tolerances(rows, given.parameters, given.allowed, twist, x, body)
+        allowed = twist_tolerances(rows, given.frames, given.allowed, twist, x, body)
         fine = given.fits > 0.5
         errors = rate_errors_squared(rows, x, body, velocity)
         for squared, most in zip(errors, allowed, strict=True):
