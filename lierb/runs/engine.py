@@ -52,7 +52,7 @@ from lierb.runs.memory import room
 from lierb.runs.progress import Progress, reporter
 
 CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
-ZERO = np.zeros(1)
+ZEROS = np.zeros(1)  # where numbers are read that nobody asks for
 
 # In one chunk at the least: what is carried of them stays in the cache beside the state.
 CHUNK_BODIES = 4096
@@ -105,7 +105,7 @@ def _places_of(field: Field, array: Array) -> Places:
 
 def _nowhere(count: int) -> Places:
     """Of so many columns that nobody asks for: a zero, for all bodies."""
-    return np.full((count, 2), (ZERO.ctypes.data, 0), dtype=np.int64)
+    return np.full((count, 2), (ZEROS.ctypes.data, 0), dtype=np.int64)
 
 
 @lru_cache(64)
