@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import threading
 from types import SimpleNamespace
 
 import duckdb
@@ -821,6 +822,20 @@ def test_the_digest_of_a_start_is_that_of_its_bytes(top):
         told = provenance(run(problem, many, t_end=DT).summary)["problem"]["twist0"]
         digest = hashlib.sha256(many.tobytes()).hexdigest()
         assert told == {"shape": [count, 6], "sha256": digest}
+
+
+def test_a_large_start_runs_where_no_thread_is_to_be_had(top, monkeypatch):
+    """As at the end of a process, or beyond a limit of the system's."""
+    problem, twists = top
+    many = np.linspace(0.5, 1.0, 1 << 14)[:, None] * twists[0]
+    beside = run(problem, many, t_end=DT).summary
+
+    def none_left(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    alone = run(problem, many, t_end=DT).summary
+    assert provenance(alone) == provenance(beside)
 
 
 def test_metadata_names_a_users_tableau(top):

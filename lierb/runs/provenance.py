@@ -7,6 +7,7 @@ import json
 import platform
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import cache, lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -59,9 +60,10 @@ def provenance(
     described = partial(_described, problem, twist0=twist0, pose0=pose0, **more)
     if more["before"] is None and _count_of(twist0) + _count_of(pose0) >= LARGE:
         pool = ThreadPoolExecutor(1, "lierb")
-        found = pool.submit(described)
-        pool.shutdown(wait=False)
-        return found.result
+        with suppress(RuntimeError):  # no thread is to be had: there are too many, or Python ends
+            found = pool.submit(described)
+            pool.shutdown(wait=False)
+            return found.result
     text = described()
     return lambda: text
 
