@@ -531,6 +531,7 @@ def study(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_compare_prints_tables_and_writes_files(command, study, tmp_path):
     out = tmp_path / "out"
     result = command("compare", study, "--methods", "Heun,RK4", "--n", 4, "-o", out)

@@ -11,6 +11,7 @@ from lierb.errors import ArgumentError, ForceError, TwistError
 RUN = {"dt": 1e-2, "t_end": 0.2, "save_every": 1, "record": RECORD}
 
 
+@pytest.mark.slow
 def test_hostile_arguments_end_in_a_result_or_lierbs_own_error():
     outcomes = campaign(2000, seed=16)
     assert outcomes.total() == 2000

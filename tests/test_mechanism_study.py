@@ -262,6 +262,7 @@ def test_digest_of_a_study_of_one_body_is_as_before_mechanisms():
 # ---- runs --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rows_of_a_mechanism_are_those_of_integrate(whole):
     study = Study.load(whole / "study.toml")
     batch = study.batch(0, 40)

@@ -250,6 +250,7 @@ def test_events_beyond_memory_are_told(monkeypatch):
 # ---- where results lie -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     pa.default_memory_pool().backend_name != "mimalloc", reason="lierb asks NumPy for memory then"
 )

@@ -95,6 +95,7 @@ def ran(study: Study) -> lierb.Result:
 # ---- tables ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_tables_are_those_of_integrate(whole):
     """Numbers of trajectories too, although parts are of 16."""
     result = ran(Study.load(whole / "study.toml"))

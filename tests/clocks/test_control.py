@@ -162,6 +162,7 @@ def counted(controller, count, t_end):
     return lierb.integrate(problem, **start, t_end=t_end, rtol=1e-6, method="DP54").summary
 
 
+@pytest.mark.slow
 def test_memory_starts_where_it_is_told():
     summary = counted(counter(count=np.array([0.0, 10.0])), 2, 0.55)
     np.testing.assert_array_equal(column(summary, "ticks"), [6.0, 16.0])  # at 0, 0.1, … 0.5
@@ -229,6 +230,7 @@ def test_a_terminal_event_at_a_tick_leaves_it_to_what_goes_on(at):
     assert row["ticks"] == column(result.summary, "ticks")[0] == round(at / 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [{"dt": 0.1}, {"dt": 0.05}, {"dt": None, "rtol": 1e-6}], ids=str)
 def test_a_row_at_a_tick_shows_what_it_has_set(clock):
     """Whatever the last bit of the time that was asked for: 0.3 is not 3 · 0.1."""
@@ -250,6 +252,7 @@ def test_a_run_broken_at_a_tick_has_the_bits_of_one_run(cut):
     )
 
 
+@pytest.mark.slow
 def test_steps_reach_a_tick_that_is_nearly_a_whole_number_of_them_away():
     """By their own length: a tenth of a nanosecond in 50 ms is no rounding."""
 
@@ -278,6 +281,7 @@ def levels(periods, **clock):
     return np.array([summary[f"level_{how}"].to_numpy() for how in ("min", "max", "mean", "final")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [
     {"rtol": 1e-6}, {"dt": 0.1}, {"dt": 0.05, "measure_every": 7},
 ], ids=str)  # fmt: skip
@@ -314,6 +318,7 @@ def whole():
     return noisy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [[0], [16], [5, 3], list(range(3, 12))], ids=str)
 def test_noise_is_the_same_when_replayed_alone(which, whole):
     alone = noisy(which)
@@ -366,6 +371,7 @@ def drawn():
     return np.concatenate(parts, axis=1).reshape(100, 200, 4)
 
 
+@pytest.mark.slow
 def test_no_draw_comes_twice(drawn):
     """By trajectory, name, tick and component: 80 000 doubles have no two alike."""
     assert len(np.unique(drawn)) == drawn.size

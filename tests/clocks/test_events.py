@@ -61,6 +61,7 @@ def crossings(h, v, level):
 CLOCKS = [{"rtol": 1e-6}, {"dt": 0.05}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", CLOCKS, ids=str)
 @pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.long)])
 def test_free_fall_crosses_when_it_should(clock, cspace):
@@ -342,6 +343,7 @@ def visits(within=1.0, zero=-1.0, first=1.0, last=1.0, **clock):
     return angles, lierb.integrate(problem, **start, t_end=1.0, method="DOP853", **clock)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [1.0, 0.1, 0.01])
 @pytest.mark.parametrize(
     "clock", [{"rtol": 1e-6}, {"rtol": 1e-9}, {"rtol": None, "dt": 0.25}], ids=str

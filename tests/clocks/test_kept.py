@@ -34,6 +34,7 @@ def kept(result: lierb.Result) -> None:
     assert final(result, "rotation_error_max") < BOUND
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), forms(ADAPTIVE))
 def test_adaptive_steps_keep_a_subgroup_joint(name, method):
     problem, twist0 = tilted(name)
@@ -43,6 +44,7 @@ def test_adaptive_steps_keep_a_subgroup_joint(name, method):
     kept(result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), forms(COMMUTATOR_FREE))
 def test_commutator_free_steps_keep_a_subgroup_joint(name, method):
     problem, twist0 = tilted(name)

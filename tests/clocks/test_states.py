@@ -15,6 +15,7 @@ def low_pass(omega, states, params):
     return {"filtered": (omega[2] - states.filtered) / params.tau}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", slow_but(CLOCKS, CLOCKS[0]), ids=str)
 def test_a_first_order_filter_settles_as_an_exponential(clock):
     """ω₃ is constant: filtered = ω₃ + (f₀ − ω₃) exp(−t/τ). Errors below 100 rtol, or dt⁴."""
@@ -78,6 +79,7 @@ def with_wheels(cspace="SE3", **options) -> lierb.Result:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", tiered(["SE3", "SO3xR3"], ["SE3"], []))
 def test_wheels_and_body_keep_their_momentum(cspace):
     """R (J ω + h) stays, though each changes: the largest change within 100 rtol."""

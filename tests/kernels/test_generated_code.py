@@ -18,10 +18,13 @@ from lierb.kernels.stepping.driver import JOB, integrate_blocks
 from lierb.kernels.stepping.plan import plan_of
 from lierb.tableaus import TABLEAUS
 
-pytestmark = pytest.mark.skipif(
-    not (IS_X86 and HAS_FMA and DEFAULT_LANES >= 4),
-    reason="the patterns are those of x86-64 with AVX and FMA",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not (IS_X86 and HAS_FMA and DEFAULT_LANES >= 4),
+        reason="the patterns are those of x86-64 with AVX and FMA",
+    ),
+]
 
 # (joint, c-space, solver), and fused multiply–adds that one RK4 step takes on a pack at least:
 # the coordinates of X and V times four stages and the end, and the solver's own.

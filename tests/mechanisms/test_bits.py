@@ -69,6 +69,7 @@ def expected() -> np.ndarray:
     return bits(result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 17])
 def test_bits_of_mechanisms_do_not_depend_on_batch_size(count, expected):
     np.testing.assert_array_equal(bits(run(*part(slice(0, count)))), expected[:count])
