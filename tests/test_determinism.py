@@ -122,6 +122,7 @@ def test_bits_do_not_depend_on_threads(threads, expected):
     np.testing.assert_array_equal(_bits(_run(TWISTS, threads=threads)), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

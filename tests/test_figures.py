@@ -83,6 +83,7 @@ def test_coordinates_are_labelled_as_the_joint_names_them(given):
 # ---- zeros, many lines -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_zeros_are_said_in_words_and_not_drawn(dataset):
     """On SE(3) the joint is exact; no axis reaches down to 1e-18 for that."""
     shares, ridges = drawn(dataset, "distribution")[:2]
@@ -170,6 +171,7 @@ def test_columns_that_nobody_knows_are_drawn_with_their_units(given, tmp_path):
     assert axes.get_xscale() == "linear"
 
 
+@pytest.mark.slow
 def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch):
     """A history may be larger than the memory."""
     sizes = []

@@ -345,6 +345,7 @@ def test_constraints_are_the_joint_that_they_spell_out(cspace):
     assert units == b"N, N, N, N m"
 
 
+@pytest.mark.slow
 def test_constraint_off_at_the_start_is_named():
     problem, _, twist0 = rod_problem()
     with pytest.raises(PoseError, match=r"free joint with rod: .* \(rod = .*problem\.close"):

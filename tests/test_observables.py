@@ -212,6 +212,7 @@ def test_observable_refuses_names_that_are_none(name):
         constant().named(name)
 
 
+@pytest.mark.slow
 def test_one_function_may_be_two_observables(watched):
     problem, twist = tilted("spherical")
     several = own(problem, tilt(axis=(0.6, 0.0, 0.8)), lively(), tilt().named("upright"))

@@ -93,6 +93,7 @@ def gust(t, R, r, omega, v, params):
     return (0.0, 0.0, 0.0), 3.0 * np.cos(7.0 * (t + params.ahead)) * R[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("t0", [0.0, 0.1234567, -2.0])
 def test_end_goes_on_with_its_clock(t0):
     plain, twist0 = lively("spherical")

@@ -363,6 +363,7 @@ def test_a_stream_tells_at_its_end(ran):
     assert str(ran[0].failures()) in str(told[0].message)
 
 
+@pytest.mark.slow
 def test_the_commands_end_with_failures_and_how_to_replay_one(ran, tmp_path):
     dataset, _ = ran
     (tmp_path / "study.toml").write_text(stiff().to_toml())

@@ -206,6 +206,7 @@ def turned_by(result) -> float:
     return float(np.arctan2(R[3], R[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.05, 0.3, 0.432, 0.6, 0.9999999999])
 def test_a_run_goes_on_from_a_terminal_event_where_it_was(at):
     """Fixed steps are counted from there: no time is lost, and no tick."""

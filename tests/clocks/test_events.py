@@ -157,6 +157,7 @@ def test_events_table_is_sorted_and_says_where_the_body_was():
 # ---- rotation ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_turning_ball_crosses_again_and_again():
     """R₂₁ = sin ωt: exact on the group, whatever the step; dt_max keeps crossings apart."""
     rates, sine = np.array([1.0, 7.0, 30.0]), 0.3

@@ -131,6 +131,7 @@ def test_pose_between_steps_is_on_the_subgroup(name, solver):
 # ---- fixed steps -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", tiered([*METHODS, "RK4", "Heun", "Euler"], ["RK4"], ["DP54"]))
 def test_save_at_on_steps_is_save_every(method):
     """At the ends of steps there is nothing to interpolate: what is left is rounding."""

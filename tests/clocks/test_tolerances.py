@@ -132,6 +132,7 @@ def trap(t, R, r, omega, v, body):
     return np.zeros(3), -body.mass * (R.T @ r)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cspace", ["SO3xR3", pytest.param("SE3", marks=pytest.mark.long)])
 def test_nothing_is_small_in_itself(cspace):
     """A ball as large as it swings, in kilometres and in picometres: the same steps, and errors."""

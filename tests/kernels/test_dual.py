@@ -234,6 +234,7 @@ def test_derivatives_are_exact(name):
         np.testing.assert_allclose(found, wanted, rtol=2e-14, atol=1e-15, err_msg=f"at {place}")
 
 
+@pytest.mark.slow
 @EVERY
 def test_lanes_agree_with_floats(name):
     function, _, places = FUNCTIONS[name]

@@ -174,6 +174,7 @@ def test_a_spring_about_an_inner_joint_is_slack_at_its_angle(name):
         assert np.abs(result[each].omega).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_momentum_is_that_of_the_bodies_and_stays_where_nothing_acts_from_outside():
     rng = np.random.default_rng(1)
     body = lierb.Body(1.5, np.diag([0.03, 0.04, 0.05]) + 1.5 * 0.01 * np.diag([0, 1, 1]),
