@@ -99,8 +99,13 @@ def _places_of(field: Field, array: Array) -> Places:
     places = np.empty((field.width, 2), dtype=np.int64)
     places[:, 0] = _offsets(field, array.strides[ahead:])
     places[:, 0] += array.__array_interface__["data"][0]
-    places[:, 1] = array.strides[0] if ahead and len(array) > 1 else 0
+    places[:, 1] = 0 if _is_shared(field, array) else array.strides[0]
     return places
+
+
+def _is_shared(field: Field, array: Array) -> bool:
+    """Whether it has one item for all bodies."""
+    return array.ndim == len(field.shape) or len(array) == 1
 
 
 def _nowhere(count: int) -> Places:
@@ -165,7 +170,7 @@ class Inputs:
         if _layout(self.problem, self.columns).differ:
             return BODIES
         are_one = self.state is not None or all(
-            array.ndim == len(self.columns.field(name).shape) or len(array) == 1
+            _is_shared(self.columns.field(name), array)
             for name, array in self.starts.items()
             if name != "twist"
         )
@@ -190,8 +195,8 @@ class Inputs:
         for field, _ in self.columns:
             if field.name in arrays:
                 array = arrays[field.name]
-                is_shared = array.ndim == len(field.shape) or len(array) == 1
-                item = array.reshape(-1, *field.shape)[0 if is_shared else body].ravel()
+                which = 0 if _is_shared(field, array) else body
+                item = array.reshape(-1, *field.shape)[which].ravel()
                 found += list(item if field.entries is None else item[list(field.entries)])
         return found
 
