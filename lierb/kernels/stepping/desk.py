@@ -1,8 +1,9 @@
 """A thread's desk: what the lanes of a driver have between them, and whose they are.
 
 It is one time of L trajectories, in the same arrays as the results of the batch, but for states,
-which are rows; what a lane has to show is written there by formulas, and handed over to its place. What is done lane by
-lane knows nothing of a plan: it is compiled once for all of them, and called by its address.
+which are rows; what a lane has to show is written there by formulas, and handed over to its place
+in the results. What is done lane by lane knows nothing of a plan: it is compiled once for all of
+them, and called by its address.
 """
 
 from __future__ import annotations
