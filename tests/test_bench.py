@@ -37,7 +37,7 @@ def test_reference_is_reproduced():
 
 # (peer, form, error allowed: RK4 at 1e-3 s reaches 8e-10 m on the worst of the first 64 tops)
 QUICK = [
-    ("lierb", "gain", 2e-9),
+    pytest.param("lierb", "gain", 2e-9, marks=pytest.mark.slow),
     pytest.param("lierb", "saddle-tilted", 2e-9, marks=pytest.mark.slow),
     ("numpy_batch", "reduced", 2e-9),
     ("numpy_batch", "general", 5e-9),
@@ -81,6 +81,7 @@ def test_tables_have_no_place_in_a_page_without_marks():
 # ---- tools at the same error -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", tops.BATCHES)
 def test_reference_at_all_speeds_is_met_by_short_steps(batch):
     """The fastest top turns by 310 rad, 0.06 rad a step: what is left is rounding."""

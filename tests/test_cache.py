@@ -295,6 +295,7 @@ def test_lierb_lanes_sets_the_width_and_changes_no_bit(copy):
     assert copy.run(BATCH, LIERB_LANES="4") == found[4]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes", ["3", "16", "-1", "four"])
 def test_lierb_lanes_out_of_range_is_told_clearly(copy, lanes):
     process = copy.start("import lierb", LIERB_LANES=lanes)

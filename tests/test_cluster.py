@@ -322,6 +322,7 @@ def invoke(*arguments):
     return CliRunner().invoke(cli, ["run", *map(str, arguments)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -353,6 +354,7 @@ def test_command_says_what_is_wrong(options, said, tmp_path, monkeypatch):
     assert all(client.status == "closed" for client in started)
 
 
+@pytest.mark.slow
 def test_command_joins_a_scheduler(client, tmp_path):
     file = tmp_path / "study.toml"
     file.write_text(TEXT)

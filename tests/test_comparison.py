@@ -83,6 +83,7 @@ def column(table, name: str) -> np.ndarray:
 # ---- orders and errors -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("quantity", ["error.rotation", "error.position", "error.omega", "error.v"])
 def test_orders_are_those_of_the_methods(found, method, quantity):
@@ -257,6 +258,7 @@ def test_right_hand_sides_are_the_stages_of_a_step(name):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_order_is_told_of_what_moves():
     """Of a body that turns about its centre of mass no position has an error."""
     problem = lierb.Problem(box(), lierb.joints.spherical())
@@ -544,6 +546,7 @@ def test_compare_prints_tables_and_writes_files(command, study, tmp_path):
     assert dts == [4e-3, 2e-3, 1e-3] * 2  # of one dt its half and its quarter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "begins"), [("--markdown", "| method"), ("--latex", r"\begin")])
 def test_compare_prints_what_a_paper_takes(command, study, tmp_path, option, begins):
     out = tmp_path / "out"

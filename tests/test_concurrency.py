@@ -78,6 +78,7 @@ def test_concurrent_calls_with_progress_and_threads_give_the_bits_of_one(alone):
     assert all(one == alone for one in found)
 
 
+@pytest.mark.slow
 def test_concurrent_first_calls_compile_once_and_agree():
     # a tableau that nothing else uses: every thread finds it missing
     method = lierb.ButcherTableau([[], [0.625]], [0.2, 0.8], name="of this test")

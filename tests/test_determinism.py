@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, tiered
+from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_but, tiered
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning, PoseError, TwistError
@@ -68,7 +68,7 @@ def expected() -> np.ndarray:
     return _bits(_run(TWISTS))
 
 
-@pytest.mark.parametrize("solver", ["auto", "saddle"])
+@pytest.mark.parametrize("solver", slow_but(["auto", "saddle"], "auto"))
 def test_bits_do_not_depend_on_the_poses_of_the_others(solver):
     """What a pose decides is found once where all have it, and for each block where they differ."""
     problem, count = _problem(), 37
@@ -195,6 +195,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     assert (output.status[others] == OK).all()
 
 
+@pytest.mark.slow
 def test_an_overflowing_body_gets_its_status_and_time():
     """Euler with a step far too long: the body spins up until it overflows."""
     fast = np.concatenate([_twists(4), joint("spherical").twist(omega=[(3e3, 2e3, 1e3)])])

@@ -151,6 +151,7 @@ def test_a_cspace_has_its_colour_whatever_stands_before_it(given):
 # ---- further columns ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_columns_that_nobody_knows_are_drawn_with_their_units(given, tmp_path):
     """As observables write them: in the history and in the summary."""
     done = lierb.run(given, tmp_path / "out")
@@ -191,6 +192,7 @@ def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch)
     assert 0 < max(sizes) <= 2 * given.sample.n
 
 
+@pytest.mark.slow
 def test_dataset_plot_names_its_figures(dataset):
     figure = dataset.plot()
     assert isinstance(figure, Figure)

@@ -124,6 +124,7 @@ def test_function_may_use_what_is_allowed():
         np.testing.assert_array_equal(v, expected, err_msg=name)
 
 
+@pytest.mark.slow
 def test_parameters_have_the_shape_of_their_defaults():
     @lierb.wrench(pull=(0.0, 0.0, 1.0), size=2.0)
     def push(t, R, r, omega, v, params):
@@ -195,9 +196,8 @@ SHAPED = lierb.Body(  # the inertia less Steiner's part: 2 × a rotation's diago
 )
 
 
-@pytest.mark.parametrize(
-    "function", [common, further, pytest.param(branching_common, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("function", [common, further, branching_common])
 def test_numpy_is_numpys(function):
     sizes = np.array([0.25, 0.75])
     with warnings.catch_warnings():
@@ -232,6 +232,7 @@ def branching(t, R, r, omega, v, params):
     return np.zeros(3), params.pull
 
 
+@pytest.mark.slow
 def test_function_that_branches_runs_body_by_body_and_says_so_once():
     decorated = lierb.wrench(size=1.0, pull=(0.0, 1.0, 0.0))(branching)
     sizes = np.linspace(0.0, 4.0, 21)
@@ -448,6 +449,7 @@ def test_fingerprint_refuses_what_it_cannot_know():
         )()
 
 
+@pytest.mark.slow
 def test_motors_are_told_apart():
     """They are wrapped by a function of lierb's, which must not hide them."""
     one, two = (lierb.forces.motor(lambda t, k=k: k * t) for k in (1.0, 2.0))

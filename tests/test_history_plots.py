@@ -142,6 +142,7 @@ def test_trace_is_a_map_of_equal_areas(problem, spun):
     np.testing.assert_allclose(np.cos(tilt.values), axis[..., 2], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_failed_trajectories_end():
     """As in the tests of the animation, on the same kernel."""
     body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)

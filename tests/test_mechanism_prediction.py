@@ -188,6 +188,7 @@ def _algebra(joint):
     return basis
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("first", "second", "is_aligned"), PAIRS)
 def test_se3_keeps_an_inner_joint_that_its_parent_s_motions_normalise(first, second, is_aligned):
     """{(g, D⁻¹gD h)} is a group if and only if g⁻¹Hg = H: an oracle without completion groups."""

@@ -93,6 +93,7 @@ def test_error_figure_of_few_rows_is_drawn(rows, tmp_path):
     plots.save(figure, tmp_path / "few", "png")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["png", "svg"])
 def test_save_writes_the_same_bytes_each_time(tmp_path, kind):
     for name in ("one", "two"):

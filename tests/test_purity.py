@@ -312,6 +312,7 @@ LATE = """    size = 3 if t > 0.25 else 2
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "message"),
     [("size", "pushed raised IndexError: .*bounds"), ("0", "pushed raised ValueError: too late")],
@@ -338,6 +339,7 @@ OFF_THE_PATH = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", OFF_THE_PATH)
 def test_the_warning_names_line_and_remedy_and_how_much_slower(line):
     with pytest.warns(lierb.errors.ScalarFunctionWarning) as told:

@@ -114,6 +114,7 @@ def test_end_goes_on_with_its_clock(t0):
     assert second.history["energy_drift"][0].as_py() == 0.0
 
 
+@pytest.mark.slow
 def test_work_does_not_depend_on_calls_neighbours_or_history(monkeypatch):
     plain, twist0 = lively("spherical")
     problem = lierb.Problem(plain.body, plain.joint, GRAVITY, gust())
@@ -133,6 +134,7 @@ def test_work_does_not_depend_on_calls_neighbours_or_history(monkeypatch):
     np.testing.assert_array_equal(found(twist0), expected)
 
 
+@pytest.mark.slow
 def test_start_time_is_that_of_forces():
     """A gust from 2 s on is one from 0 s on that is 2 s ahead, and not one that is not."""
     plain, twist0 = lively("spherical")

@@ -303,6 +303,7 @@ def design(request):
     return Design(ANY, CHUNKED, seed=2**64 - 1, method=request.param)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 1000])
 def test_bits_do_not_depend_on_the_chunks(design, size):
     whole = design.draw()

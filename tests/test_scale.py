@@ -264,6 +264,7 @@ def test_a_joint_held_the_wrong_way_round_is_not_closed(name, turn):
     np.testing.assert_allclose(held.close(nearly)[2, :3], (0.0, 0.0, 1.0), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 @EVERY_JOINT
 def test_predictions_do_not_depend_on_units(name):
     expected = str(lierb.predict(problem(name)))
@@ -391,6 +392,7 @@ def test_sizes_are_those_of_the_motion(results):
         assert sizes["rotation"] == 1.0
 
 
+@pytest.mark.slow
 def test_errors_of_small_bodies_are_drawn(results):
     """The drift on SO(3)×R³, 1e-7 of the top's length, where figures would draw none."""
     study_plots = pytest.importorskip("lierb.studies.figures")

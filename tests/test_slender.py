@@ -42,7 +42,8 @@ def falling(cspace: str, solver: str) -> lierb.Result:
     )  # fmt: skip
 
 
-@CSPACES
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 def test_a_driven_hinge_carries_what_the_motion_needs(cspace):
     """The motion is given, and so is the wrench that it takes."""
     result = driven(cspace)
@@ -122,7 +123,8 @@ def swung(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return along @ force, along @ w, along @ turn.as_matrix() @ along.T
 
 
-@CSPACES
+@pytest.mark.slow
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 def test_the_joint_stays_closed(cspace):
     """On SE(3) to rounding; on SO(3)×R³ it drifts with the method, whatever the inertia."""
     for run in (driven(cspace), falling(cspace, "saddle")):
@@ -150,6 +152,7 @@ def test_projected_twists_and_closed_poses_satisfy_the_joint(name):
     np.testing.assert_allclose(place[:, rows], 0.0, atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["planar", "schoenflies"])
 def test_a_body_that_slides_turns_as_it_likes(name):
     """Gravity has no moment about the centre of mass: the spin stays, whatever the arm."""

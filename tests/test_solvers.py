@@ -43,7 +43,7 @@ def test_a_constant_gain_makes_the_saddle_points_motion(name):
         )
 
 
-@pytest.mark.parametrize("name", ["spherical", "screw"])
+@pytest.mark.parametrize("name", slow_but(["spherical", "screw"], "spherical"))
 def test_the_reduced_cspace_takes_the_steps_of_the_gain(name):
     gain, reduced = _history(name, "local", "gain"), _history(name, "local", "reduced")
     assert gain.history.equals(reduced.history)
@@ -100,7 +100,7 @@ def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monke
     np.testing.assert_array_equal(end(), expected)
 
 
-@pytest.mark.parametrize("name", slow_but(JOINTS, "spherical", "screw"))
+@pytest.mark.parametrize("name", slow_but(JOINTS, "spherical"))
 def test_steps_of_tiny_angles_are_the_same_beside_a_body_whose_angles_are_not(name):
     """Without its neighbour, a slow body's steps go without a branch."""
     problem, twist0 = tilted(name)

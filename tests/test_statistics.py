@@ -272,6 +272,7 @@ def reach(r):
 """
 
 
+@pytest.mark.slow
 def test_indices_are_those_of_a_sum(tmp_path):
     """r = r₀ + v t, both uniform, of widths 1 and 2: variances 1/12 and 4/12, no interaction."""
     lierb.run(sensitive(), tmp_path / "out")
@@ -289,6 +290,7 @@ def test_indices_are_those_of_a_sum(tmp_path):
     assert f"{found['reach_final', 'initial.place'].total.value:.3f}" in shown
 
 
+@pytest.mark.slow
 def test_indices_are_of_whole_rows_before_what_is_missing(tmp_path):
     lierb.run(sensitive(), tmp_path / "out")
     dataset = Dataset(tmp_path / "out")

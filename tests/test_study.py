@@ -623,6 +623,7 @@ def reversed_pairs(options):
     return [each for pair in reversed([*zip(options[::2], options[1::2])]) for each in pair]
 
 
+@pytest.mark.slow
 def test_only_replays_the_study_that_was_set(run_changed):
     file, out = run_changed
     printed = succeed("run", file, "--out", out, *CHANGED, "--only", 17)

@@ -125,6 +125,7 @@ def test_the_folder_of_results_is_a_study_of_its_own(whole, tmp_path):
     assert findings(dataset)[0].bodies == 40
 
 
+@pytest.mark.slow
 def test_replay_has_the_studys_row(whole):
     ((_, tables),) = replay(whole / "study.toml", 17)
     (row,) = tables["summary"].to_pylist()
@@ -133,6 +134,7 @@ def test_replay_has_the_studys_row(whole):
     assert tables["history"].num_rows == 21
 
 
+@pytest.mark.slow
 def test_only_tells_long_names_and_their_numbers_apart(whole, tmp_path):
     printed = invoke("run", whole / "study.toml", "--out", tmp_path, "--only", 17).output
     damping = sorted_rows(whole)[17]["sample.forces.controller.damping"]

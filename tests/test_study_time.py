@@ -216,6 +216,7 @@ def test_replay_has_the_studys_row_and_events(whole):
     assert "rotation" in tables["history"].column_names
 
 
+@pytest.mark.slow
 def test_only_prints_the_events(whole, tmp_path):
     number = int(numbers(whole, "trajectory", "events")[0])
     printed = invoke("run", whole / "study.toml", "--out", tmp_path, "--only", number).output

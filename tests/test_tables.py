@@ -117,8 +117,11 @@ def test_errors_schema(top):
 
 @pytest.mark.parametrize(
     "record",
-    [("state",), ("energy",), ("multipliers",), ("reaction", "multipliers", "energy", "state")],
-)
+    slow_but(
+        [("state",), ("energy",), ("multipliers",), ("reaction", "multipliers", "energy", "state")],
+        ("state",), ("energy",),
+    ),
+)  # fmt: skip
 def test_record_adds_its_columns_in_a_fixed_order(top, record):
     added = {}
     for name in RECORDED:
@@ -132,6 +135,7 @@ def test_record_may_be_one_name(top):
     )
 
 
+@pytest.mark.slow
 def test_multiplier_units_are_those_of_the_rows():
     problem = lierb.Problem(lierb.Body(6.075, BOX), joints.revolute())
     table = run(problem, np.zeros(6), save_every=1, record=RECORD).history
@@ -470,7 +474,8 @@ def kkt(problem, i, state):
 
 
 @pytest.mark.parametrize(
-    ("make", "cspace"), [(joints.revolute, "SE3"), (joints.spherical, "SO3xR3")]
+    ("make", "cspace"),
+    [(joints.revolute, "SE3"), pytest.param(joints.spherical, "SO3xR3", marks=pytest.mark.slow)],
 )
 def test_multipliers_solve_newton_and_euler(make, cspace):
     problem, given = violated("prismatic", cspace)
@@ -642,6 +647,7 @@ def test_failed_body_leaves_its_neighbours_bits(failing):
         assert_same_bits(one, other, names)
 
 
+@pytest.mark.slow
 def test_contradictory_rows_are_singular():
     # d₁ = 0 and (Qᵀd)₁ = 0 coincide at the closed pose; a point that moves while the body turns
     # needs two different accelerations
@@ -701,6 +707,7 @@ def test_metadata_is_the_same_in_both_tables(top):
     assert result.summary.schema.metadata == result.history.schema.metadata
 
 
+@pytest.mark.slow
 def test_metadata_names_every_option(top):
     given = {
         "method": "Euler", "cspace": "SE3", "update": "local", "save_every": 5, "measure_every": 2,

@@ -111,6 +111,7 @@ def test_adaptive_steps_end_at_the_ticks():
     assert (result.summary["steps"].to_numpy() >= 10).all()
 
 
+@pytest.mark.slow
 def test_fixed_steps_are_shortened_where_a_controller_ticks():
     """dt = 0.03 s and ticks each 0.1 s: steps of 30, 30, 30 and 10 ms."""
     rotation, omega = fleet(2)
@@ -223,6 +224,7 @@ def test_a_run_goes_on_from_a_terminal_event_where_it_was(at):
     assert column(second.summary, "ticks").tolist() == [ticks]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0.3, 0.6])
 def test_a_terminal_event_at_a_tick_leaves_it_to_what_goes_on(at):
     """What the summary says is what the event saw."""
@@ -241,6 +243,7 @@ def test_a_row_at_a_tick_shows_what_it_has_set(clock):
     assert column(result.summary, "ticks").tolist() == [11.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0.3, 0.6, 0.9, 1.0, 1.2])
 def test_a_run_broken_at_a_tick_has_the_bits_of_one_run(cut):
     """3 · 0.1 is a rounding beyond the tick at 0.3: no step of that length is made."""
@@ -344,6 +347,7 @@ def test_noise_depends_on_the_seed(whole):
     assert (column(other.summary, "gyro") != column(whole.summary, "gyro")).all()
 
 
+@pytest.mark.slow
 def test_noisy_run_is_the_loop_by_hand_with_its_noise():
     """The noise is an output too: the loop takes it from there."""
     count, ticks = 3, 8
@@ -387,6 +391,7 @@ def test_a_name_that_is_drawn_twice_is_told():
         twice()
 
 
+@pytest.mark.slow
 def test_draws_are_standard_normal(drawn):
     """80 000 draws; the bounds are five standard errors, and a p of 1e-4 for Kolmogorov's test."""
     x = drawn.ravel()
@@ -398,6 +403,7 @@ def test_draws_are_standard_normal(drawn):
     assert stats.kstest(x, "norm").pvalue > 1e-4
 
 
+@pytest.mark.slow
 def test_draws_do_not_know_of_each_other(drawn):
     """Neighbours in time, in the batch, and among components: correlations within five σ."""
     x = drawn

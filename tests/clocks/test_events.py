@@ -3,6 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
+from cases import slow_but
 
 import lierb
 from clocks.shared import G, rows_of, spinning, table_bits, thrown
@@ -362,6 +363,7 @@ def test_a_visit_is_seen_however_short(degrees, clock):
     np.testing.assert_allclose(times, true, rtol=0, atol=1e-14 / within + 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [{"rtol": 1e-6}, {"rtol": None, "dt": 0.1}], ids=str)
 def test_nothing_is_crossed_where_an_event_is_nan(clock):
     """Neither into it, nor out of it, nor from one side of it to the other."""
@@ -381,7 +383,9 @@ def test_a_condition_is_refused():
         thrown(1.0, 0.0, events=late())
 
 
-@pytest.mark.parametrize("clock", [{"rtol": 1e-6}, {"rtol": None, "dt": 0.5}], ids=str)
+@pytest.mark.parametrize(
+    "clock", slow_but([{"rtol": 1e-6}, {"rtol": None, "dt": 0.5}], {"rtol": 1e-6}), ids=str
+)
 def test_what_starts_at_zero_to_rounding_lands_when_it_comes_back(clock):
     """Within the first quarter of the first step."""
     heights = np.array([0.0, 1e-13, -1e-13, 1e-12])

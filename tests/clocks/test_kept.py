@@ -54,7 +54,8 @@ def test_commutator_free_steps_keep_a_subgroup_joint(name, method):
     kept(result)
 
 
-@pytest.mark.parametrize("method", ["DP54", pytest.param("CF4", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["DP54", "CF4"])
 def test_so3xr3_does_not_keep_it(method):
     """Else the tests above could not fail: there the joint opens by the method's error."""
     problem, twist0 = tilted("spherical")

@@ -94,6 +94,7 @@ def test_wheels_and_body_keep_their_momentum(cspace):
     assert np.abs(omega[-1] - omega[0]).max() > 0.01
 
 
+@pytest.mark.slow
 def test_columns_carry_names_and_units():
     result = with_wheels(t_end=0.1, save_at=(0.1,))
     for table in (result.summary, result.history):

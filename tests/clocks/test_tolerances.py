@@ -6,6 +6,7 @@ are chosen by; the lower one says that no steps are wasted.
 """
 
 import functools
+import itertools
 import json
 
 import numpy as np
@@ -21,16 +22,13 @@ RTOLS = tuple(10.0**-k for k in range(4, 13))
 # The steps of low orders are a million at 1e-12, and their rounding adds up.
 LEAST = {"BS32": 1e-8, "DP54": 1e-11, "Tsit5": 1e-11}
 METHODS = ("BS32", "DP54", "Tsit5", "Verner65", "Verner87", "Verner98", "DOP853")
-QUICK = {("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")}
+QUICK, SLOW = ("heavy_top", "SE3", "DOP853"), ("free_body", "SE3", "DP54")
 FORMS = [
     pytest.param(
-        name, cspace, method,
-        marks=() if (name, cspace, method) in QUICK else pytest.mark.long,
-        id=f"{name}-{cspace}-{method}",
+        *form, id="-".join(form),
+        marks=() if form == QUICK else pytest.mark.slow if form == SLOW else pytest.mark.long,
     )
-    for name in DATA
-    for cspace in ("SE3", "SO3xR3")
-    for method in METHODS
+    for form in itertools.product(DATA, ("SE3", "SO3xR3"), METHODS)
 ]  # fmt: skip
 
 
@@ -196,6 +194,7 @@ def steps_with(atol, rtol=1e-9) -> int:
     return found.summary["steps"].to_pylist()[0]
 
 
+@pytest.mark.slow
 def test_atol_by_block_lets_one_block_go():
     """A body that turns and flies: its v, in its own axes, turns with it. Loose tolerances of all
     take few steps; each block still asks for them where that of the others is let go.

@@ -55,7 +55,7 @@ def test_reference_keeps_energy_and_momentum(name):
     np.testing.assert_allclose(seen, np.broadcast_to(seen[0], seen.shape), rtol=2e-14, atol=2e-15)
 
 
-@pytest.mark.parametrize("case", tiered(CASES, ["free_body-SE3"], ["heavy_top-SO3xR3"]))
+@pytest.mark.parametrize("case", tiered(CASES, [], ["free_body-SE3", "heavy_top-SO3xR3"]))
 def test_short_fixed_steps_meet_the_reference(case):
     """Rounding alone: 1e-16 for each of up to 800 steps, times what the motion makes of it."""
     name, cspace = case.split("-")

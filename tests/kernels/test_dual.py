@@ -244,6 +244,7 @@ def test_lanes_agree_with_floats(name):
     np.testing.assert_allclose(found.T, plain, rtol=2e-14, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="the JIT is off")
 @pytest.mark.parametrize("lanes", [1, 2])
 def test_bits_do_not_depend_on_lanes(lanes):

@@ -68,6 +68,7 @@ def same_bits(a, b):
     return np.array_equal(a.view(np.int64), b.view(np.int64))
 
 
+@pytest.mark.slow
 @needs_jit
 @every_group
 @every_function
@@ -79,6 +80,7 @@ def test_lie_functions_same_bits_on_every_number_of_lanes(group, name):
         assert same_bits(applied(group, name, lanes, a, b), scalar)
 
 
+@pytest.mark.slow
 @needs_jit
 @every_group
 @every_function
@@ -130,6 +132,7 @@ SCALARS = {
 }
 
 
+@pytest.mark.slow
 @needs_jit
 @pytest.mark.parametrize("name", SCALARS)
 def test_scalar_formulas_same_bits_on_every_number_of_lanes(name):

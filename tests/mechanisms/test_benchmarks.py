@@ -72,6 +72,7 @@ def test_independent_solutions_agree(name):
             assert value < loosest[way], (way, t)
 
 
+@pytest.mark.slow
 @EXTENDED
 @pytest.mark.parametrize("name", ["A01", "A02_1", "A04", "slider_crank", "rssr",
                                   "spherical_double_pendulum"])  # fmt: skip

@@ -235,6 +235,7 @@ def test_largest_error_of_joints_is_nan_where_one_is():
     assert _largest([ZERO, 0.5, 2.0, ZERO]) == 2.0
 
 
+@pytest.mark.slow
 def test_an_end_with_another_pose_is_another_start():
     made = double_pendulum()
     first = lierb.integrate(made, **start(made), **RUN)

@@ -227,6 +227,7 @@ def on_the_ground(joint: str) -> samples.Sample:
         del SHAPES["one"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", sorted(oracle.CONDITIONS))
 def test_one_body_moves_as_the_oracle_of_one_body_says(joint):
     # Newton and Euler with other rows, by another hand, integrated by DOP853 at 3e-14
