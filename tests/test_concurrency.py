@@ -428,3 +428,18 @@ def test_fork_error_is_no_value_error():
     # nothing is wrong with the arguments
     assert issubclass(ForkError, RuntimeError)
     assert not issubclass(ForkError, ValueError)
+
+
+# ---------------------------------------------------------------- the end of a process
+
+
+@pytest.mark.slow  # a process
+def test_handlers_of_atexit_may_integrate():
+    """Python starts no thread any more; what is compiled is compiled in this one."""
+    script = """
+import atexit
+many = top.joint.twist(omega=np.ones((1 << 14, 3)))
+atexit.register(lambda: print(lierb.integrate(top, twist0=many, dt=1e-2, t_end=0.1)))
+"""
+    done = run_script(script)
+    assert "16384 trajectories" in done.stdout, done.stderr

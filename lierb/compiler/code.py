@@ -5,8 +5,6 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from typing import Any
 
 import numba
@@ -21,6 +19,7 @@ from lierb.compiler.internals import (
     set_cache,
 )
 from lierb.compiler.tags import Tag
+from lierb.threads import begun
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
 # function, because the options of its first caller leak into a helper that has none.
@@ -90,14 +89,10 @@ def undisturbed(work: Callable[..., None], *args: Any) -> None:
     amidst Numba's work leaves its registries half made, and every later call failing. Hence the
     work is done in a thread of its own; what comes next finds it done, or waits for it.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is threading.main_thread():
+        begun(_without_collections, work, *args)()
+    else:
         _without_collections(work, *args)
-        return
-    pool = ThreadPoolExecutor(1, "lierb")
-    try:
-        pool.submit(copy_context().run, _without_collections, work, *args).result()
-    finally:
-        pool.shutdown(wait=False)
 
 
 def _without_collections(work: Callable[..., None], *args: Any) -> None:

@@ -6,8 +6,6 @@ import hashlib
 import json
 import platform
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import cache, lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -23,6 +21,7 @@ from lierb.kernels.stepping.plan import AnyPlan
 from lierb.links import Loop
 from lierb.mechanism import BODY, JOINT, Mechanism
 from lierb.model import Problem
+from lierb.threads import begun
 from lierb.user_elements import Element
 
 LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
@@ -59,11 +58,7 @@ def provenance(
     """
     described = partial(_described, problem, twist0=twist0, pose0=pose0, **more)
     if more["before"] is None and _count_of(twist0) + _count_of(pose0) >= LARGE:
-        pool = ThreadPoolExecutor(1, "lierb")
-        with suppress(RuntimeError):  # no thread is to be had: there are too many, or Python ends
-            found = pool.submit(described)
-            pool.shutdown(wait=False)
-            return found.result
+        return begun(described)
     text = described()
     return lambda: text
 

@@ -47,6 +47,18 @@ def test_who_collects_no_garbage_is_not_made_to(collecting):
     assert not gc.isenabled()
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_work_is_done_here_where_no_thread_is_to_be_had(collecting, monkeypatch, fails):
+    """As in a handler of atexit, or beyond a limit of the system's."""
+
+    def none_left(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", none_left)
+    assert seen(fails=fails) == [threading.main_thread(), False]
+    assert gc.isenabled()
+
+
 def test_another_thread_does_its_work_itself(collecting):
     found = []
     worker = threading.Thread(target=lambda: found.extend((seen(), gc.isenabled())))
