@@ -21,6 +21,7 @@ from lierb.studies.sizes import as_array
 from lierb.studies.study import Setting
 
 pytest.importorskip("matplotlib")
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from lierb.studies import figures, panels, replays, statistics, symbols
@@ -93,6 +94,20 @@ def test_zeros_are_said_in_words_and_not_drawn(dataset):
     assert words(ridges).count("exactly 0") == 2
     assert len(shares.lines) == 2
     assert len(drawn(dataset, "time")[0].lines) == 4  # median and largest, of SO(3)×ℝ³
+
+
+def test_the_legend_tells_what_an_outline_is(dataset):
+    """Of the energy, what is left at the end is not told, and not drawn."""
+    sheet = dict(figures.sheets(dataset))["distribution"]
+    assert [key.label for key in sheet.keys][-1] == "outline: at the end"
+    shown = [Figure().subplots() for _ in sheet.panels]
+    for draw, panel in zip(sheet.panels, shown, strict=True):
+        draw(panel)
+    outlined = [
+        any(patch.get_edgecolor()[:3] == to_rgb(sheet.keys[-1].colour) for patch in panel.patches)
+        for panel in shown
+    ]
+    assert outlined == [False, True, False, False]
 
 
 def test_shares_begin_at_the_share_of_zeros():

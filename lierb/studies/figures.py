@@ -33,6 +33,7 @@ from lierb.studies.occurrences import event_names, first_times
 from lierb.studies.panels import (
     MOST_KEYS,
     NO_TIMES,
+    OUTLINE,
     Draw,
     Key,
     Look,
@@ -153,6 +154,7 @@ def distribution_sheet(dataset: Dataset, study: Study) -> Sheet:
     """How the errors are distributed over the bodies: shares at or below, and histograms."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels: list[Draw] = []
+    keys = [look.key for look in shown]
     for kind, largest in seen.items():
         final = FINAL.get(kind)
         rows = [
@@ -161,7 +163,9 @@ def distribution_sheet(dataset: Dataset, study: Study) -> Sheet:
         ]
         panels.append(partial(_draw_shares, rows, shown, least[kind], AXES[kind]))
         panels.append(partial(_draw_ridges, rows, least[kind], f"largest {AXES[kind]}", True))
-    return Sheet("errors over the bodies", panels, [look.key for look in shown],
+    if len(keys) < MOST_KEYS and any(FINAL.get(kind) in _summary(dataset) for kind in seen):
+        keys.append(Key("outline: at the end", OUTLINE))
+    return Sheet("errors over the bodies", panels, keys,
                  height=max(3.2, 0.42 * len(shown) + 0.9))  # fmt: skip
 
 

@@ -36,7 +36,7 @@ MOST_SETTINGS = 24  # that are drawn
 MOST_BINS = 60
 NO_BODY = "nothing to draw: no body got to its end"
 NO_TIMES = "nothing to draw: no body got as far as the first rows"
-GREY = "#555555"
+GREY, OUTLINE = "#555555", "#222222"
 PLAIN = {name: CSPACE_NAMES[cspace] for cspace, name in MATH_NAMES.items()}
 Draw = Callable[[Axes], None]
 
@@ -270,7 +270,7 @@ def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) ->
             panel.stairs(base + filled, to_axis, baseline=base, fill=True, color=row.key.colour,
                          alpha=0.55)  # fmt: skip
             if pair[1].size:
-                panel.stairs(base + outline, to_axis, baseline=base, color="#222222", linewidth=0.7)
+                panel.stairs(base + outline, to_axis, baseline=base, color=OUTLINE, linewidth=0.7)
             panel.axhline(base, color="#bbbbbb", linewidth=0.6, zorder=0)
     for n, row in enumerate(rows):
         _name_ridge(panel, row, len(rows) - 1 - n, least, is_log)
