@@ -493,7 +493,7 @@ def joint_limit(
     damping : N m s/rad.
 
     The spring counts in the energy, what the damper takes in the work. The stop knows the pose, not
-    how it came about: of a turn beyond it the shorter way back counts, so that lower and upper are
+    how it came about: of a turn beyond it the shorter way back counts, so that lower and upper have
     to be less than 2π apart. Steps are to be short beside √(inertia/stiffness); the one in which a
     stop is met is of lower order. For joints that keep the axis e₃.
 
@@ -501,7 +501,7 @@ def joint_limit(
     >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
     <joint_limit: lower, upper, stiffness, damping>
     """
-    _require_order(lower, upper)
+    _require_order(lower, upper, 2.0 * np.pi)
     return JointLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
 
 
@@ -523,7 +523,7 @@ def slide_limit(
     return SlideLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
 
 
-def _require_order(lower: ArrayLike, upper: ArrayLike) -> None:
+def _require_order(lower: ArrayLike, upper: ArrayLike, turn: float = np.inf) -> None:
     low, high = as_numbers("lower", lower, ()), as_numbers("upper", upper, ())
     batch_size(lower=low, upper=high)
     lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(low, high))
@@ -531,6 +531,13 @@ def _require_order(lower: ArrayLike, upper: ArrayLike) -> None:
         label = body_label("lower", int(body), lows.size)
         below, above = float(lows[body]), float(highs[body])
         raise ArgumentError(f"{label} is {below}, above upper, {above}; expected lower ≤ upper")
+    for body in np.flatnonzero(highs - lows >= turn)[:1]:
+        label = body_label("upper", int(body), lows.size)
+        raise ArgumentError(
+            f"{label} is {float(highs[body])} rad, a turn or more above lower, "
+            f"{float(lows[body])}: stops that know the pose alone would never act; expected less "
+            "than 2π between them"
+        )
 
 
 # ---- drag --------------------------------------------------------------------------------------

@@ -164,7 +164,7 @@ def _still_open(
     mechanism = system.mechanism
 
     def worst(pair: tuple[Held, list[Any]]) -> float:
-        return max(float(one_of(x, number)) for x in _excesses(*pair))
+        return max((float(one_of(x, number)) for x in _excesses(*pair)), default=0.0)
 
     h, _ = max(zip(held, off, strict=True), key=worst)
     rows, freedoms = sum(len(each.at.rows) for each in held), 6 * len(mechanism.links)

@@ -251,7 +251,7 @@ def require_fit(element: Element, joint: Joint) -> None:
             "keep: its body turns about others too; take a joint such as revolute, or a "
             "constant_wrench or lierb.wrench"
         )
-    if element.kind.needs_slide and any(row.held_axis == 2 for row in joint.rows):
+    if element.kind.needs_slide and any(row.holds_slide for row in joint.rows):
         raise ForceError(
             f"{element.name} acts along the joint axis, along which a {joint.name} joint does not "
             "slide; take a joint such as prismatic, or a torque about the axis"

@@ -8,6 +8,7 @@ simulation runs.
 from __future__ import annotations
 
 import re
+import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -28,6 +29,15 @@ from lierb.user_elements import Force
 WORLD = 0  # MuJoCo's number of the ground
 GROUND = "ground"
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint
+DISABLED = {  # by mjtDisableBit: what of a model is then as good as zero
+    "GRAVITY": ("opt.gravity",),
+    "PASSIVE": ("jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_dampingpoly"),
+    "SPRING": ("jnt_stiffness", "jnt_stiffnesspoly"),
+    "DAMPER": ("dof_damping", "dof_dampingpoly"),
+    "LIMIT": ("jnt_limited",),
+    "EQUALITY": ("eq_active0",),
+    "CONSTRAINT": ("jnt_limited", "eq_active0"),
+}
 HAVE_FORCES = {  # kinds of the file, and joints about or along whose axis forces act
     "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
     "slide": ("prismatic", "cylindrical"),
@@ -81,16 +91,57 @@ def _compiled(path: Any, language: str) -> Any:
     if not isinstance(path, (str, PathLike)):
         raise ArgumentError(f"path={told(path)}; expected the path of a file in {language}")
     try:
-        spec = mujoco.MjSpec.from_file(fspath(path))
+        ground = _named_world(path) if language == "URDF" else None
+        if ground is None:
+            spec = mujoco.MjSpec.from_file(fspath(path))
+        else:
+            spec = mujoco.MjSpec.from_string(ground)
         spec.compiler.fusestatic = False  # what is welded is merged here, or not
         if language == "URDF":
             for geom in list(spec.geoms):  # their meshes need not be there, and weigh nothing
                 spec.delete(geom)
-        return spec.compile()
+        model = spec.compile()
+        _disable(model, mujoco.mjtDisableBit)
+        return model
     except Exception as error:  # of files, whatever the reader finds
         raise ArgumentError(
             f"{told(fspath(path))} cannot be read as {language}: {told(str(error))}"
         ) from error
+
+
+def _named_world(path: Any) -> str | None:
+    """URDF whose root link is named as MuJoCo has to have it for a floating joint on it; None where
+    it has none, or is so already.
+    """
+    robot = ElementTree.parse(fspath(path)).getroot()
+    joints = {joint: joint.find("parent") for joint in robot.findall("joint")}
+    children = {child.get("link") for joint in joints for child in joint.findall("child")}
+    roots = [link for link in robot.findall("link") if link.get("name") not in children]
+    floats = {
+        parent.get("link")
+        for joint, parent in joints.items()
+        if parent is not None and joint.get("type") == "floating"
+    }
+    names = {link.get("name") for link in robot.findall("link")}
+    if len(roots) != 1 or roots[0].get("name") not in floats or "world" in names:
+        return None
+    for parent in joints.values():
+        if parent is not None and parent.get("link") == roots[0].get("name"):
+            parent.set("link", "world")
+    roots[0].set("name", "world")
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _disable(model: Any, bits: Any) -> None:
+    """Take away what a flag of the file disables."""
+    for name, fields in DISABLED.items():
+        bit = getattr(bits, f"mjDSBL_{name}", None)  # not all releases have all of them
+        if bit is not None and model.opt.disableflags & int(bit):
+            for field in fields:
+                owner, _, own = field.rpartition(".")
+                array = getattr(getattr(model, owner) if owner else model, own, None)
+                if array is not None:
+                    array[:] = 0
 
 
 # ---- names -------------------------------------------------------------------------------------
@@ -226,10 +277,39 @@ class JointForces:
         return float(self.model.jnt_stiffness[self.j]), float(damping)
 
     @property
+    def is_polynomial(self) -> bool:
+        """Whether stiffness or damping have coefficients beyond the first."""
+        further = [
+            getattr(self.model, name)[at]
+            for name, at in (
+                ("jnt_stiffnesspoly", self.j),
+                ("dof_dampingpoly", self.model.jnt_dofadr[self.j]),
+            )
+            if hasattr(self.model, name)  # not in all releases
+        ]
+        return any(np.any(numbers) for numbers in further)
+
+    @property
+    def _slack(self) -> float:
+        """Where the spring is slack, from qpos0 on."""
+        return self._on_axis(self.model.qpos_spring[self.model.jnt_qposadr[self.j]])
+
+    @property
+    def _is_wound(self) -> bool:
+        """Whether its spring is slack more than half a turn away: no pose tells which way."""
+        stiffness, _ = self.spring
+        return self.kind == "hinge" and stiffness > 0.0 and abs(self._slack) > np.pi
+
+    @property
     def range(self) -> tuple[float, float] | None:
-        """The limits, from qpos0 on, along the axis of the joint of the catalogue."""
+        """The limits, from qpos0 on, along the axis of the joint of the catalogue; as the file has
+        them where the joint has no such coordinate.
+        """
         if not self.model.jnt_limited[self.j]:
             return None
+        if not self.has_force:
+            least, most = self.model.jnt_range[self.j]
+            return float(least), float(most)
         lower, upper = sorted(self._on_axis(x) for x in self.model.jnt_range[self.j])
         return lower, upper
 
@@ -248,7 +328,9 @@ class JointForces:
     def forces(self) -> Iterator[Force]:
         stiffness, damping = self.spring
         if (stiffness or damping) and self.has_force:
-            slack = self._on_axis(self.model.qpos_spring[self.model.jnt_qposadr[self.j]])
+            slack = self._slack
+            if self._is_wound:
+                stiffness = slack = 0.0
             spring = {"stiffness": stiffness, "damping": damping}
             if self.kind == "hinge":
                 yield forces.torsional_spring(**spring, angle=slack)
@@ -264,6 +346,10 @@ class JointForces:
         label = f"joint {model.joint(self.j).name or self.link}"
         if any(self.spring) and not self.has_force:
             yield f"{label}: stiffness and damping of a {self.kind} joint"
+        elif self._is_wound:
+            yield f"{label}: stiffness {self.spring[0]:.6g}, slack at {self._slack:.6g} rad"
+        if self.is_polynomial:
+            yield f"{label}: stiffness and damping beyond their first coefficients"
         if self.range is not None and not self._has_stops:
             yield f"{label}: limits {self.range[0]:.6g} … {self.range[1]:.6g}"
         at = model.jnt_dofadr[self.j]

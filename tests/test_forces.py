@@ -752,10 +752,20 @@ def test_motor_force_accelerates_evenly(joints_with_forces):
             ArgumentError, r"lower\[1\] is 1.0, above upper, 0.5",
         ),
         (
+            lambda: lierb.forces.joint_limit(lower=-4.0, upper=[2.0, 4.0], stiffness=1.0),
+            ArgumentError, r"upper\[1\] is 4.0 rad, a turn or more above lower, -4.0",
+        ),
+        (
             lambda: lierb.Problem(
                 box(), joint("revolute"), forces=lierb.forces.slide_spring(stiffness=1.0)
             ),
             ForceError, "slide_spring acts along .* a revolute joint does not",
+        ),
+        (
+            lambda: lierb.Problem(  # it slides along e₁
+                box(), lierb.joints.pin_in_slot_body(), forces=lierb.forces.motor(force=1.0)
+            ),
+            ForceError, "motor acts along .* a pin_in_slot_body joint does not",
         ),
         (lambda: lierb.forces.motor(1.0, force=1.0), ArgumentError, "torque= or speed= or force="),
     ],

@@ -268,6 +268,16 @@ def test_a_four_bar_closes_as_two_circles_meet(loop):
     assert all(np.array_equal(again[n], closed[n]) for n in bars.names)
 
 
+def test_close_tells_of_what_does_not_beside_a_motor_of_given_speed():
+    """Whose row is of velocities alone."""
+    crank = lierb.Link("crank", lierb.Body(1.0, (1.0, 1.0, 1.0)), lierb.joints.revolute())
+    driven = lierb.Mechanism([crank], forces=lierb.forces.motor(speed=1.0).on("crank"))
+    far = np.eye(4)
+    far[1, 3] = 1e30
+    with pytest.raises(PoseError, match=r"the joint of crank .* stays open by 1e\+30 m"):
+        driven.close({"crank": far})
+
+
 def test_close_takes_what_is_off_in_every_direction():
     """Also off the plane, where redundant rows contradict each other on the way."""
     bars = fourbar(turn=(0.5, -0.8, 0.3))

@@ -196,6 +196,74 @@ def test_stops_of_more_than_a_turn_are_left_out(tmp_path):
         lierb.Mechanism.from_mjcf(tmp_path / "body.xml", limit_stiffness=-1.0)
 
 
+@pytest.mark.parametrize(
+    ("flag", "gone"),
+    [
+        ("gravity", "gravity"), ("spring", "stiffness"), ("damper", "damping"), ("limit", "stop"),
+        ("equality", "loop"), ("constraint", "stop loop"),
+    ],
+)  # fmt: skip
+def test_what_flags_disable_is_not_there(tmp_path, flag, gone):
+    joint = '<joint axis="0 0 1" stiffness="2" damping="0.3" range="-1 1" limited="true"/>'
+    path = one_body(
+        tmp_path, joint,
+        outside='<equality><connect body1="body" anchor="0 0 -1"/></equality>'
+        f'<option><flag {flag}="disable"/></option>',
+    )  # fmt: skip
+    mechanism, _ = read(path, limit_stiffness=10.0)
+    acting = {force.name: force.parameters for force in mechanism.forces}
+    spring = acting.get("torsional_spring", {})
+    found = {
+        "gravity": np.any(mechanism.gravity), "stiffness": spring.get("stiffness", 0.0) > 0.0,
+        "damping": spring.get("damping", 0.0) > 0.0, "stop": "joint_limit" in acting,
+        "loop": bool(mechanism.loops),
+    }  # fmt: skip
+    assert {name for name, is_there in found.items() if not is_there} == set(gone.split())
+
+
+def test_a_spring_wound_by_more_than_half_a_turn_is_left_out(tmp_path):
+    """It would pull the other way; its damper stays."""
+    joint = '<joint name="coil" springref="4" stiffness="3" damping="0.1"/>'
+    mechanism, left_out = read(one_body(tmp_path, joint))
+    (force,) = mechanism.forces
+    assert (force.parameters["stiffness"], force.parameters["damping"]) == (0.0, 0.1)
+    assert left_out == ("joint coil: stiffness 3, slack at 4 rad",)
+
+
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "jnt_stiffnesspoly"), reason="numbers alone in this release"
+)
+@pytest.mark.parametrize("further", ['stiffness="1 0 30"', 'stiffness="1" damping=".1 2"'])
+def test_further_coefficients_of_springs_are_left_out(tmp_path, further):
+    mechanism, left_out = read(one_body(tmp_path, f'<joint name="stiff" {further}/>'))
+    assert mechanism.forces[0].parameters["stiffness"] == 1.0
+    assert left_out == ("joint stiff: stiffness and damping beyond their first coefficients",)
+
+
+def test_limits_that_lierb_has_no_stops_for_are_told_as_they_are(tmp_path):
+    ball = '<joint name="hip" type="ball" range="0 0.5" limited="true"/>'
+    _, left_out = read(one_body(tmp_path, ball), limit_stiffness=10.0)
+    assert left_out == ("joint hip: limits 0 … 0.5",)
+
+
+@pytest.mark.parametrize("root", ["base", "world"])
+def test_a_floating_joint_of_urdf_is_free_whatever_its_root_is_called(tmp_path, root):
+    path = tmp_path / "craft.urdf"
+    inertia = '<inertia ixx="1" iyy="2" izz="2.5" ixy="0" ixz="0" iyz="0"/>'
+    path.write_text(f"""<robot name="craft">
+      <link name="{root}"/>
+      <link name="bus"><inertial><mass value="3"/>{inertia}</inertial></link>
+      <joint name="launch" type="floating">
+        <parent link="{root}"/><child link="bus"/><origin xyz="1 2 3"/>
+      </joint>
+    </robot>""")
+    mechanism, left_out = read(path)
+    assert (mechanism.names, left_out) == (("bus",), ())
+    assert mechanism.link("bus").joint.name == "free"
+    assert float(mechanism.link("bus").body.mass) == 3.0
+    np.testing.assert_array_equal(mechanism.pose()["bus"][:3, 3], (1.0, 2.0, 3.0))
+
+
 def test_merged_bodies_weigh_the_same():
     mechanism = assert_same_mechanics(
         DATA / "double_pendulum.xml", rates=rates_of, merge_fixed=True

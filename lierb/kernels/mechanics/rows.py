@@ -81,6 +81,11 @@ class Row:
         return None
 
     @property
+    def holds_slide(self) -> bool:
+        """Whether no joint that has it and keeps e₃ slides along it."""
+        return self.held_axis == 2
+
+    @property
     def slot(self) -> tuple[int, int] | None:
         """A component of (ω, v), and what it is in the algebra of a joint that is a subgroup."""
         axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
@@ -175,6 +180,10 @@ class GroundPoint(JointRow):
 
     symbol = "Qtd"
     is_translational = True
+
+    @property
+    def holds_slide(self) -> bool:
+        return self.i == 2
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         return mat_t_vec(x.q, x.d)[self.i]
