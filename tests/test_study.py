@@ -106,6 +106,10 @@ WRONG = {
         [("linear = 0.1", "linaer = 0.1")],
         "forces.drag.linaer: unknown key; did you mean linear?",
     ),
+    "force's distribution in both places": (
+        [("linear = 0.1", 'linear = { distribution = "uniform", low = 0, high = 1 }')],
+        "problem.forces.drag.linear is a table, and sample.forces.drag.linear is where",
+    ),
     "force's joint": (
         [("drag", "torsional_spring"), ("linear", "stiffness")],
         "problem: torsional_spring acts about the joint axis",

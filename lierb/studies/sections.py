@@ -188,11 +188,19 @@ class ElementSection(BaseModel):
 
     def make(self, sampled: dict[str, Array], code: Code) -> Any:
         """What it describes, by a function of lierb's or of the study's files."""
-        values = dict(self.model_extra or {}) | sampled
+        given = dict(self.model_extra or {})
+        where = f"{self.table}.{self.label}"
+        for name, value in given.items():
+            if name in sampled and isinstance(value, dict):
+                raise StudyError(
+                    f"problem.{where}.{name} is a table, and sample.{where}.{name} is where its "
+                    "distribution stands; leave one of them out"
+                )
+        values = given | sampled
         if named(self.type):
             made = function_of(self.table, self.type, code)(**values)
         else:
-            made = called(f"{self.table}.{self.label}", getattr(forces, self.type), values)
+            made = called(where, getattr(forces, self.type), values)
         return made.on(*self.on) if self.on else made
 
 
