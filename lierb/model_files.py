@@ -110,22 +110,22 @@ def _compiled(path: Any, language: str) -> Any:
 
 
 def _named_world(path: Any) -> str | None:
-    """URDF whose root link is named as MuJoCo has to have it for a floating joint on it; None where
-    it has none, or is so already.
+    """URDF with its root link called world, where a floating joint is on it: MuJoCo takes one only
+    there. None for a file that needs no other name.
     """
     robot = ElementTree.parse(fspath(path)).getroot()
-    joints = {joint: joint.find("parent") for joint in robot.findall("joint")}
-    children = {child.get("link") for joint in joints for child in joint.findall("child")}
+    held = {joint: joint.find("parent") for joint in robot.findall("joint")}
+    children = {child.get("link") for joint in held for child in joint.findall("child")}
     roots = [link for link in robot.findall("link") if link.get("name") not in children]
     floats = {
         parent.get("link")
-        for joint, parent in joints.items()
+        for joint, parent in held.items()
         if parent is not None and joint.get("type") == "floating"
     }
     names = {link.get("name") for link in robot.findall("link")}
     if len(roots) != 1 or roots[0].get("name") not in floats or "world" in names:
         return None
-    for parent in joints.values():
+    for parent in held.values():
         if parent is not None and parent.get("link") == roots[0].get("name"):
             parent.set("link", "world")
     roots[0].set("name", "world")
