@@ -19,7 +19,7 @@ from lierb.compiler.internals import (
     set_cache,
 )
 from lierb.compiler.tags import Tag
-from lierb.threads import begun
+from lierb.compiler.threads import begun
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
 # function, because the options of its first caller leak into a helper that has none.

@@ -16,12 +16,12 @@ import numba
 import numpy as np
 
 from lierb.arrays import Array, slices
+from lierb.compiler.threads import begun
 from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.links import Loop
 from lierb.mechanism import BODY, JOINT, Mechanism
 from lierb.model import Problem
-from lierb.threads import begun
 from lierb.user_elements import Element
 
 LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
