@@ -11,7 +11,9 @@ import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import attrgetter
 from os import PathLike, fspath
 from typing import Any, NamedTuple
 
@@ -137,11 +139,9 @@ def _disable(model: Any, bits: Any) -> None:
     for name, fields in DISABLED.items():
         bit = getattr(bits, f"mjDSBL_{name}", None)  # not all releases have all of them
         if bit is not None and model.opt.disableflags & int(bit):
-            for field in fields:
-                owner, _, own = field.rpartition(".")
-                array = getattr(getattr(model, owner) if owner else model, own, None)
-                if array is not None:
-                    array[:] = 0
+            for path in fields:
+                with suppress(AttributeError):
+                    attrgetter(path)(model)[:] = 0
 
 
 # ---- names -------------------------------------------------------------------------------------

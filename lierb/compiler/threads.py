@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from contextvars import copy_context
 from typing import Any
 
@@ -15,10 +16,9 @@ def begun(work: Callable[..., Any], *args: Any) -> Callable[[], Any]:
     Where no thread is to be had, because there are too many or Python ends, it is done here.
     """
     pool = ThreadPoolExecutor(1, "lierb")
-    try:
-        return pool.submit(copy_context().run, work, *args).result
-    except RuntimeError:
-        found = work(*args)
-        return lambda: found
-    finally:
+    with suppress(RuntimeError):
+        waiting = pool.submit(copy_context().run, work, *args)
         pool.shutdown(wait=False)
+        return waiting.result
+    found = work(*args)
+    return lambda: found

@@ -154,16 +154,14 @@ def distribution_sheet(dataset: Dataset, study: Study) -> Sheet:
     """How the errors are distributed over the bodies: shares at or below, and histograms."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels: list[Draw] = []
-    keys = [look.key for look in shown]
+    columns = _summary(dataset)
+    finals = {kind: name for kind, name in FINAL.items() if kind in seen and name in columns}
     for kind, largest in seen.items():
-        final = FINAL.get(kind)
-        rows = [
-            _ridge(dataset, look, largest, final if final in _summary(dataset) else None)
-            for look in shown
-        ]
+        rows = [_ridge(dataset, look, largest, finals.get(kind)) for look in shown]
         panels.append(partial(_draw_shares, rows, shown, least[kind], AXES[kind]))
         panels.append(partial(_draw_ridges, rows, least[kind], f"largest {AXES[kind]}", True))
-    if len(keys) < MOST_KEYS and any(FINAL.get(kind) in _summary(dataset) for kind in seen):
+    keys = [look.key for look in shown]
+    if finals and len(keys) < MOST_KEYS:
         keys.append(Key("outline: at the end", OUTLINE))
     return Sheet("errors over the bodies", panels, keys,
                  height=max(3.2, 0.42 * len(shown) + 0.9))  # fmt: skip
