@@ -45,7 +45,15 @@ from lierb.runs.progress import Progress, check_progress
 from lierb.runs.provenance import described_array, provenance
 from lierb.runs.starts import ready_body
 from lierb.runs.tables import events_table, history_table, size_of_tables, summary_table
-from lierb.runs.timing import Timing, check_periods, checked_numbers, checked_seed, timing_of
+from lierb.runs.timing import (
+    Timing,
+    check_periods,
+    checked_numbers,
+    checked_seed,
+    has_jumps,
+    has_own_time,
+    timing_of,
+)
 from lierb.tableaus import ButcherTableau
 from lierb.user_signals import Event
 
@@ -75,6 +83,7 @@ def integrate(
     update: str = "local",
     save_every: int | None = None,
     save_at: ArrayLike | None = None,
+    discontinuities: ArrayLike | None = None,
     measure_every: int = 1,
     record: Iterable[str] = (),
     events: Event | Iterable[Event] = (),
@@ -117,6 +126,9 @@ def integrate(
     save_at : times of the rows of `history`, s, in ascending order; by the method's continuous
         extension, or, where it has none, a step of its own to there. `step` is then the row's
         number.
+    discontinuities : times, s, in ascending order, at which a function of t jumps or has a kink. A
+        step ends at each of them, and its stages see t on their own side. Times that differ from
+        trajectory to trajectory are parameters of a `lierb.wrench`. Default: none.
     measure_every : steps between samples of the maxima in `summary`.
     record : extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
@@ -165,8 +177,8 @@ def integrate(
     recorded, timing, found_by = check_options(
         problem, dt=dt, t_end=t_end, t0=t0, rtol=rtol, atol=atol, dt_min=dt_min, dt_max=dt_max,
         max_steps=max_steps, method=method, cspace=space, update=update, save_every=save_every,
-        save_at=save_at, measure_every=measure_every, record=record, check=check, solver=solver,
-        stabilise=stabilise,
+        save_at=save_at, discontinuities=discontinuities, measure_every=measure_every,
+        record=record, check=check, solver=solver, stabilise=stabilise,
     )  # fmt: skip
     check_progress(progress)
     noise_seed = checked_seed(seed)
@@ -181,7 +193,7 @@ def integrate(
         options["seed"] = noise_seed
     more = timing.options()
     described = {
-        "update": update, **timing.described(bool(problem.events)),
+        "update": update, **timing.described(bool(problem.events), has_jumps(problem)),
         "multipliers": "multipliers" in recorded, "reaction": "reaction" in recorded,
         "elements": problem.kinds,
     }  # fmt: skip
@@ -266,6 +278,7 @@ def check_options(
     t0: float = 0.0,
     stabilise: str | Stabilisation | None = None,
     save_at: ArrayLike | None = None,
+    discontinuities: ArrayLike | None = None,
     **adaptive: Any,
 ) -> tuple[tuple[str, ...], Timing, str]:
     """Raise what `integrate` would; columns to record, when the run is, and what finds V̇.
@@ -276,8 +289,8 @@ def check_options(
     recorded = _checked_record(record, save_every is not None or save_at is not None)
     timing = timing_of(
         dt=dt, t_end=t_end, t0=t0, method=method, update=update, save_every=save_every,
-        measure_every=measure_every, save_at=save_at,
-        has_own_time=bool(problem.events or problem.states or problem.controllers),
+        measure_every=measure_every, save_at=save_at, discontinuities=discontinuities,
+        has_own_time=has_own_time(problem),
         **dict.fromkeys(ADAPTIVE) | adaptive,
     )  # fmt: skip
     check_periods(problem.controllers, timing)

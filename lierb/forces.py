@@ -23,7 +23,7 @@ from lierb.arrays import as_numbers, as_positive, batch_size
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.elements import Element, Wrench
+from lierb.kernels.mechanics.elements import Bound, Element, Wrench, travel_to_kink
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.numbers.arithmetic import (
@@ -315,11 +315,16 @@ class TorsionalSpring(JointSpring):
     """About the joint axis, back to a turn that is at most half a turn away."""
 
     name = "torsional_spring"
+    bounds_steps: ClassVar = True
     parameters: ClassVar = {
         "stiffness": Parameter("N m/rad", is_signed=False),
         "damping": Parameter("N m s/rad", is_signed=False),
         "angle": Parameter("rad"),
     }
+
+    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+        # the torque jumps half a turn from where the spring is slack
+        return (travel_to_kink(self.place(start, placed[2]), self.rate(end), (PI, 3.0 * PI)),)
 
 
 def torsional_spring(
@@ -442,6 +447,7 @@ class JointLimit(AtJoint):
     """A stop at either end: a spring and damper beyond it, nothing before."""
 
     name = "joint_limit"
+    bounds_steps: ClassVar = True
     parameters: ClassVar = {
         "lower": Parameter("rad"),
         "upper": Parameter("rad"),
@@ -463,6 +469,15 @@ class JointLimit(AtJoint):
         beyond, damping = self._beyond(placed, x)
         return self.pushed(-fma(placed[2], beyond, damping * self.rate(x)))
 
+    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+        lower, upper = placed[:2]
+        place, half = self.place(start, 0.5 * (lower + upper)), 0.5 * (upper - lower)
+        return (travel_to_kink(place, self.rate(end), (-half, half, *self.farther(half))),)
+
+    def farther(self, half: Any) -> tuple[Any, ...]:
+        """Kinks beyond the upper stop: half a turn from the middle, and the lower stop again."""
+        return PI, 2.0 * PI - half
+
     def energy(self, placed: Any, x: Motion) -> Any:
         beyond, _ = self._beyond(placed, x)
         return 0.5 * placed[2] * (beyond * beyond)
@@ -482,6 +497,10 @@ class SlideLimit(AlongJoint, JointLimit):
         "stiffness": Parameter("N/m", is_signed=False),
         "damping": Parameter("N s/m", is_signed=False),
     }
+
+    def farther(self, half: Any) -> tuple[Any, ...]:
+        """No kink beyond the upper stop."""
+        return (np.inf,)
 
 
 def joint_limit(

@@ -217,6 +217,15 @@ class Wrench(Decorated):
 
     _potential: Callable[..., Any] | None = None
 
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        given = defaults.pop("discontinuities", ())
+        names = (given,) if isinstance(given, str) else tuple(given)
+        for name in names:
+            if name not in defaults:
+                raise unknown_name("discontinuities", name, defaults)
+        super().__init__(function, defaults)
+        self.discontinuities = names
+
     def __call__(self, **parameters: ArrayLike) -> Force:
         """The force with these parameters; each is one for all bodies or one for each."""
         shapes = self._shapes(parameters)
@@ -225,7 +234,7 @@ class Wrench(Decorated):
         potential = self._potential and user_function(
             self._potential, POSE, shapes, ((),), because=DERIVATIVES
         )
-        kind = kinds.UserWrench(function, potential)
+        kind = kinds.UserWrench(function, potential, self.discontinuities)
         made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
         return replace(made, made_by=self)
 
@@ -297,6 +306,9 @@ def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike)
 
     An argument named `body`, after `params`, sees the body: `body.mass`, `body.inertia` (3×3, about
     the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
+    discontinuities : names of parameters that are times at which the function jumps or has a kink,
+        such as those at which a thruster is switched. Steps end there: see `lierb.integrate`.
+
     Arguments named `states` and `controls` see the problem's extra states (`lierb.states`) and what
     its controllers put out last (`lierb.controller`), each by its name.
 

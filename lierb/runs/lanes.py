@@ -67,6 +67,7 @@ class LaneTime:
     save_at : s, of the rows of its history.   kinds : [direction, is terminal][event].
     seed, numbers : of the noise, and each trajectory's own.
     steps : of the rows of a history of every so many fixed steps.
+    jumps : times at which forces may jump, s: every step that meets one ends there.
     """
 
     span: Span
@@ -76,6 +77,7 @@ class LaneTime:
     seed: int = 0
     numbers: Array = field(default_factory=lambda: np.zeros(0))
     steps: NDArray[np.int64] | None = None
+    jumps: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def saved_rows(self) -> int:
@@ -166,6 +168,7 @@ class LaneRun:
             "numbers": np.ascontiguousarray(self.times.numbers[None]),
             "events": nothing,
             "kinds": self.times.kinds,
+            "jumps": self.times.jumps[None],
             **self.output.arrays,
         }
 

@@ -17,6 +17,8 @@ from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.plan import Embedded, Extension
 from lierb.kernels.stepping.step_size import Tolerances
+from lierb.mechanism import Mechanism
+from lierb.model import Problem
 from lierb.runs.continuation import counted
 from lierb.runs.lanes import LaneTime
 from lierb.runs.provenance import described_array
@@ -58,6 +60,7 @@ class Timing:
     dt_max: float = math.inf
     max_steps: float = math.inf
     save_at: Array | None = None
+    discontinuities: Array | None = None
     is_of_lanes: bool = False
 
     @property
@@ -68,8 +71,11 @@ class Timing:
     def saves(self) -> bool:
         return bool(self.save_every) or self.save_at is not None
 
-    def described(self, looks: bool) -> dict[str, Any]:
-        """What of the plan depends on it.   looks : whether there are events."""
+    def described(self, looks: bool, jumps: bool) -> dict[str, Any]:
+        """Fields of the plan that depend on it.
+
+        looks : whether there are events.   jumps : whether elements may jump at given times.
+        """
         tableau = self.tableau
         found = {
             "stages": tableau.A,
@@ -89,6 +95,7 @@ class Timing:
             extension = Extension(_rows(tableau.dense_A), _rows(tableau.dense))
         return found | {
             "clock": "lanes", "embedded": embedded, "extension": extension, "looks": looks,
+            "jumps": jumps or self.discontinuities is not None,
         }  # fmt: skip
 
     def clock(self) -> Clock:
@@ -127,7 +134,8 @@ class Timing:
         kinds = np.array(pairs or [(0.0, 0.0)]).T.copy()
         steps = clock.saved_steps() if clock is not None and self.save_every else None
         rows = np.ascontiguousarray(save_at)
-        return LaneTime(span, tolerances, rows, kinds, seed, numbers, steps)
+        jumps = np.zeros(0) if self.discontinuities is None else self.discontinuities
+        return LaneTime(span, tolerances, rows, kinds, seed, numbers, steps, jumps)
 
     def options(self) -> dict[str, Any]:
         """As metadata have them, beside those of every run: what `lierb.integrate` takes again."""
@@ -143,6 +151,8 @@ class Timing:
         found["max_steps"] = None if self.max_steps == math.inf else int(self.max_steps)
         if self.save_at is not None:
             found["save_at"] = described_array(self.save_at)
+        if self.discontinuities is not None:
+            found["discontinuities"] = described_array(self.discontinuities)
         return found
 
 
@@ -165,12 +175,13 @@ def timing_of(
     dt_max: float | None,
     max_steps: int | None,
     save_at: ArrayLike | None,
+    discontinuities: ArrayLike | None,
     has_own_time: bool,
 ) -> Timing:
-    """Raise what `lierb.integrate` would.
+    """The arguments of `lierb.integrate` that say when. Raises what `lierb.integrate` would.
 
     has_own_time : whether the problem has something that happens along a trajectory's own time:
-        events, states, controllers.
+        events, states, controllers, forces that jump at given times.
     """
     start = checked_time("t0", t0, after=-math.inf)
     end = checked_time("t_end", t_end, after=start)
@@ -187,11 +198,12 @@ def timing_of(
     if times is not None and save_every is not None:
         raise ArgumentError("save_every and save_at are both given; choose one of them")
     most = math.inf if max_steps is None else _checked_max_steps(max_steps)
-    is_of_lanes = is_adaptive or times is not None or has_own_time or most < math.inf
+    jumps = None if discontinuities is None else _checked_times("discontinuities", discontinuities)
+    has_own_time = has_own_time or times is not None or jumps is not None
     if is_adaptive:
         return _adaptive(
             tableau, dt, start, end, save_every, int(measure_every), rtol, atol, dt_min, dt_max,
-            most, times,
+            most, times, jumps,
         )  # fmt: skip
     for name, got in (("dt_min", dt_min), ("dt_max", dt_max)):
         if got is not None:
@@ -204,7 +216,8 @@ def timing_of(
     measured, saved = (min(int(every or 0), steps) for every in (measure_every, save_every))
     return Timing(
         tableau, float(dt), start, end, steps, measured, saved,
-        max_steps=most, save_at=times, is_of_lanes=is_of_lanes,
+        max_steps=most, save_at=times, discontinuities=jumps,
+        is_of_lanes=has_own_time or most < math.inf,
     )  # fmt: skip
 
 
@@ -221,6 +234,7 @@ def _adaptive(
     dt_max: float | None,
     most: float,
     times: Array | None,
+    jumps: Array | None,
 ) -> Timing:
     if tableau.error is None:
         able = ", ".join(name for name, each in TABLEAUS.items() if each.error is not None)
@@ -241,7 +255,7 @@ def _adaptive(
         raise ArgumentError(f"dt_min={dt_min!r} s is longer than dt_max={dt_max!r} s")
     return Timing(
         tableau, first, start, end, 0, measure_every, 0, relative, _checked_atol(atol, relative),
-        least, longest, most, times, is_of_lanes=True,
+        least, longest, most, times, jumps, is_of_lanes=True,
     )  # fmt: skip
 
 
@@ -305,11 +319,7 @@ def _real(given: Any) -> float:
 
 
 def _checked_save_at(given: Any, start: float, end: float) -> Array:
-    times = as_floats("save_at", given)
-    if times.ndim != 1 or not times.size or not are_finite(times):
-        raise TimeGridError(f"save_at={told(given)}; expected a row of finite times in s")
-    if not (np.diff(times) > 0.0).all():
-        raise TimeGridError("save_at has times that do not ascend; sort them, each once")
+    times = _checked_times("save_at", given)
     rounding = 4 * sys.float_info.epsilon * max(abs(start), abs(end))
     for time in (times[0], times[-1]):
         if not start - rounding <= time <= end + rounding:
@@ -320,6 +330,16 @@ def _checked_save_at(given: Any, start: float, end: float) -> Array:
     return np.clip(times, start, end)
 
 
+def _checked_times(name: str, given: Any) -> Array:
+    """A row of times in ascending order. Raises TimeGridError."""
+    times = as_floats(name, given)
+    if times.ndim != 1 or not times.size or not are_finite(times):
+        raise TimeGridError(f"{name}={told(given)}; expected a row of finite times in s")
+    if not (np.diff(times) > 0.0).all():
+        raise TimeGridError(f"{name} has times that do not ascend; sort them, each once")
+    return np.ascontiguousarray(times)
+
+
 def _check_counts(save_every: Any, measure_every: Any) -> None:
     for name, every in (("save_every", save_every), ("measure_every", measure_every)):
         is_left_out = every is None and name == "save_every"
@@ -327,6 +347,17 @@ def _check_counts(save_every: Any, measure_every: Any) -> None:
             raise TimeGridError(
                 f"{name}={told(every)}; expected a whole number of steps, at least 1"
             )
+
+
+def has_jumps(problem: Problem | Mechanism) -> bool:
+    """Whether a force may jump at times that are parameters of it."""
+    return any(element.kind.discontinuities for element in problem.elements)
+
+
+def has_own_time(problem: Problem | Mechanism) -> bool:
+    """Whether something happens along a trajectory's own time."""
+    watched = problem.events or problem.states or problem.controllers
+    return bool(watched) or has_jumps(problem)
 
 
 def check_periods(controllers: Iterable[Controller], timing: Timing) -> None:

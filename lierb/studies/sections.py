@@ -443,6 +443,7 @@ class IntegrateSection(Section):
     stabilise: Literal["project"] | Baumgarte | None = None
     save_every: Count | None = None
     save_at: SaveAt | None = None
+    discontinuities: list[float] | None = Field(default=None, min_length=1)
     measure_every: Count = 1
     record: list[str] = []
 

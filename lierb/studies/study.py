@@ -37,7 +37,7 @@ from lierb.mechanism_checks import violation
 from lierb.model import Problem
 from lierb.runs import checks
 from lierb.runs.mechanisms import baumgarte
-from lierb.runs.timing import ADAPTIVE_METHOD, MOST_SEED
+from lierb.runs.timing import ADAPTIVE_METHOD, MOST_SEED, has_jumps
 from lierb.sampling import Design
 from lierb.shown import FAILED, Lines, Shown, counted
 from lierb.studies.changes import applied, index_of, path_of
@@ -63,7 +63,7 @@ from lierb.studies.stopping import Rule, rule_of
 from lierb.studies.study_file import ELEMENTS, TOO_LARGE, plain, plain_changes, read, tables_in
 
 TABLES = ("summary", "history", "events")
-NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at")
+NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
 NOTHING = "nothing"  # a design draws something
 HELD = ("links", "loops")  # what has a joint
 PREVIEW = 8  # bodies that are made when a study is checked
@@ -376,9 +376,11 @@ class Study(Shown, Section):
     def has_lane_clocks(self) -> bool:
         """Whether each trajectory has steps of its own."""
         run, has = self.integrate, self.problem
-        own_time = has.events or has.states or has.controllers
-        is_timed = run.is_adaptive or run.save_at is not None or run.max_steps is not None
-        return bool(own_time) or is_timed
+        given = (run.save_at, run.max_steps, run.discontinuities)
+        is_timed = run.is_adaptive or any(x is not None for x in given)
+        if is_timed or has.events or has.states or has.controllers:
+            return True
+        return bool(self.files) and has_jumps(self.batch(0, 1).problem)
 
     def options(self, setting: Setting) -> dict[str, Any]:
         """What `lierb.integrate` is called with, beside the batch."""
@@ -391,6 +393,7 @@ class Study(Shown, Section):
             "save_every": run.save_every, "save_at": run.times, "measure_every": run.measure_every,
             "record": tuple(run.record), "rtol": setting.rtol, "atol": run.atol,
             "dt_min": run.dt_min, "dt_max": run.dt_max, "max_steps": run.max_steps,
+            "discontinuities": run.discontinuities,
         }  # fmt: skip
 
     @property

@@ -58,7 +58,7 @@ STARTS = SUMMARY.index("starts")  # which is known before
 EVENT_COLUMNS = 3  # trajectory, event, t
 
 
-OWN_ARRAYS = ("desk", "told", "save_at", "numbers", "events", "kinds")
+OWN_ARRAYS = ("desk", "told", "save_at", "numbers", "events", "kinds", "jumps")
 _SIZES = (
     "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
     "shown", "own_summary", "serve", "watch",
@@ -78,7 +78,7 @@ LANE_JOB = np.dtype(
 """As `lierb.kernels.stepping.driver.JOB`, of the batch or of a desk.
 
 desk : [row][lane], of `desk_of`.   told : of a desk, [1][TOLD].   numbers : [1][n].
-save_at : [1][row of the history], s.
+save_at : [1][row of the history], s.   jumps : [1][time at which steps end], s.
 events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
 kinds : [direction, is terminal][event].
 first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how

@@ -9,7 +9,15 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.compiler import calls
-from lierb.kernels.numbers.arithmetic import absolute, all_lanes, branch, maximum, rint, where
+from lierb.kernels.numbers.arithmetic import (
+    absolute,
+    all_lanes,
+    branch,
+    maximum,
+    minimum,
+    rint,
+    where,
+)
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.stepping.layout import LANE_END
@@ -26,6 +34,7 @@ from lierb.kernels.stepping.step_size import (
 )
 
 INF = float("inf")
+PASSED = 1.1  # by so much of `longest` a step may be longer, as velocities change in it
 NEARLY = 1e-9  # of a step: what is left of a run, less than that, belongs to the step
 
 
@@ -166,10 +175,13 @@ def judged(
     fine: Any,
     singular: Any,
     square: Any,
+    longest: Any,
     limits: Tolerances,
     active: Any,
 ) -> Verdict:
-    """fine : a mask, of what is finite and no singular configuration.   square : of the error."""
+    """fine : a mask, of what is finite and no singular configuration.   square : of the error.
+    longest : step that elements allow, s, by the velocity at its end; None for any.
+    """
     going = active > 0.5
     worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
     raised = going & ~going
@@ -191,9 +203,13 @@ def judged(
             where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved
         )
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
+    if longest is not None:
+        meets = meets & (trial.h <= PASSED * longest)
     accepted = going & meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
     grown = trial.h * by.factor
+    if longest is not None:
+        grown = where(meets, grown, minimum(grown, longest))
     # A step that was cut short says little about a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
     taken = clock._replace(

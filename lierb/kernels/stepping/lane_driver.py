@@ -78,6 +78,7 @@ from lierb.kernels.stepping.lane_formulas import (
     goes_on,
     is_due_between,
     is_to_tidy,
+    last_end,
     load_lanes,
     looked,
     looks_now,
@@ -95,6 +96,7 @@ from lierb.kernels.stepping.lane_formulas import (
     shown_between,
     silenced,
     slopes_between,
+    sooner,
     started,
     state_between,
     store_lane_end,
@@ -169,6 +171,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         job.states_atol, job.dt_min, job.dt_max, job.max_steps, job.position_is_own, job.v_is_own,
     )  # fmt: skip
     carried, events, told = numbers_at(own.carried), numbers_at(own.events), numbers_at(own.told)
+    jumps = numbers_at(job.jumps)
     room = events.shape[0] - lanes * own.watched * (own.looks + 1) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs)
@@ -211,10 +214,15 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if turns == 0 or events[0, 0] > room:
                 break
             turns -= 1
-            trial = next_trial(plan, body, clock, held, span, active)
+            stop = last_end(clock, span)
+            for i in range(jumps.shape[1]):
+                stop = sooner(clock, stop, jumps[0, i])
+            trial = next_trial(plan, body, state, clock, held, stop, active)
             seen = with_signals(plan, body, state, held)
             made = attempted(plan, seen, state, record, trial, limits)
-            accepted, failed, clock = verdict_on(plan, made, clock, trial, limits, active)
+            accepted, failed, clock = verdict_on(
+                plan, body, state, made, clock, trial, limits, active
+            )
             if any_of(failed):
                 record, fate = with_failures(record, clock, failed, fate)
             moved = made.state

@@ -16,7 +16,9 @@ from lierb.kernels.numbers.arithmetic import (
     any_lanes,
     flatten,
     floor,
+    fma,
     load,
+    maximum,
     minimum,
     plain,
     rint,
@@ -78,9 +80,11 @@ from lierb.kernels.stepping.signals import (
 )
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import EVENT, MAX_STEPS, OK
-from lierb.kernels.stepping.step_size import Tolerances, squared_error
+from lierb.kernels.stepping.step_size import Tolerances, longest_step, squared_error
 from lierb.kernels.stepping.stepper import between, extended, trial_step
 from lierb.kernels.stepping.systems import system_of
+
+NODES = 1e-13  # rounding of a tableau's nodes, sums of weights of either sign
 
 
 def any_of(numbers: Any) -> Any:
@@ -410,15 +414,43 @@ def as_ended(record: Record, clock: LaneClock, span: Span, fate: Any) -> Record:
 # ---- a step ----
 
 
+def last_end(clock: LaneClock, span: Span) -> Any:
+    """Where the next step ends at the latest, s: at the end of the run."""
+    return span.end + 0.0 * clock.t
+
+
+def sooner(clock: LaneClock, stop: Any, time: Any) -> Any:
+    """`stop`, or a time before it that is not over, s."""
+    is_ahead = time - clock.t > rounding_at(clock.t)
+    return where(is_ahead, minimum(stop, time), stop)
+
+
 def next_trial(
-    plan: AnyPlan, body: Any, clock: LaneClock, held: Held, span: Span, active: Any
+    plan: AnyPlan, body: Any, state: State, clock: LaneClock, held: Held, stop: Any, active: Any
 ) -> Trial:
-    stop = span.end + 0.0 * clock.t
+    """The step to be tried.   stop : where it ends at the latest, s, as far as is known."""
+    end = stop
     for every, tick in zip(_periods(plan, body), held.ticks, strict=True):
         at = every * tick  # as near to the end as rounding, it is there
-        at = where(absolute(at - stop) <= rounding_at(stop), stop, at)
+        at = where(absolute(at - end) <= rounding_at(end), end, at)
         stop = minimum(stop, at)
+    for time in system_of(plan).jumps(body):
+        stop = sooner(clock, stop, time)
+    if plan.embedded is not None:
+        longest = longest_step(plan, body, state, state, clock.t, clock.h)
+        stop = stop if longest is None else minimum(stop, clock.t + longest)
     return trial_of(plan, clock, stop, active)
+
+
+def inside(plan: AnyPlan, trial: Trial) -> tuple[Any, Any]:
+    """Beginning and length of the step as functions of time see it, s: where one may jump at
+    either end, a rounding inside.
+    """
+    if not plan.jumps:
+        return trial.start, trial.h
+    rounding = rounding_at(maximum(absolute(trial.start), absolute(trial.end)))
+    rounding = fma(NODES, trial.h, rounding)
+    return trial.start + rounding, maximum(trial.h - 2.0 * rounding, 0.0)
 
 
 class Made(NamedTuple):
@@ -438,7 +470,7 @@ def attempted(
     body = body._replace(dropped=record.dropped)
     is_continuous = plan.looks and plan.extension is not None
     all_stages = is_continuous or plan.embedded is not None
-    made = trial_step(plan, body, state, trial.start, trial.h, all_stages)
+    made = trial_step(plan, body, state, *inside(plan, trial), trial.h, all_stages)
     square: Any = ZERO
     if plan.embedded is not None:
         square = squared_error(plan, body, state, made.state, made.slopes, trial.h, limits)
@@ -446,13 +478,23 @@ def attempted(
 
 
 def verdict_on(
-    plan: AnyPlan, made: Made, clock: LaneClock, trial: Trial, limits: Tolerances, active: Any
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    made: Made,
+    clock: LaneClock,
+    trial: Trial,
+    limits: Tolerances,
+    active: Any,
 ) -> Verdict:
-    state = made.state
-    turns, places = system_of(plan).told_by(state.chart)
-    numbers = (*turns, *state.v_or_mu, *state.x, *places, state.work, *state.states)
+    moved = made.state
+    turns, places = system_of(plan).told_by(moved.chart)
+    numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
     fine = are_finite(*numbers)
-    return judged(plan, clock, trial, fine, made.singular, made.square, limits, active)
+    longest = None
+    if plan.embedded is not None:
+        longest = longest_step(plan, body, state, moved, clock.t, clock.h)
+    return judged(plan, clock, trial, fine, made.singular, made.square, longest, limits, active)
 
 
 def with_failures(record: Record, clock: LaneClock, failed: Any, fate: Any) -> tuple[Record, Any]:
@@ -494,7 +536,7 @@ def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Tr
     """What `state_between` is made of."""
     if not plan.looks or plan.extension is None:
         return ()
-    return extended(plan, body, state, trial.start, trial.h, made.slopes)
+    return extended(plan, body, state, *inside(plan, trial), trial.h, made.slopes)
 
 
 def state_between(
@@ -502,7 +544,7 @@ def state_between(
 ) -> State:
     if not plan.looks:
         return state  # never
-    return between(plan, body, state, trial.start, trial.h, slopes, theta)
+    return between(plan, body, state, *inside(plan, trial), trial.h, slopes, theta)
 
 
 def time_between(trial: Trial, theta: Any) -> Any:
@@ -574,11 +616,11 @@ def ended_between(
 
 
 for _formula in (
-    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick,
-    ticked, fate_now, looks_now, looked, mark_due, with_due,
-    store_lane_summary, as_ended, next_trial, attempted, verdict_on, with_failures, is_to_tidy,
-    tidied, is_due_between, slopes_between, state_between, time_between, mark_due_between,
-    shown_between, put_values, put_shown, put_trial, ended_between, with_signals, goes_on,
-    store_lane_end, silenced, renewed, restored,
+    any_of, taken, row_of, put_row, load_lanes, store_lanes, own_start, started, to_tick, ticked,
+    fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended, last_end,
+    sooner, next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
+    slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
+    put_shown, put_trial, ended_between, with_signals, goes_on, store_lane_end, silenced, renewed,
+    restored,
 ):  # fmt: skip
     kernel(_formula)

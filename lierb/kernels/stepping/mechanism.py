@@ -133,6 +133,7 @@ class MechanismPlan(AnyPlan):
     embedded: Embedded | None = None
     extension: Extension | None = None
     looks: bool = False
+    jumps: bool = False
 
     @property
     def links(self) -> int:

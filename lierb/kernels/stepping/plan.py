@@ -49,6 +49,7 @@ class AnyPlan(Tag):
     embedded: Embedded | None  # of adaptive steps
     extension: Extension | None
     looks: bool  # between steps, too: for output and events
+    jumps: bool  # whether something may jump at given times, at which steps end
     elements: tuple[Element, ...]
     multipliers: bool
     reaction: bool
@@ -126,6 +127,7 @@ class Plan(AnyPlan):
     embedded: Embedded | None = None
     extension: Extension | None = None
     looks: bool = False
+    jumps: bool = False
 
     __hash__ = AnyPlan.__hash__
 

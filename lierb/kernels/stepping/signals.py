@@ -14,12 +14,14 @@ from typing import Any, TypeVar
 from lierb.kernels.functions.function import Shapes, size_of
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import (
+    Bound,
     UserController,
     UserEvent,
     UserObservable,
     UserStates,
 )
 from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.numbers.arithmetic import sqrt
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.layout import LANE_END, Columns, Field
 from lierb.kernels.stepping.plan import AnyPlan
@@ -105,6 +107,23 @@ class Watching:
         """The elements of a kind: number, element, what it is made of."""
         pairs = zip(self.plan.elements, body.elements, strict=True)
         return [(i, e, own) for i, (e, own) in enumerate(pairs) if isinstance(e, kind)]
+
+    def travel(self, body: Any, start: Any, end: Any, time: Any) -> tuple[Bound, ...]:
+        """Bounds that elements set to an adaptive step.   start, end : from `seen`."""
+        size = sqrt(body.girth)
+        before, after = (self.motions(body, seen, time) for seen in (start, end))
+        pairs = enumerate(zip(self.plan.elements, body.elements, strict=True))
+        return tuple(
+            bound
+            for i, (e, own) in pairs
+            if e.bounds_steps
+            for bound in e.travel(own, before(i), after(i), size)
+        )
+
+    def jumps(self, body: Any) -> tuple[Any, ...]:
+        """Times at which elements may jump, s."""
+        pairs = zip(self.plan.elements, body.elements, strict=True)
+        return tuple(time for e, own in pairs for time in e.jumps(own))
 
     def observed(self, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
         """Each observable's value."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import fma, maximum, minimum, sqrt, where
+from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.words import rough_exp2, rough_log2
 from lierb.kernels.numbers.zero import ZERO, is_zero
@@ -18,6 +18,7 @@ from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
+from lierb.kernels.stepping.systems import system_of
 
 EPS = 2.0**-52
 SAFETY = 0.8
@@ -29,6 +30,12 @@ LEAST_ULPS = 16.0  # of the time, in a step
 # What rounding may leave of what gravity does to v and to a position in a step: high orders have
 # weights of up to 50 and more.
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
+LEAST_OF_STEP = 1e-6  # of a step: no bound is shorter, so that the next one leads past a kink
+# A step is too rough to be judged by its error estimate where the rate of one stage, taken for the
+# whole step, changes a velocity by ROUGH of itself and moves the pose by THROW, in rad or in radii
+# of gyration. Its squared error is then at least ROUGH_ERROR.
+ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
+INF = float("inf")
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
 
 
@@ -59,6 +66,28 @@ def within(h: Any, limits: Tolerances) -> Any:
     return maximum(minimum(h, limits.dt_max), limits.dt_min)
 
 
+def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
+    """How long a step from `state` may be where elements act in a part of the way alone, s; None
+    where there are no such elements.
+
+    moved : the state whose velocity counts: `state` before the step is tried, its end afterwards.
+    h : the step that the error control proposes. No bound is so short beside it, or beside the
+        time, that a trajectory stalls.
+    """
+    if not any(element.bounds_steps for element in plan.elements):
+        return None
+    system = system_of(plan)
+    start, end = (system.seen(body, each, time) for each in (state, moved))
+    least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
+    longest: Any = INF
+    for rate, distance in system.travel(body, start, end, time):
+        if not is_zero(rate):
+            moves = rate > 0.0
+            bound = maximum(distance / where(moves, rate, 1.0), least)
+            longest = minimum(longest, where(moves, bound, INF))
+    return longest
+
+
 def squared_error(
     plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any, limits: Any
 ) -> Any:
@@ -69,11 +98,42 @@ def squared_error(
         _largest(plan, body, _defect(plan, body, slopes, h, weights), scales)
         for weights in plan.embedded.weights
     ]
-    if len(found) == 1:
-        return found[0]
-    fine, coarse = found  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
-    total = fma(DOP853_MIX, coarse, fine)
-    return where(total > 0.0, fine * fine / where(total > 0.0, total, 1.0), fine)
+    error = found[0]
+    if len(found) > 1:
+        fine, coarse = found  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
+        total = fma(DOP853_MIX, coarse, fine)
+        error = where(total > 0.0, fine * fine / where(total > 0.0, total, 1.0), fine)
+    if any(element.bounds_steps for element in plan.acting):
+        is_rough = _is_rough(plan, body, state, moved, slopes, h)
+        error = where(is_rough, maximum(error, ROUGH_ERROR), error)
+    return error
+
+
+def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
+    """Whether a stage met a force that would change a velocity by far more than the step did.
+
+    One stage far inside a stiff stop throws the stages that follow out of it again. Methods of high
+    order have weights of zero for their first stages: then neither the step nor its error estimate
+    has any trace of the stop.
+    """
+    velocity = plan.formulation.velocity
+    before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
+    first, *rest = slopes.v_or_mu
+    changes = [
+        velocity(body, tuple(h * (k - k0) for k, k0 in zip(rate, first, strict=True)))
+        for rate in rest
+    ]
+    rough: Any = h < 0.0  # never
+    for i in range(0, len(before), 3):
+        part = slice(i, i + 3)
+        speed = maximum(dot(before[part], before[part]), dot(after[part], after[part]))
+        throw = THROW * THROW * (1.0 if i % 6 == 0 else body.girth)
+        for change in changes:
+            square = dot(change[part], change[part])
+            if not is_zero(square):
+                is_fast = square > ROUGH * ROUGH * speed
+                rough = rough | (is_fast & (h * h * square > throw))
+    return rough
 
 
 class _Defect(NamedTuple):

@@ -43,15 +43,22 @@ class Step(NamedTuple):
 
 def step(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[State, Any]:
     """The state h seconds after `time`, and the mark of a singular configuration on the way."""
-    made = trial_step(plan, body, state, time, h)
+    made = trial_step(plan, body, state, time, h, h)
     return made.state, made.singular
 
 
 def trial_step(
-    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, all_stages: bool = False
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    time: Any,
+    span: Any,
+    h: Any,
+    all_stages: bool = False,
 ) -> Step:
     """The same with the stages' slopes.
 
+    time, span : beginning and length of the step as functions of time see it, s.
     all_stages : also those that only the error estimate or the continuous extension asks for.
     """
     stages = plan.stages if all_stages else plan.stages[: plan.last_stage]
@@ -61,6 +68,7 @@ def trial_step(
         body,
         state,
         time,
+        span,
         h,
         Slopes((), (), (), ()),
         stages,
@@ -68,20 +76,29 @@ def trial_step(
     )
     end = plan.exponentials[-1] if plan.exponentials else None
     stepped = _combined(plan, body, state, h, slopes, plan.weights, end)
-    kept, off = plan.formulation.stabilised(body, stepped, time + h)
+    kept, off = plan.formulation.stabilised(body, stepped, time + span)
     return Step(kept, slopes, singular if is_zero(off) else maximum(singular, off))
 
 
-def extended(plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Slopes) -> Slopes:
+def extended(
+    plan: AnyPlan, body: Any, state: State, time: Any, span: Any, h: Any, slopes: Slopes
+) -> Slopes:
     """With the further stages of the continuous extension."""
     assert plan.extension is not None
     rows = plan.extension.stages
-    found, _ = _stages(plan, body, state, time, h, slopes, rows, (None,) * len(rows))
+    found, _ = _stages(plan, body, state, time, span, h, slopes, rows, (None,) * len(rows))
     return found
 
 
 def between(
-    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, slopes: Any, theta: Any
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    time: Any,
+    span: Any,
+    h: Any,
+    slopes: Any,
+    theta: Any,
 ) -> State:
     """The state θ h after `time`, 0 ≤ θ ≤ 1: by the method's continuous extension, or, where it
     has none, by a step of its own to there.
@@ -91,10 +108,10 @@ def between(
     """
     extension = plan.extension
     if extension is None:
-        return step(plan, body, state, time, theta * h)[0]
+        return trial_step(plan, body, state, time, theta * span, theta * h).state
     weights = tuple(_polynomial(theta, terms) for terms in extension.weights)
     found = _combined(plan, body, state, h, slopes, weights, None)
-    kept: State = plan.formulation.stabilised(body, found, fma(theta, h, time))[0]
+    kept: State = plan.formulation.stabilised(body, found, fma(theta, span, time))[0]
     return kept
 
 
@@ -114,6 +131,7 @@ def _stages(
     body: Any,
     state: State,
     time: Any,
+    span: Any,
     h: Any,
     known: Slopes,
     rows: Rows,
@@ -131,7 +149,7 @@ def _stages(
         x = formulation.in_algebra(body, _advanced(plan, state.x, x_unit, weights, x_rates))
         v_or_mu = _advanced(plan, start, unit, weights, rates)
         states = _advanced(plan, state.states, h, weights, more)
-        at = fma(h, sum(weights), time)
+        at = fma(span, sum(weights), time)
         chart, falling = state.chart, before
         if factors is not None:
             chart, x = _product(plan, body, chart, h, factors, x_rates), (ZERO,) * len(x)
