@@ -225,10 +225,9 @@ class LaneRun:
             extents = array.shape + (1,) * (3 - array.ndim)
             numbers += (array.__array_interface__["data"][0], *extents)
         plan, columns = self.plan, desk_of(self.plan)
-        looks = LOOKS if plan.extension is not None else 1
         sizes = (
             0, self.inputs.count, 0, 0, self.inputs.differ, self.output.rows,
-            len(events_of(plan)), looks, columns["sides"].start, columns["values"].start,
+            len(events_of(plan)), columns["sides"].start, columns["values"].start,
             columns["shown"].start, lane_column(plan), 0, 0,
         )  # fmt: skip
         times = self.times

@@ -26,9 +26,11 @@ def landing():
     return height(0.0, "landing", direction=-1, terminal=True)
 
 
-@lierb.event(sine=0.0)
-def turned(R, params):
+def turned_by(R, params):
     return R[1, 0] - params.sine
+
+
+turned = lierb.event(sine=0.0)(turned_by)
 
 
 @lierb.event(value=0.0)
@@ -201,13 +203,18 @@ def test_an_event_at_the_very_end_is_seen():
     np.testing.assert_allclose(seen(result), [1.0], atol=EXACT)
 
 
+WITHOUT_EXTENSION = slow_but(["RK4", "Heun", "CF4"])
+
+
 @pytest.mark.parametrize("below", [1e-3, 1e-6])
-def test_two_crossings_in_a_step_are_found(below):
+@pytest.mark.parametrize("method", ["DP54", *WITHOUT_EXTENSION])
+def test_two_crossings_in_a_step_are_found(below, method):
     """At the top of a parabola, `below` m under it: two crossings closer than any step."""
     v = 4.0
     top = v * v / (2 * G)
     problem, start = thrown(0.0, v, events=[height(top - below), NEVER])
-    result = lierb.integrate(problem, **start, t_end=0.8, rtol=1e-6, cspace="SO3xR3", method="DP54")
+    clock = {"rtol": 1e-6} if method == "DP54" else {"dt": 0.2}
+    result = lierb.integrate(problem, **start, t_end=0.8, cspace="SO3xR3", method=method, **clock)
     true = crossings(0.0, v, top - below)
     # what the height is uncertain by, 1e-15 m, is √ of that in time where it does not cross fast
     speed = G * (true[1] - true[0]) / 2
@@ -410,3 +417,80 @@ def test_what_has_crossed_may_bounce(rtol):
     assert again.t[0] - landed == pytest.approx(2.0 * speed / G, abs=1e-11)
     through = lierb.integrate(problem, **first.end, t_end=9.0, **options)
     assert through.summary["status"].to_pylist() == ["ok"]
+
+
+# ---- balls that bounce -------------------------------------------------------------------------
+
+
+def bounced(result, restitution) -> dict:
+    """The start after a bounce."""
+    velocity = np.einsum("nij,nj->ni", result.rotation, result.v)
+    velocity[:, 2] *= -restitution
+    pose0 = np.tile(np.eye(4), (len(velocity), 1, 1))
+    pose0[:, :3, :3], pose0[:, :3, 3] = result.rotation, result.position
+    back = np.einsum("nji,nj->ni", result.rotation, velocity)
+    return {"pose0": pose0, "twist0": np.concatenate([result.omega, back], axis=1)}
+
+
+@pytest.mark.parametrize("direction", [-1, 0])
+@pytest.mark.parametrize(
+    "clock",
+    slow_but(
+        [
+            {"method": "DP54", "rtol": 1e-6},
+            {"method": "RK4", "dt": 1e-3},
+            {"method": "RK4", "dt": 0.1},
+            {"method": "Heun", "dt": 0.01},
+            {"method": "CF4", "dt": 0.01},
+        ],
+        {"method": "DP54", "rtol": 1e-6},
+    ),
+    ids=str,
+)  # fmt: skip
+def test_a_ball_bounces_however_short_its_flights(clock, direction):
+    """The k-th flight takes 2 eᵏ v₀/g. The last ones are shorter than rounding lets be seen."""
+    restitution = np.array([0.5, 0.5, 0.65, 0.8, 0.8, 0.95, 0.95])
+    floor = np.array([0.0, 100.0, -7.3, 0.0, 3.0, 20.0, -0.1])
+    drop = np.array([10.0, 10.0, 2.0, 10.0, 0.37, 10.0, 0.05])
+    events = [height(floor, terminal=True, direction=direction), NEVER]
+    problem, start = thrown(floor + drop, np.zeros(7), (0.3, -0.2, 0.1), events=events)
+    expected, speed, t = np.sqrt(2.0 * drop / G), np.sqrt(2.0 * G * drop), np.zeros(7)
+    for _ in range(60):
+        result = lierb.integrate(problem, **start, t_end=3.0, cspace="SO3xR3", **clock)
+        assert set(result.summary["status"].to_pylist()) == {"event"}
+        t += result.t
+        # A flight that stays below rounding of the height, δ ≤ 1.5e-14 m, takes up to √(8 δ/g) =
+        # 1e-7 s and counts as none; all that follow take 1/(1 − e) as long.
+        off = np.abs(t - expected) * (1.0 - restitution)
+        assert np.all(off <= np.where(floor == 0.0, EXACT, 1.5e-7))
+        np.testing.assert_allclose(result.position[:, 2], floor, rtol=0, atol=1e-13)
+        speed *= restitution
+        expected += 2.0 * speed / G
+        start = bounced(result, restitution)
+
+
+@pytest.mark.parametrize("clock", CLOCKS, ids=str)
+def test_what_rests_on_zero_and_falls_ends_at_once(clock):
+    """A ball that lies on the floor: it has just bounced for the last time."""
+    floor = np.array([0.0, 100.0, -7.3])
+    options = {"t_end": 1.0, "method": "DP54", "cspace": "SO3xR3", **clock}
+    for direction in (-1, 0):
+        events = [height(floor, terminal=True, direction=direction), NEVER]
+        problem, start = thrown(floor, np.zeros(3), events=events)
+        result = lierb.integrate(problem, **start, **options)
+        assert result.summary["status"].to_pylist() == ["event"] * 3
+        np.testing.assert_allclose(result.t, 0.0, rtol=0, atol=EXACT)
+    for event in (height(floor), height(floor, terminal=True, direction=1)):
+        problem, start = thrown(floor, np.zeros(3), events=[event, NEVER])
+        result = lierb.integrate(problem, **start, **options)
+        assert result.summary["status"].to_pylist() == ["ok"] * 3
+        assert result.events.num_rows == 0
+
+
+@pytest.mark.parametrize("clock", [{"rtol": 1e-6, "dt_max": 0.1}, {"dt": 0.05}], ids=str)
+def test_what_passes_zero_at_its_start_goes_on(clock):
+    """sin ωt passes zero at t = 0; a turn later it does so again, in the same direction."""
+    ends = lierb.event(sine=0.0, terminal=True, direction=-1)(turned_by)
+    problem, start = spinning([-np.pi, -7.0], events=[ends(), NEVER_SO_FAST])
+    result = lierb.integrate(problem, **start, t_end=2.5, method="DP54", **clock)
+    np.testing.assert_allclose(result.t, [2.0, 2.0 * np.pi / 7.0], rtol=0, atol=EXACT)

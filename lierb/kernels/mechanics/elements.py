@@ -31,6 +31,7 @@ from lierb.kernels.mechanics.newton_euler import (
     inertia_about_com,
 )
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
+from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -334,12 +335,14 @@ class Passive(Element):
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
         return ZERO
 
+    def arguments(self, placed: Any, x: Motion) -> tuple[Any, ...]:
+        """t, R, r, omega and v, as the function sees them."""
+        frame = UserFrame(*placed[0])
+        return x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
+
     def asked(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
         """What the function gives."""
-        frame = UserFrame(*placed[0])
-        r, place = frame.pose(x.q, x.place)
-        omega, v = frame.twist(x.omega, x.v)
-        arguments = x.time, r, place, omega, v
+        arguments = self.arguments(placed, x)
         return self.function(placed[1], *arguments, signals=x.signals, noise=noise)
 
 
@@ -365,6 +368,21 @@ class UserEvent(Passive):
 
     def value(self, placed: Any, x: Motion) -> Any:
         return self.asked(placed, x)
+
+    def value_nearby(self, placed: Any, x: Motion) -> Any:
+        """The value where each number of the motion is off by some roundings of its vector."""
+        moved = map(_nudged, self.arguments(placed, x))
+        return self.function(placed[1], *moved, signals=x.signals)
+
+
+def _nudged(given: Any) -> Any:
+    """A number or a vector, off by ROUNDING of the sum of its magnitudes: up and down in turn, so
+    that differences do not cancel.
+    """
+    if not isinstance(given, tuple):
+        return _nudged((given,))[0]
+    size = ROUNDING * sum((absolute(plain(x)) for x in given), 0.0)
+    return tuple(plain(x) - size if i % 2 else plain(x) + size for i, x in enumerate(given))
 
 
 INITIAL = "initial."  # before the names of initial values among the parameters

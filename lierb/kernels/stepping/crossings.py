@@ -34,6 +34,7 @@ from lierb.kernels.stepping.step_size import EPS
 STARTING, BEGINNING, GOING_ON, NARROWING, NOTING_DIP, NOTING_EVENTS = range(6)  # of `watch`
 SEARCHES = 120  # at most; every third one halves
 AT_ZERO = 1e-10  # of an event's range in a first step: where it starts at zero, to rounding
+EARLY = 2.0**-18  # θ: an event that rests has moved by less than AT_ZERO of its range until there
 NEAR = 0.125  # of an event's range in a step: how near to zero it must come to be looked at there
 FLAT = 0.05  # of that range, in a quarter: a slope that may be zero; and of a quarter, near a look
 DEEPER = 0.25  # of a dip's value: by how much less a parabola must say that it is, to look again
@@ -60,9 +61,15 @@ def watch(service, inputs, counter, jobs):
         told[0, TASK], told[0, TURN], told[0, FIRST] = LOOKING, 0.0, events[0, 0] + 1.0
     elif asked == GOING_ON:
         first, task = int(told[0, FIRST]), int(told[0, TASK])
-        if task == LOOKING and turn + 1 == own.looks and job.begin != RESUMED:
-            start_at_zero(desk, own, job.start, lanes)
-        task, turn = next_task(desk, own, kinds, events, told, first, task, turn, lanes)
+        starts = job.begin != RESUMED and task == LOOKING and any_starts(desk, job.start, lanes)
+        if starts and turn + 1 == LOOKS:
+            for lane in range(lanes):
+                desk[THETA, lane] = EARLY
+            turn = LOOKS + 1
+        else:
+            if starts and turn > LOOKS:
+                start_at_zero(desk, own, kinds, job.start, lanes)
+            task, turn = next_task(desk, own, kinds, events, told, first, task, turn, lanes)
         told[0, TASK], told[0, TURN] = task, turn
     elif asked == NARROWING:
         narrow(desk, own, lanes)
@@ -91,6 +98,12 @@ def dips_of(own):
 
 
 @shared
+def roundings_of(own):
+    """The first row of what rounding makes of events' values at their starts."""
+    return dips_of(own) + 2 * own.watched
+
+
+@shared
 def note_starts(desk, own, lanes):
     """Of trajectories that have just started: on which side of zero each event is; 0 on it."""
     go_on(desk, own, MARK, lanes)
@@ -101,21 +114,44 @@ def note_starts(desk, own, lanes):
 
 
 @shared
-def start_at_zero(desk, own, start, lanes):
-    """Of trajectories in their first step, whose events have been looked at: those that are zero at
-    its start, to rounding, are on neither side until they have left it. What has crossed is beyond
-    zero by a rounding, and may bounce. A run that goes on as it was knows its sides to the bit.
-    """
+def any_starts(desk, start, lanes):
+    """Whether a trajectory has taken its first step."""
     for lane in range(lanes):
         if desk[TOOK, lane] > 0.0 and desk[START, lane] == start:
-            for event in range(own.watched):
-                value = desk[own.values + event, lane]
-                least, largest = value, value
-                for look in range(own.looks):
-                    at_look = desk[own.values + (look + 1) * own.watched + event, lane]
-                    least, largest = min(least, at_look), max(largest, at_look)
-                if abs(value) <= AT_ZERO * (largest - least):
-                    desk[own.sides + event, lane] = 0.0
+            return True
+    return False
+
+
+@shared
+def start_at_zero(desk, own, kinds, start, lanes):
+    """Set the sides of events that are zero, to rounding, at the start of a trajectory, after the
+    looks at its first step. Such an event is on neither side until it has left zero: what has
+    crossed is beyond zero by a rounding, and may bounce. A run that goes on as it was knows its
+    sides to the bit.
+
+    An event that rests at zero and then leaves it has turned back within rounding, as a ball does
+    whose flights have become too short to be seen. It counts as coming from the other side, so
+    that a terminal event ends the trajectory there.
+    """
+    searched, roundings = searched_of(own), roundings_of(own)
+    for lane in range(lanes):
+        if desk[TOOK, lane] == 0.0 or desk[START, lane] != start:
+            continue
+        share = AT_ZERO + 4.0 * EPS * abs(start) / desk[LENGTH, lane]
+        for event in range(own.watched):
+            value = desk[own.values + event, lane]
+            least, largest = value, value
+            for look in range(LOOKS):
+                at_look = desk[own.values + (look + 1) * own.watched + event, lane]
+                least, largest = min(least, at_look), max(largest, at_look)
+            rounding = max(share * (largest - least), desk[roundings + event, lane])
+            if abs(value) <= rounding:
+                leaves = side_of(desk[own.values + own.watched + event, lane])
+                rests = abs(desk[searched + event, lane] - value) <= rounding
+                ends = kinds[1, event] > 0.0 and (
+                    kinds[0, event] == leaves or (kinds[0, event] == 0.0 and leaves < 0.0)
+                )
+                desk[own.sides + event, lane] = -leaves if rests and ends else 0.0
 
 
 @shared
@@ -133,9 +169,9 @@ def next_task(desk, own, kinds, events, told, first, task, turn, lanes):
     first : place of the first event that is noted in this step.
     """
     if task == LOOKING:
-        if turn + 1 < own.looks:
+        if turn + 1 < LOOKS:
             for lane in range(lanes):
-                desk[THETA, lane] = (turn + 1) / own.looks
+                desk[THETA, lane] = (turn + 1) / LOOKS
             return LOOKING, turn + 1
         find_dips(desk, own, lanes)
         task, turn = DIPPING, -1
@@ -175,8 +211,9 @@ def find_dips(desk, own, lanes):
     for lane in range(lanes):
         for event in range(count):
             desk[dips + event, lane] = 2.0
-            if own.looks == LOOKS and desk[TOOK, lane] > 0.0:
-                starts = desk[own.sides + event, lane] == 0.0
+            if desk[TOOK, lane] > 0.0:
+                side = desk[own.sides + event, lane]
+                starts = side == 0.0 or side != side_of(desk[own.values + event, lane])
                 desk[dips + event, lane] = dip_of(desk, own.values + event, count, lane, starts)
 
 
@@ -314,17 +351,17 @@ def next_crossings(desk, own, kinds, lanes):
     is any. Zero is crossed where it is reached from either side: a value of exactly zero counts,
     and from there on neither side is the one that was left. NaN is on no side, and crosses nothing.
     """
-    found, looks, count, dips = False, own.looks, own.watched, dips_of(own)
+    found, count, dips = False, own.watched, dips_of(own)
     for lane in range(lanes):
         desk[MARK, lane] = 0.0
         if desk[TOOK, lane] == 0.0:
             continue
         cursor = int(desk[CURSOR, lane])
-        while cursor < 2 * looks * count and desk[MARK, lane] == 0.0:
+        while cursor < 2 * LOOKS * count and desk[MARK, lane] == 0.0:
             # From one look to the next; or to a dip between them, and from there on.
             half, look, event = cursor % 2, cursor // 2 // count + 1, cursor // 2 % count
             cursor += 1
-            low, high = (look - 1) / looks, look / looks
+            low, high = (look - 1) / LOOKS, look / LOOKS
             before = desk[own.values + (look - 1) * count + event, lane]
             value = desk[own.values + look * count + event, lane]
             dip, at_dip = desk[dips + event, lane], desk[dips + count + event, lane]
@@ -440,5 +477,5 @@ def go_on(desk, own, where, lanes):
     for lane in range(lanes):
         if desk[where, lane] > 0.0:
             for event in range(own.watched):
-                last = desk[own.values + own.looks * own.watched + event, lane]
+                last = desk[own.values + LOOKS * own.watched + event, lane]
                 desk[own.values + event, lane] = last

@@ -53,14 +53,14 @@ from lierb.kernels.stepping.systems import system_of
 # What a loop asks of a service, and is told by it.
 ASKED, TASK, TURN, FIRST, AGAIN, IS_NEW, ANSWER, SHARE, SHARE_END, TOLD = range(10)
 TAKING, HANDING_ENDS, HANDING_ROW = range(3)  # of `serve`
-LOOKS = 4  # at events in a step, where the method has a continuous extension
+LOOKS = 4  # at events in a step, at equal distances, its end included
 STARTS = SUMMARY.index("starts")  # which is known before
 EVENT_COLUMNS = 3  # trajectory, event, t
 
 
 OWN_ARRAYS = ("desk", "told", "save_at", "numbers", "events", "kinds", "jumps")
 _SIZES = (
-    "first", "stop", "begin", "turns", "differ", "rows", "watched", "looks", "sides", "values",
+    "first", "stop", "begin", "turns", "differ", "rows", "watched", "sides", "values",
     "shown", "own_summary", "serve", "watch",
 )  # fmt: skip
 LANE_JOB = np.dtype(
@@ -81,8 +81,7 @@ desk : [row][lane], of `desk_of`.   told : of a desk, [1][TOLD].   numbers : [1]
 save_at : [1][row of the history], s.   jumps : [1][time at which steps end], s.
 events : of a desk, [place][EVENT_COLUMNS, state and signals]; place 0 has their count.
 kinds : [direction, is terminal][event].
-first, stop : trajectories.   turns : iterations in this call.   watched, looks : events, and how
-often each is asked in a step.
+first, stop : trajectories.   turns : iterations in this call.   watched : number of events.
 sides, values, shown : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
 serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch`.
 """
@@ -91,7 +90,8 @@ serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch
 @lru_cache(64)
 def desk_of(plan: AnyPlan) -> Columns:
     """The rows of a desk: what loops over lanes need; of each event its side, its values at the
-    looks of a step, the first of them at its start, those of a search, and θ and value of a dip;
+    looks of a step, the first of them at its start, those of a search, θ and value of a dip, and
+    what rounding makes of its value at the start;
     POSE_AND_TWIST of every link, states and outputs, of what is to be shown; then what lanes carry.
     """
     events = len(events_of(plan))
@@ -102,6 +102,7 @@ def desk_of(plan: AnyPlan) -> Columns:
         Field("values", (LOOKS + 1, events)),
         Field("searched", (events,)),
         Field("dips", (2, events)),
+        Field("roundings", (events,)),
         Field("shown", (shown,)),
         Field("clock", (len(LaneClock._fields),)),
         Field("controls", (size_of(outputs_of(plan)),)),

@@ -86,6 +86,7 @@ from lierb.kernels.stepping.lane_formulas import (
     mark_due_between,
     next_trial,
     own_start,
+    put_roundings,
     put_row,
     put_shown,
     put_trial,
@@ -172,7 +173,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     )  # fmt: skip
     carried, events, told = numbers_at(own.carried), numbers_at(own.events), numbers_at(own.told)
     jumps = numbers_at(job.jumps)
-    room = events.shape[0] - lanes * own.watched * (own.looks + 1) - 1
+    room = events.shape[0] - lanes * own.watched * (LOOKS + 1) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs)
     state, record = load_state(plan, body, carried, 0), load_record(plan, carried, 0)
@@ -205,8 +206,9 @@ def integrate_lanes(plan, inputs, counter, jobs):
             clock, held = taken(fresh, first[0], clock), taken(fresh, first[1], held)
             is_new = False
             if own.watched > 0:
-                at_end = own.values + own.looks * own.watched
+                at_end = own.values + LOOKS * own.watched
                 put_values(plan, body, state, held, clock.t, desk, at_end)
+                put_roundings(plan, body, state, held, clock.t, desk, at_end)
                 told[0, ASKED] = STARTING
                 call(job.watch, inputs, counter, jobs)
             restored(plan, marks, fresh)
@@ -232,7 +234,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 slopes = slopes_between(plan, seen, state, made, trial)
                 task, turn = SHOWING, 0
                 if own.watched > 0:
-                    at_end = own.values + own.looks * own.watched
+                    at_end = own.values + LOOKS * own.watched
                     put_values(plan, seen, moved, held, trial.end, desk, at_end)
                     told[0, ASKED], task = BEGINNING, LOOKING
                     call(job.watch, inputs, counter, jobs)

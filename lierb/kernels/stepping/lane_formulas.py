@@ -579,6 +579,18 @@ def put_values(
             put_row(plan, desk, first + i, value)
 
 
+def put_roundings(
+    plan: AnyPlan, body: Any, state: State, held: Held, time: Any, desk: Any, first: Any
+) -> None:
+    """How much rounding makes of the events' values, which are on the desk from row `first` on."""
+    if events_of(plan):
+        system, body = system_of(plan), with_signals(plan, body, state, held)
+        nearby = system.events_nearby(body, system.seen(body, state, time), time)
+        values = [row_of(plan, desk, first + i) for i in range(len(nearby))]
+        pairs = zip(nearby, values, strict=True)
+        _put_rows(plan, desk, "roundings", tuple(absolute(x - value) for x, value in pairs))
+
+
 def put_shown(
     plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, held: Held, desk: Any
 ) -> None:
@@ -620,7 +632,7 @@ for _formula in (
     fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended, last_end,
     sooner, next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
     slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
-    put_shown, put_trial, ended_between, with_signals, goes_on, store_lane_end, silenced, renewed,
-    restored,
+    put_roundings, put_shown, put_trial, ended_between, with_signals, goes_on, store_lane_end,
+    silenced, renewed, restored,
 ):  # fmt: skip
     kernel(_formula)

@@ -133,6 +133,11 @@ class Watching:
         """Each event's value."""
         return self._values(UserEvent, body, seen, time)
 
+    def events_nearby(self, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
+        """Each event's value where the motion is off by some roundings."""
+        x = self.motions(body, seen, time)
+        return tuple(e.value_nearby(own, x(i)) for i, e, own in self._all(UserEvent, body))
+
     def _values(self, kind: Any, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
         found = self._all(kind, body)
         if not found:
