@@ -387,12 +387,25 @@ def test_convergence_refuses(given, error, message):
         lierb.convergence(box_top(), **options)
 
 
-def test_convergence_refuses_another_problem_and_another_batch(exact):
+def test_convergence_refuses_another_problem():
     with pytest.raises(ArgumentError, match="problem must be"):
         lierb.convergence(3, "RK4", DTS, twist0=twists(), t_end=T_END)
-    two = exact[0][:2], exact[1][:2]
-    with pytest.raises(ArgumentError, match="reference has 2 trajectories; expected 3"):
-        lierb.convergence(box_top(), "RK4", DTS, twist0=twists(), t_end=T_END, reference=two)
+
+
+@pytest.mark.parametrize(
+    ("poses", "twists_at_end", "message"),
+    [
+        (slice(2), slice(2), "reference has 2 trajectories; expected 3"),
+        (0, 0, "reference has 1 trajectory; expected 3"),  # NumPy would broadcast it
+        (slice(1), slice(1), "reference has 1 trajectory; expected 3"),
+        (slice(3), 0, "reference has poses and twists of 1, 3 trajectories"),
+        (0, slice(3), "reference has poses and twists of 1, 3 trajectories"),
+    ],
+)
+def test_convergence_refuses_a_reference_of_another_batch(exact, poses, twists_at_end, message):
+    given = exact[0][poses], exact[1][twists_at_end]
+    with pytest.raises(ArgumentError, match=message):
+        lierb.convergence(box_top(), "RK4", DTS, twist0=twists(), t_end=T_END, reference=given)
 
 
 # ---- how it is told ----------------------------------------------------------------------------

@@ -381,10 +381,10 @@ def _row(
     """A row of the table, by column."""
     summary, ends, failed = found.summary, found.ends, found.ends.failed
     count = len(failed)
-    if len(reference.ends.failed) not in (1, count):
+    if len(reference.ends.failed) != count:
         raise ArgumentError(
             f"reference has {counted(len(reference.ends.failed), 'trajectory', 'trajectories')}; "
-            f"expected {count}"
+            f"expected {count}, a pose and a twist for each of the batch"
         )
     missing = ends.failed | reference.ends.failed
     if "steps" in summary.column_names:  # of adaptive ones, and of those that a controller ends

@@ -83,8 +83,13 @@ class Ends:
             }
             for link, pose in placed.items()
         }
-        several = {len(array) for state in states.values() for array in state.values()}
-        return cls(states, np.zeros(max(several), dtype=bool))
+        counts = {len(array) for state in states.values() for array in state.values()}
+        if len(counts) > 1:  # nothing is broadcast
+            raise ArgumentError(
+                f"reference has poses and twists of {', '.join(map(str, sorted(counts)))} "
+                "trajectories; expected a pose and a twist for each"
+            )
+        return cls(states, np.zeros(counts.pop(), dtype=bool))
 
     @property
     def poses(self) -> dict[str, Array]:
