@@ -230,6 +230,20 @@ def test_failed_trajectories_are_left_out_and_told(exact):
     assert np.isnan(found.order("RK4"))  # who is left may differ from step to step
 
 
+def test_saturated_errors_have_no_order(exact):
+    """Beside a reference that is turned by 2.4 rad the errors say nothing of the method."""
+    away = exact[0].copy()
+    away[:, :3, :3] = exact[0][:, :3, :3] @ rotation(0.0, 0.0, 2.4)
+    found = lierb.convergence(
+        box_top(), "RK4", DTS, twist0=twists(), t_end=T_END, reference=(away, exact[1]), repeats=0
+    )
+    assert column(found.table, "error.rotation") == pytest.approx(2.4, rel=1e-3)  # RK4's: 4e-4
+    assert np.isnan(found.order("RK4", quantity="error.rotation"))
+    told = {each.quantity: each.told for each in found.orders}
+    assert told["error.rotation"] == "–"
+    assert told["error.omega"].startswith(("3.", "4."))
+
+
 # ---- work --------------------------------------------------------------------------------------
 
 

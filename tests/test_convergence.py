@@ -8,12 +8,13 @@ from lierb.errors import ArgumentError
 from lierb.studies.convergence import ROUNDING_FLOOR, fitted_order, observed_order, verdict
 
 DTS = (1e-2, 1e-3, 1e-4)
+HALVED = (0.4, 0.2, 0.1, 0.05)
 
 
 @pytest.mark.parametrize("order", [1, 2, 4, 8])
 def test_observed_order_finds_the_exponent(order):
     dts = (0.4, 0.2, 0.1)
-    found = observed_order(dts, [3.0 * dt**order for dt in dts])
+    found = observed_order(dts, [0.3 * dt**order for dt in dts])
     assert found.slope == pytest.approx(order, abs=1e-12)
     assert not found.lower_bound
 
@@ -51,8 +52,35 @@ def test_rounding_scales_with_the_size_of_the_motion():
     assert observed_order(DTS, errors, size=490.0) is None
 
 
-def test_order_is_never_minus_zero():
-    assert str(observed_order(DTS, [0.38, 0.3801, 0.3802])) == "0.00"
+# Angles between orientations that have nothing to do with each other: rad, at most π, 2.2 in the
+# mean, and 99 % of them above 0.5.
+SATURATED = ([2.1, 2.0, 2.4], [2.4, 1.2, 0.6], [3.1, 1e-3, 2.4], [2.4, 1e-15, 0.0])
+
+
+@pytest.mark.parametrize("errors", SATURATED)
+@pytest.mark.parametrize("size", [1.0, 7.5e3, 1e-9])
+@pytest.mark.parametrize("of", [observed_order, fitted_order])
+def test_order_is_none_of_saturated_errors(errors, size, of):
+    found = of(DTS, [size * error for error in errors], size=size)
+    assert math.isnan(found.slope)
+    assert (str(found), found.steps) == ("–", ())
+
+
+@pytest.mark.parametrize("of", [observed_order, fitted_order])
+def test_order_leaves_out_saturated_errors(of):
+    errors = [2.4, 1.9, 1.6e-3, 1e-4]
+    found = of(HALVED, errors)
+    assert found.slope == pytest.approx(4.0, abs=1e-12)
+    assert found.steps == (0.1, 0.05)
+    assert math.isnan(of(HALVED[:3], errors[:3]).slope)  # one usable error has no slope
+
+
+@pytest.mark.parametrize("errors", [[0.38, 0.3801, 0.3802], [2e-5, 1.9e-5, 2.1e-5]])
+def test_errors_that_do_not_fall_have_no_order(errors):
+    found = observed_order(DTS, errors)
+    assert math.isnan(found.slope)
+    assert (str(found), found.steps) == ("–", DTS[1:])
+    assert verdict(errors, found) == "violated"
 
 
 @pytest.mark.parametrize("errors", [[1e-3], [0.0, 1e-13, 1e-3]])
@@ -63,13 +91,11 @@ def test_observed_order_of_the_finest_error_alone_is_unknown(errors):
 
 # ---- through several ---------------------------------------------------------------------------
 
-HALVED = (0.4, 0.2, 0.1, 0.05)
-
 
 @pytest.mark.parametrize("order", [1, 2, 4, 8])
 def test_fitted_order_takes_all_in_the_asymptotic_range(order):
     # of C hᵖ (1 + a h): the slopes differ by less than 5 % from a h = 0.1 on
-    errors = [3.0 * dt**order * (1.0 + 0.1 * order * dt) for dt in HALVED]
+    errors = [0.3 * dt**order * (1.0 + 0.1 * order * dt) for dt in HALVED]
     found = fitted_order(HALVED, errors)
     assert found.slope == pytest.approx(order, rel=0.02)
     assert found.steps == HALVED

@@ -199,7 +199,8 @@ def convergence(
         "reference_errors": given.errors, "t0": float(t0), "t_end": float(t_end),
         "repeats": int(repeats), "measure_every": measure_every, "update": update,
     }  # fmt: skip
-    return comparison(rows, tableaus, _quantities(problem), name, notes, metadata)
+    seen = {quantity: measured[quantity] for quantity in _quantities(problem)}
+    return comparison(rows, tableaus, seen, name, notes, metadata)
 
 
 # ---- arguments ---------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from lierb.errors import ArgumentError, require_name
 from lierb.extras import is_installed, require
 from lierb.shown import Lines, Shown, counted, rounded
-from lierb.studies.convergence import EXACT, VIOLATED, Order, fitted_order, verdict
+from lierb.studies.convergence import EXACT, Order, fitted_order, verdict
 from lierb.studies.files import folder_of, naming, write_whole
 from lierb.studies.reference import ERRORS
 from lierb.tableaus import ButcherTableau
@@ -77,10 +77,8 @@ class Observed:
             return EXACT if self.quantity.startswith("drift.") else "–"
         if self.order.lower_bound:
             return f"≥ {self.order.slope:.2f}"
-        if self.verdict == VIOLATED and self.quantity.startswith("drift."):
-            return "does not fall"
         if math.isnan(self.order.slope):
-            return "–"
+            return "does not fall" if self.order.steps else "–"
         return f"{self.order.slope:.2f} ({len(self.order.steps)} of {self.runs})"
 
 
@@ -257,22 +255,25 @@ class Comparison(Shown):
 ORDERS_NOTE = (
     "Orders are slopes of log error over log step, least squares from the finest step on as far as "
     "the slope stays the same; (3 of 4) counts the runs that were taken, with 2 none was left to "
-    "say whether it does."
+    "say whether it does. Errors that are rounding, or at least half as large as what they are "
+    "errors of, show no order."
 )
 
 
 def comparison(
     rows: Sequence[dict[str, Any]],
     tableaus: Sequence[ButcherTableau],
-    quantities: Iterable[str],
+    sizes: dict[str, float],
     name: str,
     notes: Iterable[str],
     metadata: dict[str, Any],
 ) -> Comparison:
-    """Of the rows of its table, by column; quantities: those that the problem has."""
-    known = list(quantities)
+    """Comparison made of the rows of its table.
+
+    sizes : by quantity that the problem has, the size of what its errors are errors of.
+    """
     notes = tuple(notes)
-    orders = tuple(_observed(rows, {each.name: each.order for each in tableaus}, known))
+    orders = tuple(_observed(rows, {each.name: each.order for each in tableaus}, sizes))
     columns = list(rows[0])
     metadata = metadata | {"notes": list(notes), "orders": [_as_json(each) for each in orders]}
     schema = pa.schema([_field(each) for each in columns], {"lierb": json.dumps(metadata)})
@@ -281,7 +282,7 @@ def comparison(
 
 
 def _observed(
-    rows: Sequence[dict[str, Any]], known: dict[str, int | None], quantities: list[str]
+    rows: Sequence[dict[str, Any]], known: dict[str, int | None], sizes: dict[str, float]
 ) -> Iterator[Observed]:
     """Runs with failures say nothing: who is left differs from step to step."""
     keyed: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
@@ -292,10 +293,10 @@ def _observed(
         steps, of = list(by_step), list(by_step.values())
         if len(steps) < 2:
             continue
-        for quantity in quantities:
+        for quantity, size in sizes.items():
             errors = np.array([_number(r[quantity]) if not r["failed"] else np.nan for r in of])
             floors = np.array([_number(row[quantity + FLOOR]) for row in of])
-            order = fitted_order(steps, errors, floor=floors)  # type: ignore[arg-type]
+            order = fitted_order(steps, errors, size, floors)  # type: ignore[arg-type]
             told = verdict(errors, order)  # type: ignore[arg-type]
             yield Observed(method, cspace, control, quantity, order, known[method], len(of), told)
 

@@ -15,6 +15,14 @@ from lierb.errors import ArgumentError, told
 ROUNDING_FLOOR = 1e-11
 """Errors up to this, relative to the size of what they are errors of, count as rounding."""
 
+SATURATED = 0.5
+"""Errors from this on, relative to the size of what they are errors of, are too large to fall with
+the step size in any law: orientations that have nothing to do with each other differ by 2.2 rad in
+the mean, and 99 % of them by more than 0.5 rad."""
+
+LEAST_ORDER = 0.5
+"""A smaller slope is no order: the errors do not fall with the step size."""
+
 ORDER_TOLERANCE = 0.25
 """How far an observed order may lie from a whole number and still be given as that number. With
 steps ten times apart the coarser one is often not yet in the asymptotic range: the universal joint
@@ -31,11 +39,13 @@ FAILED = "failed"  # not a number: the integration broke down
 
 @dataclass(frozen=True)
 class Order:
-    """Slope of log(error) over log(dt).
+    """Slope of log(error) over log(dt); NaN where the errors show no order.
 
     `lower_bound`: the finer of the two errors behind it is at rounding, so the true slope is at
     least this.
-    `steps`: the step sizes of the errors behind it, s, the coarsest first.
+    `steps`: the step sizes of the errors behind it, s, the coarsest first; none where too few
+    errors lie between rounding and saturation. With steps and without a slope, the errors do not
+    fall.
     """
 
     slope: float
@@ -48,7 +58,9 @@ class Order:
         return len(self.steps) > 2 and not self.lower_bound
 
     def __str__(self) -> str:
-        return f"{'>=' if self.lower_bound else ''}{round(self.slope, 2) + 0.0:.2f}"
+        if math.isnan(self.slope):
+            return "–"
+        return f"{'>=' if self.lower_bound else ''}{self.slope:.2f}"
 
 
 def observed_order(
@@ -59,9 +71,10 @@ def observed_order(
 ) -> Order | None:
     """Order of convergence observed in `errors`, or None when all of them are at rounding.
 
-    The slope is that between the two finest steps whose errors are above rounding: coarser ones may
-    not resolve the motion yet, errors at rounding say nothing. When only one error is above, its
-    slope to the next finer step bounds the order.
+    The slope is that between the two finest steps whose errors are usable, that is above rounding
+    and below SATURATED times `size`: coarser steps may not resolve the motion yet. When only one
+    error is usable, its slope to the next finer step, at rounding, bounds the order. A slope below
+    LEAST_ORDER is no order, nor is there one when too few errors are usable: it is NaN then.
 
     dts : step sizes, s.   errors : one for each.   size : what they are errors of, in their unit:
     the body's lengths and distances, m; 1 for angles; the motion's energies, J.
@@ -73,15 +86,22 @@ def observed_order(
     '4.00'
     >>> str(observed_order([1e-2, 1e-3, 1e-4], [5.1e-8, 5.1e-12, 6.7e-13]))
     '>=4.00'
+    >>> str(observed_order([1e-2, 5e-3, 2.5e-3], [2.1, 2.0, 2.4]))  # rad: saturated
+    '–'
     """
-    steps, error, above = _above(dts, errors, size, floor)
+    steps, error, above, usable = _usable(dts, errors, size, floor)
     if above.size == 0:
         return None
-    coarse, fine = above[-2:] if above.size > 1 else (above[0], above[0] + 1)
+    if usable.size == 0 or usable[-1] != above[-1]:
+        return Order(math.nan)  # the finest error above rounding is saturated
+    coarse, fine = usable[-2:] if usable.size > 1 else (usable[0], usable[0] + 1)
     if fine == error.size:
-        return Order(math.nan)  # the finest error alone is above: nothing to compare it with
+        return Order(math.nan)  # the finest error alone is usable: nothing to compare it with
     pair = (float(steps[coarse]), float(steps[fine]))
-    return Order(_slope(steps, error, coarse, fine), above.size == 1, pair)
+    slope = _slope(steps, error, coarse, fine)
+    if slope < LEAST_ORDER:
+        return Order(math.nan, steps=pair)
+    return Order(slope, usable.size == 1, pair)
 
 
 def fitted_order(
@@ -92,7 +112,7 @@ def fitted_order(
 ) -> Order | None:
     """As `observed_order`, through all errors in the asymptotic range, by least squares.
 
-    From the two finest steps above rounding it takes in coarser ones, as long as the slope to the
+    From the two finest usable steps it takes in coarser ones, as long as the slope to the
     next is that between those two, to SLOPE_TOLERANCE. Of fewer than three such steps it is
     `observed_order`, and not `is_asymptotic`.
 
@@ -103,26 +123,28 @@ def fitted_order(
     order = observed_order(dts, errors, size, floor)
     if order is None or order.lower_bound or math.isnan(order.slope):
         return order
-    steps, error, above = _above(dts, errors, size, floor)
+    steps, error, _, usable = _usable(dts, errors, size, floor)
     tolerance = SLOPE_TOLERANCE * max(1.0, abs(order.slope))
-    first = above.size - 2
+    first = usable.size - 2
     while first > 0:
-        slope = _slope(steps, error, above[first - 1], above[first])
+        slope = _slope(steps, error, usable[first - 1], usable[first])
         if abs(slope - order.slope) > tolerance:
             break
         first -= 1
-    taken = above[first:]
+    taken = usable[first:]
     slope, _ = np.polyfit(np.log10(steps[taken]), np.log10(error[taken]), 1)
     return Order(float(slope), steps=tuple(steps[taken].tolist()))
 
 
-def _above(
+def _usable(
     dts: Sequence[float],
     errors: Sequence[float],
     size: float | Sequence[float],
     floor: Sequence[float] | None,
-) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Steps and errors, the coarsest first, and which of the errors are above rounding."""
+) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Steps and errors, the coarsest first; indices of the errors above rounding, and of the usable
+    ones among them, which are not saturated.
+    """
     steps, found = as_positive("dts", dts, "s"), as_floats("errors", errors)
     sizes = as_floats("size", size)
     if not (steps.ndim == 1 and found.shape == steps.shape and sizes.shape in ((), steps.shape)):
@@ -136,8 +158,10 @@ def _above(
     coarse_first = np.argsort(steps)[::-1]
     error = found[coarse_first]
     floors = np.broadcast_to(floors, error.shape)[coarse_first]
-    above = np.flatnonzero(np.isfinite(error) & (error > floors) & (error > 0.0))
-    return steps[coarse_first], error, above
+    limits = SATURATED * np.broadcast_to(sizes, found.shape)[coarse_first]
+    is_above = np.isfinite(error) & (error > floors) & (error > 0.0)
+    above, usable = np.flatnonzero(is_above), np.flatnonzero(is_above & (error < limits))
+    return steps[coarse_first], error, above, usable
 
 
 def _slope(steps: Array, error: Array, coarse: int, fine: int) -> float:
@@ -158,7 +182,7 @@ def verdict(errors: Sequence[float], order: Order | None) -> str:
         raise ArgumentError(f"order={told(order)}; expected what observed_order returns")
     if order is None:
         return EXACT
-    if not 0.5 <= order.slope < math.inf:
+    if not LEAST_ORDER <= order.slope < math.inf:
         return VIOLATED
     nearest = round(order.slope)
     return f"order {nearest}" if abs(order.slope - nearest) <= ORDER_TOLERANCE else DRIFTS
