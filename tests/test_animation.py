@@ -21,7 +21,7 @@ from lierb.animation import shapes
 from lierb.animation.gaps import gap_of
 from lierb.animation.page import FRAMES, MOST_VIEWS
 from lierb.colours import CSPACE_COLOURS
-from lierb.errors import ArgumentError, FailedTrajectoryWarning
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, StudyFileError
 
 MOST_BYTES = 40_000  # of the page without its scene
 PLAYER = Path(lierb.animation.__file__).parent / "player.js"
@@ -45,6 +45,17 @@ def spun() -> dict[str, lierb.Result]:
         )
         for cspace in ("SE3", "SO3xR3")
     }  # fmt: skip
+
+
+def test_save_overwrites_nothing_but_pages(spun, tmp_path):
+    animation = lierb.animate(spun["SE3"])
+    page, other = tmp_path / "top.html", tmp_path / "top.toml"
+    other.write_text("name = 'top'")
+    assert animation.save(page) == animation.save(page) == page
+    assert page.read_text(encoding="utf-8") == animation.html()
+    with pytest.raises(StudyFileError, match="is there and no HTML page"):
+        animation.save(other)
+    assert other.read_text() == "name = 'top'"
 
 
 # ---- shapes ------------------------------------------------------------------------------------

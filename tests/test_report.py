@@ -21,6 +21,7 @@ from lierb.studies.dataset import Dataset
 
 pytest.importorskip("plotly")
 from lierb.studies.figures import figures, omitted
+from lierb.studies.files import require_page
 from lierb.studies.report import POINTS, write_report
 
 BODIES = 50
@@ -92,6 +93,44 @@ def test_page_is_complete(text):
     assert "50 bodies over 0.05 s" in text
     assert "No run failed." in text
     assert "Unfinished" not in text
+
+
+FOREIGN = ("manifest.json", "study.toml", "summary/part-00000.parquet", "notes.txt", "data.svg")
+
+
+@pytest.mark.parametrize("is_link", [False, True])
+@pytest.mark.parametrize("name", FOREIGN)
+def test_report_overwrites_nothing_but_pages(dataset, tmp_path, name, is_link):
+    out = tmp_path / "results"
+    shutil.copytree(dataset.folder, out)
+    (out / "notes.txt").write_text("an <html> tag that does not begin the text")
+    (out / "data.svg").write_text('<?xml version="1.0"?><svg></svg>')
+    (part,) = sorted((out / "summary").iterdir())[:1]
+    file = out / name if (out / name).exists() else part
+    before, path = file.read_bytes(), file
+    if is_link:
+        path = tmp_path / "page.html"
+        path.symlink_to(file)
+    refused = CliRunner().invoke(cli, ["report", str(out), "--out", str(path)])
+    assert refused.exit_code == 1
+    assert f"{path} is there and no HTML page, and would be lost" in refused.stderr
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        "",
+        "<!doctype html>\n<p>",
+        "\ufeff  <HTML lang='en'>",
+        "<!-- a -->\n<!-- b --><!DOCTYPE html>",
+    ],
+)
+def test_require_page_lets_pages_be_replaced(tmp_path, page):
+    path = tmp_path / "page.html"
+    require_page(path)
+    path.write_text(page, encoding="utf-8")
+    require_page(path)
 
 
 def test_page_needs_no_network(text):

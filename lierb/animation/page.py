@@ -31,6 +31,7 @@ from lierb.errors import ArgumentError, items_of, told, unknown_name
 from lierb.mechanism import Mechanism
 from lierb.model import Problem
 from lierb.shown import counted, steps_told
+from lierb.studies.files import require_page, write_whole
 
 if TYPE_CHECKING:
     from lierb.result import Result
@@ -60,9 +61,14 @@ class Animation:
         return re.sub("%([A-Z]+)%", lambda mark: texts[mark[1]], _asset("player.html"))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the page; returns where. Raises OSError where that cannot be written."""
+        """Write the page and return its path.
+
+        Raises StudyFileError, an OSError, where it cannot be written, or would replace a file that
+        is no HTML page.
+        """
         file = Path(path).expanduser()
-        file.write_text(self.html(), encoding="utf-8")
+        require_page(file)
+        write_whole(file, self.html().encode())
         return file
 
     def frame(self, height: int = HEIGHT) -> str:

@@ -16,6 +16,8 @@ from lierb.errors import ArgumentError, StudyError, StudyFileError
 
 TEMPORARY = ".unfinished"
 URL = re.compile(r"[A-Za-z][\w+.-]+:/")  # of two letters or more: one is a drive
+COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+HTML = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype\s+html|html)\b", re.IGNORECASE)
 RESUME = "--resume (resume=True) does"
 KEPT = f"finished parts are kept, {RESUME} the rest"
 READABLE = f"make it readable, or delete it, and {RESUME} it again"
@@ -60,6 +62,21 @@ def write_whole(path: Path, content: Any) -> None:
             path.write_bytes(content)
     else:
         rename(write_aside(path, content), path)
+
+
+def require_page(path: Path) -> None:
+    """Raise StudyFileError where an HTML page would overwrite a file that is none.
+
+    Such as a study's manifest or a part of its results, be it through a link.
+    """
+    if path.is_file():
+        with naming(path, "read", "choose another file for the page"), path.open("rb") as file:
+            beginning = COMMENT.sub(b"", file.read(4096))
+        if beginning and not HTML.match(beginning):
+            raise StudyFileError(
+                f"{path} is there and no HTML page, and would be lost; choose another file for the "
+                "page, or delete this one"
+            )
 
 
 def write_aside(path: Path, content: Any) -> Path:

@@ -16,7 +16,7 @@ from lierb.extras import require
 from lierb.prediction import Prediction, joint_by_joint, predict
 from lierb.shown import rounded
 from lierb.studies.dataset import IS_FINE, Dataset, setting_columns
-from lierb.studies.files import write_whole
+from lierb.studies.files import require_page, write_whole
 from lierb.studies.findings import (
     LABELS,
     QUANTILES,
@@ -78,7 +78,11 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
     """Write the page on a study's finished parts: tables, figures, and how to reproduce them.
 
     dataset : as `lierb.run` returns it, or read; finished or not.   path : of the HTML file.
+
+    Raises StudyFileError where the page would replace a file that is no HTML page.
     """
+    path = Path(path)
+    require_page(path)
     study, found = study_of(dataset), findings(dataset)
     seen = errors_seen(dataset, study)
     environment = jinja2.Environment(
@@ -131,7 +135,6 @@ def write_report(dataset: Dataset, path: str | Path) -> Path:
         worst=_worst(dataset, study, seen),
         failures=_failures(dataset),
     )
-    path = Path(path)
     write_whole(path, page.encode())
     return path
 
