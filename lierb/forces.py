@@ -680,7 +680,8 @@ def motor(
         needs. A force, N, needs a joint that slides along e₃, such as prismatic.
     parameters : of the function, each a number or (n,).
 
-    For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like.
+    For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like. A torque or
+    a speed needs one that turns about it; ForceError of a Problem or Mechanism says so.
 
     >>> import lierb, math
     >>> lierb.forces.motor(lambda t, params: params.peak * math.sin(3.0 * t), peak=[0.1, 0.2])

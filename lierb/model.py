@@ -49,7 +49,7 @@ from lierb.kernels.mechanics.newton_euler import (
     SO3xR3,
     unit_inertia,
 )
-from lierb.kernels.mechanics.rows import Rows, keeps_axis
+from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
 from lierb.kernels.numbers.arithmetic import absolute, plain, where
@@ -243,18 +243,27 @@ def bind(problem: Any) -> None:
 
 
 def require_fit(element: Element, joint: Joint) -> None:
-    """Raise ForceError for an element that has changed, or whose axis the joint does not have."""
+    """Raise ForceError for an element that has changed, or that cannot act at the joint."""
     element.require_unchanged()
-    if element.kind.needs_axis and not keeps_axis(joint.rows):
+    if not element.kind.needs_axis:
+        return
+    name = f"{element.name} on {element.at[0]!r}" if element.at else element.name
+    acts = f"{name} acts {'along' if element.kind.needs_slide else 'about'} the joint axis"
+    if not keeps_axis(joint.rows):
         raise ForceError(
-            f"{element.name} acts about the joint axis, which a {joint.name} joint does not "
-            "keep: its body turns about others too; take a joint such as revolute, or a "
-            "constant_wrench or lierb.wrench"
+            f"{acts}, which a {joint.name} joint does not keep: its body turns about others too; "
+            "take a joint such as revolute, or a constant_wrench or lierb.wrench"
         )
-    if element.kind.needs_slide and any(row.holds_slide for row in joint.rows):
+    if element.kind.needs_slide and not slides(joint.rows):
         raise ForceError(
-            f"{element.name} acts along the joint axis, along which a {joint.name} joint does not "
-            "slide; take a joint such as prismatic, or a torque about the axis"
+            f"{acts}, along which a {joint.name} joint does not slide; take a joint such as "
+            "prismatic, or a torque about the axis"
+        )
+    if not element.kind.needs_slide and not turns(joint.rows):
+        raise ForceError(
+            f"{acts}, about which a {joint.name} joint does not turn; take a joint such as "
+            "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
+            "or slide_limit"
         )
 
 

@@ -773,3 +773,71 @@ def test_motor_force_accelerates_evenly(joints_with_forces):
 def test_bad_joint_force_is_named(make, error, message):
     with pytest.raises(error, match=message):
         make()
+
+
+# ---- which joints they act at ------------------------------------------------------------------
+
+# What each joint of the catalogue does about and along its axis, by its definition.
+TURNS = {
+    "revolute", "cylindrical", "screw", "planar", "helical_planar", "schoenflies", "pin_in_slot",
+    "pin_in_slot_body",
+}  # fmt: skip
+SLIDES = {
+    "cylindrical", "screw", "prismatic", "translation", "helical_planar", "schoenflies",
+}  # fmt: skip
+ABOUT_THE_AXIS = {
+    "torque": lambda: lierb.forces.motor(1.0),
+    "torque of time": lambda: lierb.forces.motor(lambda t: math.sin(t)),
+    "speed": lambda: lierb.forces.motor(speed=1.0),
+    "speed of time": lambda: lierb.forces.motor(speed=lambda t: math.sin(t)),
+    "spring": lambda: lierb.forces.torsional_spring(stiffness=1.0),
+    "friction": lambda: lierb.forces.joint_friction(viscous=1.0),
+    "limit": lambda: lierb.forces.joint_limit(lower=-1.0, upper=1.0, stiffness=10.0),
+}
+ALONG_THE_AXIS = {
+    "force": lambda: lierb.forces.motor(force=1.0),
+    "spring": lambda: lierb.forces.slide_spring(stiffness=1.0),
+    "friction": lambda: lierb.forces.slide_friction(viscous=1.0),
+    "limit": lambda: lierb.forces.slide_limit(lower=-1.0, upper=1.0, stiffness=10.0),
+}
+
+
+@pytest.mark.parametrize("name", lierb.joints.JOINTS)
+@pytest.mark.parametrize(
+    ("elements", "fitting", "way"),
+    [(ABOUT_THE_AXIS, TURNS, "about"), (ALONG_THE_AXIS, SLIDES, "along")],
+    ids=["about", "along"],
+)
+def test_elements_at_a_joint_are_refused_where_they_cannot_act(name, elements, fitting, way):
+    held = joint(name)
+    for make in elements.values():
+        element = make()
+        makers = (
+            lambda e=element: lierb.Problem(box(), held, forces=e),
+            lambda e=element: lierb.Mechanism(
+                [
+                    lierb.Link("arm", box(), lierb.joints.revolute()),
+                    lierb.Link("hand", box(), held, parent="arm"),
+                ],
+                forces=e.on("hand"),
+            ),
+        )
+        for made, whose in zip(makers, (element.name, f"{element.name} on 'hand'"), strict=True):
+            if name in fitting:
+                made()
+                continue
+            with pytest.raises(ForceError, match=rf"{whose} acts {way} the .*{name} joint"):
+                made()
+
+
+@pytest.mark.parametrize("hold", ["Omega3", "Q12", "Q21", "Q11", "cv"])
+def test_a_joint_made_of_rows_may_hold_its_axis(hold):
+    """A screw that may not turn does not slide, and one that may not slide does not turn."""
+    motors = lierb.forces.motor(speed=1.0), lierb.forces.motor(force=1.0)
+    held = lierb.joints.from_rows(["d1", "d2", "Omega1", "Omega2", hold])
+    stuck = lierb.joints.from_rows(["d1", "d2", "screw", "Omega1", "Omega2", hold], pitch=0.1)
+    flat = lierb.joints.from_rows(["d3", "screw", "Omega1", "Omega2"], pitch=0.1)
+    lierb.Problem(box(), held, forces=motors[1])
+    for each, motor in ((held, motors[0]), *((j, m) for j in (stuck, flat) for m in motors)):
+        with pytest.raises(ForceError, match=r"joint does not (turn|slide)"):
+            lierb.Problem(box(), each, forces=motor)

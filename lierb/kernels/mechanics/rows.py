@@ -86,6 +86,11 @@ class Row:
         return self.held_axis == 2
 
     @property
+    def holds_turn(self) -> bool:
+        """Whether no joint that has it and keeps e₃ turns about it."""
+        return self.fixed_axis == 2
+
+    @property
     def slot(self) -> tuple[int, int] | None:
         """A component of (ω, v), and what it is in the algebra of a joint that is a subgroup."""
         axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
@@ -120,6 +125,25 @@ def fixed_axes(rows: Rows) -> tuple[int, ...]:
 def keeps_axis(rows: Rows) -> bool:
     """Whether e₃ of the body stays e₃ of the ground."""
     return {0, 1} <= {*fixed_axes(rows)}
+
+
+def turns(rows: Rows) -> bool:
+    """Whether a joint that keeps e₃ turns about it."""
+    return not (any(r.holds_turn for r in rows) or (_is_screw(rows) and _holds_slide(rows)))
+
+
+def slides(rows: Rows) -> bool:
+    """Whether a joint that keeps e₃ slides along it."""
+    return not (_holds_slide(rows) or (_is_screw(rows) and any(r.holds_turn for r in rows)))
+
+
+def _holds_slide(rows: Rows) -> bool:
+    return any(r.holds_slide for r in rows)
+
+
+def _is_screw(rows: Rows) -> bool:
+    """Whether the joint turns as it slides, and only then."""
+    return any(isinstance(r, Screw) for r in rows)
 
 
 def parameters_of(rows: Rows) -> dict[str, str]:
@@ -225,6 +249,10 @@ class Cosine(JointRow):
     symbol = "Q"
     axis_count = 2
 
+    @property
+    def holds_turn(self) -> bool:
+        return self.i < 2 and self.j < 2
+
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         return x.q[3 * self.i + self.j]
 
@@ -293,6 +321,7 @@ class ConstantVelocity(JointRow):
 
     symbol = "cv"
     axis_count = 0
+    holds_turn = True
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
         # not (Q₂₁ − Q₁₂)/2 = 2wz, which has no gradient at a half turn; of this J is a unit vector
