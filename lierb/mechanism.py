@@ -198,15 +198,26 @@ class Mechanism(Shown):
         known = (*self.names, GROUND)
         for link in self.links:
             if link.parent not in known:
-                raise unknown_name(f"link {link.name}: parent", link.parent, known)
+                choice = [name for name in known if name not in self._hanging_on(link.name)]
+                raise unknown_name(f"link {link.name}: parent", link.parent, choice)
         for loop in self.loops:
-            for argument, name in (("body", loop.body), ("parent", loop.parent)):
+            for argument, name, other in (
+                ("body", loop.body, loop.parent), ("parent", loop.parent, loop.body),
+            ):  # fmt: skip
                 if name not in known:
-                    raise unknown_name(f"loop {loop.name}: {argument}", name, known)
+                    choice = [x for x in known if x != other]
+                    raise unknown_name(f"loop {loop.name}: {argument}", name, choice)
             if loop.body == GROUND:
                 raise ArgumentError(
                     f'loop {loop.name}: body="{GROUND}"; expected a link, and "{GROUND}" as parent'
                 )
+
+    def _hanging_on(self, name: str) -> set[str]:
+        """The link itself, and all that hang on it, which cannot be what it hangs on."""
+        found, before = {name}, set()
+        while found != before:
+            before, found = found, found | {x.name for x in self.links if x.parent in found}
+        return found
 
     @property
     def held(self) -> tuple[Link | Loop, ...]:
@@ -346,7 +357,8 @@ class Mechanism(Shown):
             self._require_joint(label, element)
             return element
         for name in element.at:
-            known = self.names if name == element.at[0] else (*self.names, GROUND)
+            others = [x for x in (*self.names, GROUND) if x != element.at[0]]
+            known = self.names if name == element.at[0] else others
             if name not in known:
                 raise unknown_name(f"{label}, {element.name}: on", name, known)
         element.require_unchanged()

@@ -596,6 +596,22 @@ REFUSED = {
     "unknown parent": (
         lambda: lierb.Mechanism([link("a"), link("b", "aa")]), UnknownNameError, "Did you mean 'a'",
     ),
+    "unknown parent, of which only the ground is left": (
+        lambda: lierb.Mechanism([link("a", "b")]), UnknownNameError,
+        r"link a: parent='b' is unknown; choose from ground\.$",
+    ),
+    "unknown parent, and links that hang on it": (
+        lambda: lierb.Mechanism([link("a", "d"), link("b", "a"), link("c"), link("e", "b")]),
+        UnknownNameError, r"parent='d' is unknown; choose from c, ground\.",
+    ),
+    "unknown parent of a loop": (
+        lambda: two(loops=lierb.Loop("pin", HINGE, "a", "x")),
+        UnknownNameError, r"loop pin: parent='x' is unknown; choose from b, ground\.",
+    ),
+    "force between a link and nothing": (
+        lambda: two(forces=lierb.forces.spring_damper(stiffness=1.0).on("b", "x")),
+        UnknownNameError, r"on='x' is unknown; choose from a, ground\.",
+    ),
     "unknown body of a loop": (
         lambda: two(loops=lierb.Loop("pin", HINGE, "c")), UnknownNameError, "loop pin: body='c'",
     ),
