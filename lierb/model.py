@@ -114,6 +114,7 @@ class Body(Shown):
         _check_mass(masses)
         moments = _checked_symmetric(moments)
         _check_physical(_about_com(masses, moments, centre))
+        _check_gyration(masses, moments)
         moments.setflags(write=False)
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
@@ -145,6 +146,20 @@ def _check_mass(masses: Array) -> None:
         label = body_label("mass", int(bad[0]), masses.size)
         raise InertiaError(
             f"{label} is {np.atleast_1d(masses)[bad[0]]} kg; expected a positive mass"
+        )
+
+
+@np.errstate(over="ignore")
+def _check_gyration(masses: Array, moments: Array) -> None:
+    """Raise InertiaError where tr Θ/m, which lengths are measured by, is beyond all numbers."""
+    traces = np.trace(moments, axis1=-2, axis2=-1)
+    squares = np.atleast_1d(traces / masses)
+    for body in np.flatnonzero(~np.isfinite(squares))[:1]:
+        mass, trace = (np.broadcast_to(x, squares.shape)[body] for x in (masses, traces))
+        raise InertiaError(
+            f"{body_label('mass', int(body), squares.size)} is {mass} kg beside an inertia of "
+            f"trace {trace} kg m²: the radius of gyration is beyond all numbers; give those of one "
+            "body, or choose other units"
         )
 
 

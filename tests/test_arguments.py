@@ -195,6 +195,20 @@ def test_body_checks_the_inertia_about_the_centre_of_mass():
         lierb.Body(2.0, np.diag([0.1, 0.1, 0.1]), com=(1.0, 0.0, 0.0))
 
 
+@pytest.mark.parametrize(
+    ("mass", "inertia"),
+    [(1e-308, (1.0, 1.0, 1.0)), (1e-300, (1e10, 1e10, 1e10)), (1.0, (1e308,) * 3)],
+)
+def test_body_blames_its_own_mass_and_inertia(mass, inertia):
+    """√(tr Θ/2m) overflows: no pose, twist or joint is at fault."""
+    with pytest.raises(InertiaError, match=r"^mass is .* beside an inertia of trace .* gyration"):
+        lierb.Body(mass, inertia)
+    fine = np.ones((3, 3, 1)) * np.eye(3)
+    with pytest.raises(InertiaError, match=r"^mass\[2\] is"):
+        lierb.Body([1.0, 2e-3, mass], [*fine[:2], np.diag(inertia)])
+    lierb.Body(1e-300, (1e-303, 1e-303, 1e-303))
+
+
 def test_body_names_the_offender_of_batched_masses():
     # each mass has its own Steiner term: only body 3 is too heavy for the shared inertia
     masses = with_body(np.ones(5), 3, 100.0)
@@ -470,7 +484,9 @@ def test_body_whose_steiner_term_overflows_is_none():
         lierb.Body(1e300, BOX, com=(1e10, 0.0, 0.0))
     with pytest.raises(InertiaError, match=r"^inertia\[1\] "):
         lierb.Body((1.0, 1e300), BOX, com=((0.0, 0.0, 0.0), (1e10, 0.0, 0.0)))
-    lierb.Body(1e300, (1.7e308, 1.7e308, 1.7e308))  # the sum of two overflows, the body is one
+    lierb.Body(1e300, (5e307, 5e307, 5e307))
+    with pytest.raises(InertiaError, match=r"^mass is 1e\+300 kg .* gyration"):
+        lierb.Body(1e300, (1.7e308, 1.7e308, 1.7e308))  # the sum of two overflows, and so the trace
 
 
 class Posed:
