@@ -66,6 +66,7 @@ def _read(argument: str, value: Any) -> NDArray:
     given = np.asanyarray(value)
     if isinstance(given, np.ma.MaskedArray):
         _refuse(argument, given)
+    given = _stacked(argument, given)
     if given.dtype.kind == "O":
         is_real = all(map(_is_real, set(map(type, given.ravel()))))
     else:
@@ -73,6 +74,22 @@ def _read(argument: str, value: Any) -> NDArray:
     if not is_real:
         raise _no_numbers(argument, value)
     return np.asarray(given)
+
+
+def _stacked(argument: str, given: NDArray) -> NDArray:
+    """An array of arrays or lists as one array, as NumPy has a column of lists (Arrow, pandas)."""
+    depth = 0
+    while given.dtype.kind == "O" and given.size and _are_lists(given):
+        depth += 1
+        items = given.ravel().tolist()
+        _refuse(argument, items, depth)
+        inner = np.stack([np.asarray(item) for item in items])
+        given = inner.reshape(given.shape + inner.shape[1:])
+    return given
+
+
+def _are_lists(given: NDArray) -> bool:
+    return set(map(type, given.ravel())) <= {np.ndarray, list, tuple}
 
 
 def _is_real(kind: type) -> bool:

@@ -14,6 +14,7 @@ import pytest
 
 import lierb
 from lierb import errors, joints
+from lierb.arrays import as_numbers
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -1137,6 +1138,47 @@ def test_numbers_of_other_packages_are_numbers():
     if hasattr(two, "__float__"):  # not before pyarrow 21
         assert lierb.Body(two, BOX).mass == 2.0
     assert lierb.Body(Tenth(), BOX).mass == 0.1
+
+
+TWISTS = [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [0.5, 0.0, 2.0, 0.0, -3.0, 0.0]]
+COLUMNS = {
+    "list": lambda rows: pa.array(rows),
+    "large list": lambda rows: pa.array(rows, pa.large_list(pa.float32())),
+    "fixed list": lambda rows: pa.array(rows, pa.list_(pa.float64(), 6)),
+    "chunks": lambda rows: pa.chunked_array([[row] for row in rows]),
+    "column": lambda rows: pa.table({"twist": rows})["twist"],
+    "tensor": lambda rows: pa.FixedShapeTensorArray.from_numpy_ndarray(np.array(rows)),
+    "whole": lambda rows: pa.array([[int(x) for x in row] for row in rows]),
+    "series of lists": lambda rows: pd.Series(rows),
+    "series of arrays": lambda rows: pd.Series([np.array(row) for row in rows]),
+}
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_columns_of_lists_are_arrays(name):
+    """A twist for each body, as Arrow, Parquet files and data frames have them."""
+    rows = np.round(TWISTS) if name == "whole" else np.array(TWISTS)
+    found = as_numbers("twist0", COLUMNS[name](rows.tolist()), (6,))
+    np.testing.assert_array_equal(found, rows)
+    poses = as_numbers("pose0", pa.array([np.eye(4).tolist()] * 2), (4, 4))
+    np.testing.assert_array_equal(poses, [np.eye(4)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([[1.0] * 6, [1.0] * 5], "must be numbers"),
+        ([[1.0] * 6, None], "must be numbers"),
+        ([[1.0] * 5 + [None]], r"twist0\[0, 5\] is nan|must be numbers"),  # Arrow's nulls
+        ([["1"] * 6], "must be numbers"),
+        ([[True] * 6], "must be numbers"),
+        ([[1.0] * 5], r"shape \(1, 5\)"),
+    ],
+)
+def test_columns_of_lists_are_refused_as_lists_are(rows, message):
+    for column in (pa.array(rows), pd.Series(rows)):
+        with pytest.raises(ArgumentError, match=message):
+            as_numbers("twist0", column, (6,))
 
 
 @pytest.mark.parametrize(
