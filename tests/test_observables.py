@@ -310,6 +310,42 @@ def fallen(free):
     return result
 
 
+SMALL = np.float32(0.1)
+
+
+@lierb.observable
+def narrow(t, r):
+    return np.float32(t) * SMALL
+
+
+@lierb.observable
+def narrow_or_wide(t, r):
+    if t > 0.5:
+        return SMALL
+    return np.float32(0.25)
+
+
+@lierb.event
+def narrow_event(t, r):
+    return np.float32(0.3) if t < 0.3 else np.float32(-0.5)
+
+
+@pytest.mark.slow
+def test_numbers_of_half_the_bits_are_numbers(free):
+    """Values as NumPy has them; where a function branches, or calls np.float32, body by body."""
+    with pytest.warns(ScalarFunctionWarning):
+        watching, event = (narrow(), narrow_or_wide()), narrow_event()
+    problem = lierb.Problem(free.body, free.joint, observables=watching, events=event)
+    result = lierb.integrate(problem, twist0=TWISTS[0], save_every=1, **FALL)
+    times = column(result.history, "t")
+    np.testing.assert_array_equal(column(result.history, "narrow"), np.float32(times) * SMALL)
+    wanted = np.where(times > 0.5, SMALL, np.float32(0.25))
+    np.testing.assert_array_equal(column(result.history, "narrow_or_wide"), wanted)
+    assert result.events.column("event").to_pylist() == ["narrow_event"]
+    # where the sign changes, to the tolerance that an event is found to
+    assert result.events.column("t").to_pylist() == pytest.approx([0.3], abs=1e-9)
+
+
 @pytest.mark.slow
 def test_observable_that_raises_ends_its_trajectory_where_it_does(fallen):
     assert fallen.summary["status"].to_pylist() == ["ok", "raised", "ok", "raised", "raised"]

@@ -314,18 +314,23 @@ def _kind(x: Any) -> str:
 
 @cache
 def _dispatcher(function: Function) -> Any:
-    """function((…,)) → all results as one tuple of floats."""
+    """function((…,)) → all results as one tuple of doubles."""
     compiled = numba.njit(function.python, **COMPILED)
+    double = numba.njit(_double, **COMPILED)
 
     def number(arguments):
-        return (float(compiled(*arguments)),)
+        return (double(compiled(*arguments)),)
 
     def wrench(arguments):
         torque, force = compiled(*arguments)
-        x, y, z = torque[0], torque[1], torque[2]
-        return float(x), float(y), float(z), float(force[0]), float(force[1]), float(force[2])
+        x, y, z = double(torque[0]), double(torque[1]), double(torque[2])
+        return x, y, z, double(force[0]), double(force[1]), double(force[2])
 
     return numba.njit(number if function.results == ((),) else wrench, **COMPILED)
+
+
+def _double(x):  # no annotations: Numba compares signatures
+    return np.float64(float(x))  # of a float32, Numba's float alone is one
 
 
 # ---- whether it runs ---------------------------------------------------------------------------
