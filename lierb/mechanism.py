@@ -214,9 +214,9 @@ class Mechanism(Shown):
 
     def _hanging_on(self, name: str) -> set[str]:
         """The link itself, and all that hang on it, which cannot be what it hangs on."""
-        found, before = {name}, set()
-        while found != before:
-            before, found = found, found | {x.name for x in self.links if x.parent in found}
+        found = {name}
+        while more := {x.name for x in self.links if x.parent in found} - found:
+            found |= more
         return found
 
     @property

@@ -273,9 +273,10 @@ class TruncatedNormal(Distribution):
         return _common_shape(mean=self.mean, std=self.std, low=self.low, high=self.high)
 
     def _draw(self, u: Array) -> Array:
-        columns = map(self._column, (self.mean, self.std, self.low, self.high))
-        each = zip(*(column[:, 0].tolist() for column in columns), u, strict=True)
-        return np.stack([_truncated(*parameters, of_one) for *parameters, of_one in each])
+        mean, std, low, high = (
+            self._column(x)[:, 0].tolist() for x in (self.mean, self.std, self.low, self.high)
+        )
+        return np.stack(list(map(_truncated, mean, std, low, high, u)))
 
 
 def _truncated(mean: float, std: float, low: float, high: float, u: Array) -> Array:
@@ -334,7 +335,7 @@ def _tail(a: float, w: float, p: Array, q: Array) -> Array:
     end = depth(w) if w < FAR else np.inf
     wanted = np.where(p < 0.5, -np.log1p(p * np.expm1(-end)), -np.log(q + p * np.exp(-end)))
     # The slope, 1/M, grows by less than s: so this start is below the root, and the depth convex.
-    s = 2.0 * wanted * at_bound / (1.0 + np.sqrt(1.0 + 2.0 * wanted * at_bound * at_bound))
+    s: Array = 2.0 * wanted * at_bound / (1.0 + np.sqrt(1.0 + 2.0 * wanted * at_bound * at_bound))
     for _ in range(NEWTON_STEPS):
         s = np.maximum(s - (depth(s) - wanted) * mills(a + s), 0.0)
     return s
@@ -349,8 +350,9 @@ def _cut(a: float, b: float, p: Array) -> Array:
     of_low, of_high = np.log1p(-p), np.log(p)
     below = np.logaddexp(of_low + special.log_ndtr(a), of_high + special.log_ndtr(b))
     above = np.logaddexp(of_low + special.log_ndtr(-a), of_high + special.log_ndtr(-b))
-    z: Array = special.ndtri_exp(np.minimum(below, above))
-    return np.where(below < above, z, -z)
+    z = special.ndtri_exp(np.minimum(below, above))
+    found: Array = np.where(below < above, z, -z)
+    return found
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
