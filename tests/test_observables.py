@@ -346,6 +346,31 @@ def test_numbers_of_half_the_bits_are_numbers(free):
     assert result.events.column("t").to_pylist() == pytest.approx([0.3], abs=1e-9)
 
 
+def quadrupled(n):
+    return n * 4
+
+
+@lierb.observable(most=1.0)
+def counting(t, r, params):
+    steps = 2**61
+    if t > 0.25:
+        steps = quadrupled(steps) if params.most > 1.0 else int(params.most * 1e300)
+    return steps
+
+
+@pytest.mark.slow
+def test_whole_numbers_beyond_their_bits_end_the_trajectory(free):
+    """In Python they are 2**63 and 5e299: no number of 64 bits, and no zero."""
+    with pytest.warns(ScalarFunctionWarning):
+        watching = counting(most=[2.0, 0.5, 0.0])
+    problem = lierb.Problem(free.body, free.joint, observables=watching)
+    message = "counting raised OverflowError: a whole number beyond 64 bits; make it a float"
+    with pytest.warns(FailedTrajectoryWarning, match=message):
+        result = lierb.integrate(problem, twist0=TWISTS[:3], save_every=1, **FALL)
+    assert result.summary["status"].to_pylist() == ["raised", "raised", "ok"]
+    assert result.summary["t"].to_pylist() == [0.375, 0.375, 1.0]
+
+
 @pytest.mark.slow
 def test_observable_that_raises_ends_its_trajectory_where_it_does(fallen):
     assert fallen.summary["status"].to_pylist() == ["ok", "raised", "ok", "raised", "raised"]

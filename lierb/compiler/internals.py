@@ -9,12 +9,13 @@ is imported where it is used.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core import ir as numba_ir
 from numba.core.caching import (
     InTreeCacheLocator,
     NullCache,
@@ -23,11 +24,14 @@ from numba.core.caching import (
 )
 from numba.core.callconv import RETCODE_USEREXC, Status, excinfo_ptr_t
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompileResult
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.errors import TypingError
 from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.typed_passes import NopythonTypeInference
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.np.arrayobj import populate_array
 
@@ -121,6 +125,80 @@ def from_bytes(content: bytes, context: Any) -> Any:
     """
     rtsys.initialize(context)  # arrays count references
     return CompileResult._rebuild(context, *pickle.loads(content))
+
+
+# ---- other functions in the place of Python's own ------------------------------------------------
+
+
+def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
+    """For njit's pipeline_class: operators and calls are replaced where integers come of them.
+
+    functions : by operator, built-in function, or type that is called, and by the number of
+        operands, a function with overloads, which replaces it where one of them takes their types.
+    """
+
+    @register_pass(mutates_CFG=False, analysis_only=False)
+    class Replacing(FunctionPass):
+        _name = "lierb_replacing"
+
+        def __init__(self) -> None:
+            super().__init__()
+
+        def run_pass(self, state: Any) -> bool:
+            found = [_replace(state, functions, step) for step in _assignments(state.func_ir)]
+            return any(found)
+
+    class Compiler(CompilerBase):
+        def define_pipelines(self) -> list[Any]:
+            passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+            passes.add_pass_after(Replacing, NopythonTypeInference)
+            passes.finalize()
+            return [passes]
+
+    return Compiler
+
+
+def _assignments(code: Any) -> Iterator[Any]:
+    for block in code.blocks.values():
+        for step in block.body:
+            if isinstance(step, numba_ir.Assign) and isinstance(step.value, numba_ir.Expr):
+                yield step
+
+
+def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
+    """Replace what an assignment computes; whether it is."""
+    old = step.value
+    if old.op in ("binop", "inplace_binop"):
+        called, operands = old.fn, [old.lhs, old.rhs]
+    elif old.op == "unary":
+        called, operands = old.fn, [old.value]
+    elif old.op == "call" and not (old.kws or old.vararg):
+        ty = state.typemap[old.func.name]
+        called, operands = getattr(ty, "instance_type", getattr(ty, "typing_key", None)), old.args
+    else:
+        return False
+    kinds = tuple(types.unliteral(state.typemap[operand.name]) for operand in operands)
+    key = called, len(operands)
+    function = functions.get(key) if isinstance(called, Hashable) else None
+    if function is None or not _is_of_integers(state.calltypes[old].return_type):
+        return False
+    context = state.typingctx
+    try:
+        found = context.resolve_function_type(context.resolve_value_type(function), kinds, {})
+    except TypingError:
+        return False
+    if len(operands) == 1:
+        new = numba_ir.Expr("unary", step.loc, fn=function, value=operands[0])
+    else:
+        static = dict.fromkeys(("static_lhs", "static_rhs"), numba_ir.UNDEFINED)
+        lhs, rhs = operands
+        new = numba_ir.Expr("binop", step.loc, fn=function, lhs=lhs, rhs=rhs, **static)
+    step.value, state.calltypes[new] = new, found
+    return True
+
+
+def _is_of_integers(ty: types.Type) -> bool:
+    return isinstance(getattr(ty, "dtype", ty), types.Integer)
 
 
 # ---- calls from code that is being emitted -----------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import ctypes
+import operator
 import re
 import threading
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from llvmlite import ir
 from numba import float64, int64, types
-from numba.extending import intrinsic, models, register_model
+from numba.extending import intrinsic, models, overload, register_model
 
 import lierb
 from lierb.compiler import internals
@@ -73,6 +74,49 @@ def test_no_other_module_imports_a_private_part():
         and (module not in PUBLIC or name in ("core", "np", "misc"))
     }
     assert {source for source, *_ in found} == {"compiler/internals.py"}, found
+
+
+# ---------------------------------------------------------------- replacing Python's own
+
+
+@relies_on("CompilerBase", "DefaultPassBuilder", "FunctionPass", "register_pass")
+@relies_on("NopythonTypeInference", "TypingError", "ir", "compiler_that_replaces")
+@relies_on("_assignments", "_replace", "_is_of_integers")
+def test_a_compiler_replaces_operators_and_calls_that_give_integers():
+    def stand_in(*_):
+        raise NotImplementedError
+
+    @overload(stand_in)
+    def typed(a, b):
+        if isinstance(a, types.Integer) and isinstance(b, types.Integer):
+            return lambda a, b: 1000
+        return None
+
+    def sized(_):
+        raise NotImplementedError
+
+    @overload(sized)
+    def typed_size(a):
+        return lambda a: 2000
+
+    functions = {
+        (operator.add, 2): stand_in, (operator.iadd, 2): stand_in, (pow, 2): stand_in,
+        (operator.neg, 1): sized, (abs, 1): sized, (types.int32, 1): sized,
+    }  # fmt: skip
+    options = {"pipeline_class": internals.compiler_that_replaces(functions)}
+
+    def in_place(a, b):
+        a += b
+        return a
+
+    for function in (lambda a, b: a + b, in_place, lambda a, b: pow(a, b)):
+        replaced = numba.njit(function, **options)
+        assert replaced(2, 3) == 1000
+        assert replaced(2.0, 3.0) == function(2.0, 3.0)
+    for function in (lambda a: -a, lambda a: abs(a), lambda a: np.int32(a)):
+        assert numba.njit(function, **options)(3) == 2000
+    assert numba.njit(lambda a: -a, **options)(3.5) == -3.5
+    assert numba.njit(lambda a: a + 1, **options)(np.zeros(2)).tolist() == [1.0, 1.0]
 
 
 # ---------------------------------------------------------------- emitting code

@@ -22,6 +22,7 @@ from numba.extending import is_jitted
 
 from lierb.compiler import calls, trace
 from lierb.compiler.code import OPTIONS, undisturbed
+from lierb.compiler.integers import CheckedIntegers
 from lierb.kernels.functions.fingerprint import (
     ALONE,
     NO_CHANGE,
@@ -54,7 +55,7 @@ Shapes = tuple[tuple[str, Shape], ...]
 ANY: Shape = (-1,)  # a vector of as many components as there are
 BODY: Shapes = (("mass", ()), ("inertia", (3, 3)), ("com", (3,)))
 # Reads past an array's end are looked for where functions run body by body: lanes cannot make any.
-COMPILED = OPTIONS | {"boundscheck": True}
+COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 
 
 @dataclass(frozen=True)

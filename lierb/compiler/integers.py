@@ -1,0 +1,257 @@
+"""Whole numbers in functions that Numba compiles: an error where they would leave 64 bits.
+
+Python's integers have as many digits as they need, Numba's wrap, and have no digits of a float that
+is too large. `CheckedIntegers` compiles a function with what stands below in place of Python's
+operators on integers, and of what makes integers of floats. Floats keep theirs; an array's integers
+wrap, as NumPy's do.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from inspect import signature
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.extending import intrinsic, overload
+
+from lierb.compiler.internals import compiler_that_replaces
+
+BEYOND = "a whole number beyond 64 bits; make it a float, such as 2.0**64 for 2**64"
+NO_WHOLE = "a number that no integer of these bits is: NaN, infinite or too large"
+BY_ZERO = "integer division or modulo by zero"
+TO_NEGATIVE = "a whole number to a negative power; make it a float, such as 2.0**-n for 2**-n"
+SHIFT = "negative shift count"
+
+CHECKED: dict[tuple[Any, int], Callable[..., Any]] = {}
+"""By what Python calls, and with how many operands, a function that is compiled in its place."""
+
+
+def _stands_for(*replaced: Any) -> Callable[[Any], Any]:
+    """Decorator for (types of arguments) → implementation, or None for other types."""
+
+    def decorate(typed: Any) -> Any:
+        def checked(*_: Any) -> Any:
+            raise NotImplementedError(f"{typed.__name__} is for compiled code")
+
+        overload(checked)(typed)
+        count = len(signature(typed).parameters)
+        CHECKED.update(dict.fromkeys(((each, count) for each in replaced), checked))
+        return checked
+
+    return decorate
+
+
+def _kind(*kinds: types.Type) -> Any:
+    """np.int64 or np.uint64, as which all of these types compute; None for other types."""
+    if not all(isinstance(kind, (types.Integer, types.Boolean)) for kind in kinds):
+        return None
+    signed = [isinstance(kind, types.Boolean) or kind.signed for kind in kinds]
+    return np.int64 if all(signed) else None if any(signed) else np.uint64
+
+
+# ---- integers: no annotations, for Numba compares signatures -----------------------------------
+
+
+def _with_overflow(operation: str) -> Any:
+    """(a ∘ b modulo 2⁶⁴, whether it is beyond), of two integers of 64 bits and of one kind."""
+
+    @intrinsic
+    def computed(context, a, b):
+        instruction = f"{'s' if a.signed else 'u'}{operation}_with_overflow"
+
+        def generate(context, builder, sig, values):
+            pair = getattr(builder, instruction)(*values)
+            parts = [builder.extract_value(pair, i) for i in range(2)]
+            return context.make_tuple(builder, sig.return_type, parts)
+
+        return types.Tuple((a, types.boolean))(a, b), generate
+
+    return computed
+
+
+def _checked(computed: Any) -> Any:
+    def typed(a, b):
+        whole = _kind(a, b)
+        if whole is None:
+            return None
+
+        def implementation(a, b):
+            found, is_beyond = computed(whole(a), whole(b))
+            if is_beyond:
+                raise OverflowError(BEYOND)
+            return found
+
+        return implementation
+
+    return typed
+
+
+plus = _stands_for(operator.add, operator.iadd)(_checked(_with_overflow("add")))
+minus = _stands_for(operator.sub, operator.isub)(_checked(_with_overflow("sub")))
+times = _stands_for(operator.mul, operator.imul)(_checked(_with_overflow("mul")))
+
+
+@_stands_for(operator.neg)
+def negative(a):
+    whole = _kind(a)
+    return None if whole is None else lambda a: minus(whole(0), a)
+
+
+@_stands_for(abs)
+def size(a):
+    return None if _kind(a) is not np.int64 else lambda a: minus(0, a) if a < 0 else np.int64(a)
+
+
+@_stands_for(pow, operator.pow, operator.ipow)
+def power(a, b):
+    whole = _kind(a)
+    if whole is None or _kind(b) is None:
+        return None
+
+    def implementation(a, b):
+        if b < 0:
+            raise ValueError(TO_NEGATIVE)
+        found, factor, rest = whole(1), whole(a), np.int64(b)
+        while rest > 0:
+            if rest & 1:
+                found = times(found, factor)
+            rest >>= 1
+            if rest > 0:
+                factor = times(factor, factor)
+        return found
+
+    return implementation
+
+
+@_stands_for(operator.floordiv, operator.ifloordiv)
+def quotient(a, b):
+    whole = _kind(a, b)
+    if whole is None:
+        return None
+
+    def implementation(a, b):
+        x, y = whole(a), whole(b)
+        if y == 0:
+            raise ZeroDivisionError(BY_ZERO)
+        return minus(whole(0), x) if y == -1 else x // y
+
+    return implementation
+
+
+@_stands_for(operator.mod, operator.imod)
+def modulo(a, b):
+    whole = _kind(a, b)
+    if whole is None:
+        return None
+
+    def implementation(a, b):
+        x, y = whole(a), whole(b)
+        if y == 0:
+            raise ZeroDivisionError(BY_ZERO)
+        return whole(0) if y == -1 else x % y
+
+    return implementation
+
+
+@_stands_for(divmod)
+def quotient_and_modulo(a, b):
+    return None if _kind(a, b) is None else lambda a, b: (quotient(a, b), modulo(a, b))
+
+
+@_stands_for(operator.lshift, operator.ilshift)
+def left(a, b):
+    whole = _kind(a)
+    if whole is None or _kind(b) is None:
+        return None
+
+    def implementation(a, b):
+        if b < 0:
+            raise ValueError(SHIFT)
+        return whole(0) if a == 0 else times(whole(a), power(whole(2), b))
+
+    return implementation
+
+
+@_stands_for(operator.rshift, operator.irshift)
+def right(a, b):
+    whole = _kind(a)
+    if whole is None or _kind(b) is None:
+        return None
+
+    def implementation(a, b):
+        if b < 0:
+            raise ValueError(SHIFT)
+        if b > 63:
+            return whole(-1) if a < 0 else whole(0)
+        return whole(a) >> b
+
+    return implementation
+
+
+def _are_whole(members: types.Type) -> bool:
+    return _kind(getattr(members, "dtype", None)) is np.int64
+
+
+@_stands_for(sum)
+def total(members):
+    return (lambda members: total_from(members, 0)) if _are_whole(members) else None
+
+
+@_stands_for(sum)
+def total_from(members, start):
+    def implementation(members, start):
+        found = np.int64(start)
+        for member in members:
+            found = plus(found, member)
+        return found
+
+    return implementation if _are_whole(members) and _kind(start) is np.int64 else None
+
+
+# ---- integers of other numbers -------------------------------------------------------------------
+
+
+def _whole_part(kind: types.Integer, whole: Any) -> Any:
+    """An integer of that kind, of what `whole` makes of a float."""
+    lowest, beyond, convert = float(kind.minval), float(kind.maxval + 1), getattr(np, kind.name)
+
+    def typed(x):
+        def of_float(x):
+            found = whole(np.float64(x))
+            if not lowest <= found < beyond:
+                raise OverflowError(NO_WHOLE)
+            return convert(found)
+
+        return of_float if isinstance(x, types.Float) else None
+
+    return typed
+
+
+def _of_kind(kind: types.Integer) -> Any:
+    """An integer of that kind, of any number."""
+    of_float, convert = _whole_part(kind, np.trunc), getattr(np, kind.name)
+
+    def typed(x):
+        def of_integer(x):
+            found = convert(x)
+            if found != x:
+                raise OverflowError(NO_WHOLE)
+            return found
+
+        return of_integer if isinstance(x, types.Integer) else of_float(x)
+
+    return typed
+
+
+_stands_for(int, math.trunc)(_whole_part(types.int64, np.trunc))
+_stands_for(math.floor)(_whole_part(types.int64, np.floor))
+_stands_for(math.ceil)(_whole_part(types.int64, np.ceil))
+_stands_for(round)(_whole_part(types.int64, np.rint))
+for _integer in types.integer_domain:  # np.int8 … np.uint64, which Numba knows by their types
+    _stands_for(_integer)(_of_kind(_integer))
+
+CheckedIntegers = compiler_that_replaces(CHECKED)
