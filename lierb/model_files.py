@@ -1,25 +1,26 @@
-"""Mechanisms from files: MJCF and URDF, both read by MuJoCo's own compiler.
+"""Mechanisms from files: MJCF and URDF, both compiled by MuJoCo.
 
-It knows defaults, includes, orientation conventions, inertias of geoms, and what URDF's planar and
-floating joints and mimics mean, and says where a file is wrong. Nothing of it is left when a
+Its compiler knows defaults, includes, orientation conventions and inertias of geoms, and says where
+a file is wrong. `lierb.urdf` writes its specification for URDF. Nothing of MuJoCo is left when a
 simulation runs.
 """
 
 from __future__ import annotations
 
 import re
-import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from operator import attrgetter
 from os import PathLike, fspath
+from pathlib import Path
 from typing import Any, NamedTuple
+from xml.parsers import expat
 
 import numpy as np
 
-from lierb import forces, joints
+from lierb import forces, inertials, joints, urdf
 from lierb.arrays import Array, as_positive
 from lierb.composed_joints import SimpleJoint, composed
 from lierb.errors import ArgumentError, LierbError, told
@@ -27,10 +28,11 @@ from lierb.extras import remedy
 from lierb.joints import Joint
 from lierb.model import Body
 from lierb.user_elements import Force
+from lierb.welded_bodies import WORLD, label_of, moving_body, pose_of, rigid_groups
 
-WORLD = 0  # MuJoCo's number of the ground
 GROUND = "ground"
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint
+CONTACT = ("geom_contype", "geom_conaffinity")
 DISABLED = {  # by mjtDisableBit: what of a model is then as good as zero
     "GRAVITY": ("opt.gravity",),
     "PASSIVE": ("jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_dampingpoly"),
@@ -38,8 +40,11 @@ DISABLED = {  # by mjtDisableBit: what of a model is then as good as zero
     "DAMPER": ("dof_damping", "dof_dampingpoly"),
     "LIMIT": ("jnt_limited",),
     "EQUALITY": ("eq_active0",),
-    "CONSTRAINT": ("jnt_limited", "eq_active0"),
+    "CONTACT": CONTACT,
+    "FRICTIONLOSS": ("dof_frictionloss",),
+    "CONSTRAINT": ("jnt_limited", "eq_active0", "dof_frictionloss", *CONTACT),
 }
+READ_OPTIONS = ("gravity", "density", "viscosity", "disableflags")
 HAVE_FORCES = {  # kinds of the file, and joints about or along whose axis forces act
     "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
     "slide": ("prismatic", "cylindrical"),
@@ -69,7 +74,7 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
 
     Raises ArgumentError for a file that MuJoCo does not take, or that has what lierb has not.
     """
-    model = _compiled(path, language)
+    model, left_out = _compiled(path, language)
     parts = Parts(np.array(model.opt.gravity))
     names = _names(model, parts)
     if limit_stiffness is not None:
@@ -81,57 +86,72 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
         raise ArgumentError(f"{told(fspath(path))}: {error}") from error
     if not parts.links:
         raise ArgumentError(f"{told(fspath(path))} has no body that moves")
-    parts.left_out += _others(model)
+    parts.left_out += [*_others(model), *left_out]
     return parts
 
 
-def _compiled(path: Any, language: str) -> Any:
+def _compiled(path: Any, language: str) -> tuple[Any, list[str]]:
+    """The model of a file, and what of the file is not in it."""
     try:
         import mujoco
     except ImportError:
         raise ArgumentError(f"reading {language} needs mujoco: {remedy('mjcf')}") from None
     if not isinstance(path, (str, PathLike)):
         raise ArgumentError(f"path={told(path)}; expected the path of a file in {language}")
+    spec = None
     try:
-        ground = _named_world(path) if language == "URDF" else None
-        if ground is None:
-            spec = mujoco.MjSpec.from_file(fspath(path))
-        else:
-            spec = mujoco.MjSpec.from_string(ground)
+        robot = urdf.read(path) if language == "URDF" else None
+        spec = mujoco.MjSpec.from_file(fspath(path)) if robot is None else robot.spec
         spec.compiler.fusestatic = False  # what is welded is merged here, or not
-        if language == "URDF":
-            for geom in list(spec.geoms):  # their meshes need not be there, and weigh nothing
-                spec.delete(geom)
-        model = spec.compile()
-        _disable(model, mujoco.mjtDisableBit)
-        return model
+        model = inertials.compiled(spec)
     except Exception as error:  # of files, whatever the reader finds
+        message = " ".join(str(error).split())
+        at = _at_line(path, message) + _with_mesh(spec, message)
         raise ArgumentError(
-            f"{told(fspath(path))} cannot be read as {language}: {told(str(error))}"
+            f"{told(fspath(path))} cannot be read as {language}: {message}{at}"
         ) from error
+    if robot is not None:
+        model.body_mass[WORLD] = robot.world_mass
+        for name, ends in robot.limits.items():  # MuJoCo compiles none that lock a joint
+            j = model.joint(name).id
+            model.jnt_limited[j], model.jnt_range[j] = True, ends
+    _disable(model, mujoco.mjtDisableBit)
+    return model, [] if robot is None else robot.left_out
 
 
-def _named_world(path: Any) -> str | None:
-    """URDF with its root link called world, where a floating joint is on it: MuJoCo takes one only
-    there. None for a file that needs no other name.
+def _at_line(path: Any, message: str) -> str:
+    """Names of the elements on a line, where a message of MuJoCo's has the line and no name.
+
+    An element without a name goes by the one that it is in.
     """
-    robot = ElementTree.parse(fspath(path)).getroot()
-    held = {joint: joint.find("parent") for joint in robot.findall("joint")}
-    children = {child.get("link") for joint in held for child in joint.findall("child")}
-    roots = [link for link in robot.findall("link") if link.get("name") not in children]
-    floats = {
-        parent.get("link")
-        for joint, parent in held.items()
-        if parent is not None and joint.get("type") == "floating"
+    at = re.search(r"Element (?:'(\w+)'|name ''.*), line (\d+)", message)
+    if at is None:
+        return ""
+    kind, line = at[1], int(at[2])
+    owners, found = [""], []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        owners.append(f"{tag} {attributes['name']}" if "name" in attributes else owners[-1])
+        is_meant = tag == kind if kind else "name" not in attributes
+        if is_meant and parser.CurrentLineNumber == line and owners[-1]:
+            found.append(owners[-1])
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: owners.pop()
+    with suppress(expat.ExpatError, OSError), Path(path).open("rb") as file:
+        parser.ParseFile(file)
+    return f" (on this line: {', '.join(dict.fromkeys(found))})" if found else ""
+
+
+def _with_mesh(spec: Any, message: str) -> str:
+    """Names of the bodies with a mesh whose file a message of MuJoCo's gives."""
+    meshes = [] if spec is None else [mesh for mesh in spec.meshes if mesh.file]
+    names = {mesh.name for mesh in meshes if mesh.file in message}
+    bodies = {
+        geom.parent.name: 0 for geom in (spec.geoms if names else ()) if geom.meshname in names
     }
-    names = {link.get("name") for link in robot.findall("link")}
-    if len(roots) != 1 or roots[0].get("name") not in floats or "world" in names:
-        return None
-    for parent in held.values():
-        if parent is not None and parent.get("link") == roots[0].get("name"):
-            parent.set("link", "world")
-    roots[0].set("name", "world")
-    return ElementTree.tostring(robot, encoding="unicode")
+    return f" (a mesh of body {', '.join(bodies)})" if bodies else ""
 
 
 def _disable(model: Any, bits: Any) -> None:
@@ -176,31 +196,35 @@ def _add_links(
 ) -> list[Placed]:
     """Fill in the links; for each body of the file, on which of them it is."""
     placed = [Placed(GROUND, np.eye(4))]
-    bodies: dict[str, list[tuple[float, Array, Array]]] = {}  # by link: mass, centre, inertia
-    held: dict[str, tuple[Joint, str]] = {}
+    groups, lost = rigid_groups(model, merge_fixed)
     for i in range(1, model.nbody):
-        on, sequence = placed[model.body_parentid[i]], _joints(model, i)
-        where = on.pose @ _pose(model.body_pos[i], model.body_quat[i])
-        massless = model.body_mass[i] == 0.0
-        # What hangs on a link without mass of its own is that link's mass.
-        is_merged = massless or merge_fixed or on.link == GROUND or not bodies[on.link]
-        if not sequence and is_merged:
+        on, label = placed[model.body_parentid[i]], label_of(model, i)
+        where = on.pose @ pose_of(model.body_pos[i], model.body_quat[i])
+        if i not in groups:
             placed.append(Placed(on.link, where))
-            if not massless and on.link != GROUND:
-                bodies[on.link].append(_mass(model, i, where))
+            if i in lost:
+                parts.left_out.append(f"{lost[i]}; it is part of {on.link}")
             continue
         try:
-            held[names[i]] = composed(sequence, where), on.link
+            joint = composed(_joints(model, i), where)
         except LierbError as error:
-            raise ArgumentError(f"body {names[i]}: {error}") from error
-        bodies[names[i]] = [] if massless else [_mass(model, i, np.eye(4))]
+            raise ArgumentError(f"body {label}: {error}") from error
+        parts.links.append((names[i], moving_body(model, i, groups[i]), joint, on.link))
         placed.append(Placed(names[i], np.eye(4)))
         for j in _range(model.body_jntadr[i], model.body_jntnum[i]):
-            of = JointForces(model, j, names[i], held[names[i]][0], limit_stiffness)
-            parts.forces += [force.on(names[i]) for force in of.forces()]
+            of = JointForces(model, j, label, joint, limit_stiffness)
+            try:
+                parts.forces += [force.on(names[i]) for force in of.forces()]
+            except LierbError as error:
+                raise ArgumentError(f"{of.label}: {error}") from error
             parts.left_out += of.left_out()
-    for name, (joint, parent) in held.items():
-        parts.links.append((name, _body(name, bodies[name]), joint, parent))
+    fixed = [
+        f"{label_of(model, i)} {model.body_mass[i]:.6g} kg"
+        for i in groups[WORLD]
+        if model.body_mass[i]
+    ]
+    if fixed:
+        parts.left_out.append(f"mass of what is welded to the ground: {', '.join(fixed)}")
     return placed
 
 
@@ -209,39 +233,6 @@ def _joints(model: Any, i: int) -> list[SimpleJoint]:
         SimpleJoint(KINDS[model.jnt_type[j]], model.jnt_axis[j].copy(), model.jnt_pos[j].copy())
         for j in _range(model.body_jntadr[i], model.body_jntnum[i])
     ]
-
-
-def _mass(model: Any, i: int, where: Array) -> tuple[float, Array, Array]:
-    """Mass, centre and inertia about the frame's origin, of body i at a pose in that frame."""
-    frame = where @ _pose(model.body_ipos[i], model.body_iquat[i])
-    R, c, m = frame[:3, :3], frame[:3, 3], float(model.body_mass[i])
-    about = R @ np.diag(model.body_inertia[i]) @ R.T
-    return m, c, about + m * (c @ c * np.eye(3) - np.outer(c, c))
-
-
-def _body(name: str, masses: list[tuple[float, Array, Array]]) -> Body:
-    """All that is welded together as one."""
-    if not masses:
-        raise ArgumentError(
-            f"body {name} moves and has no mass, so that its mass matrix is singular; give it one, "
-            "or weld it to another"
-        )
-    total = sum(m for m, _, _ in masses)
-    centre = sum(m * c for m, c, _ in masses) / total
-    inertia = np.sum([I for _, _, I in masses], axis=0)
-    try:
-        return Body(total, 0.5 * (inertia + inertia.T), centre)
-    except LierbError as error:
-        raise ArgumentError(f"body {name}: {error}") from error
-
-
-def _pose(position: Array, quaternion: Array) -> Array:
-    from mujoco import mju_quat2Mat
-
-    rotation, pose = np.empty(9), np.eye(4)
-    mju_quat2Mat(rotation, quaternion)
-    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
-    return pose
 
 
 def _range(first: int, count: int) -> range:
@@ -260,6 +251,10 @@ class JointForces:
     link: str
     joint: Joint
     limit_stiffness: float | None
+
+    @property
+    def label(self) -> str:
+        return f"joint {self.model.joint(self.j).name or self.link}"
 
     @property
     def kind(self) -> str:
@@ -307,23 +302,30 @@ class JointForces:
         """
         if not self.model.jnt_limited[self.j]:
             return None
+        least, most = self.model.jnt_range[self.j]
         if not self.has_force:
-            least, most = self.model.jnt_range[self.j]
             return float(least), float(most)
-        lower, upper = sorted(self._on_axis(x) for x in self.model.jnt_range[self.j])
-        return lower, upper
+        ends = self._on_axis(least), self._on_axis(most)
+        return ends if self._direction > 0.0 else ends[::-1]
+
+    @property
+    def _direction(self) -> float:
+        """−1 for a slide along a hinge's axis that counts the other way."""
+        return float(np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2]))
 
     def _on_axis(self, q: float) -> float:
-        """A slide along a hinge's axis may count the other way."""
-        direction = np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2])
-        return float(direction * (q - self.model.qpos0[self.model.jnt_qposadr[self.j]]))
+        offset = q - self.model.qpos0[self.model.jnt_qposadr[self.j]]
+        return self._direction * float(offset)
 
     @property
     def _has_stops(self) -> bool:
         if self.range is None or self.limit_stiffness is None or not self.has_force:
             return False
         lower, upper = self.range
-        return self.kind == "slide" or upper - lower < 2 * np.pi
+        if lower > upper:
+            return False
+        # The shorter way back to the range has to be the one that the file means.
+        return self.kind == "slide" or (upper - lower < 2 * np.pi > abs(lower + upper))
 
     def forces(self) -> Iterator[Force]:
         stiffness, damping = self.spring
@@ -343,7 +345,7 @@ class JointForces:
 
     def left_out(self) -> Iterator[str]:
         model = self.model
-        label = f"joint {model.joint(self.j).name or self.link}"
+        label = self.label
         if any(self.spring) and not self.has_force:
             yield f"{label}: stiffness and damping of a {self.kind} joint"
         elif self._is_wound:
@@ -352,10 +354,15 @@ class JointForces:
             yield f"{label}: stiffness and damping beyond their first coefficients"
         if self.range is not None and not self._has_stops:
             yield f"{label}: limits {self.range[0]:.6g} … {self.range[1]:.6g}"
+        least, most = model.jnt_range[self.j]
+        if self.range is None and least >= most and (least or most):
+            yield f"{label}: limits {least:.6g} … {most:.6g}, which MuJoCo ignores"
         at = model.jnt_dofadr[self.j]
         for what, value in (("friction", model.dof_frictionloss), ("armature", model.dof_armature)):
             if value[at]:
                 yield f"{label}: {what} {value[at]:.6g}"
+        if hasattr(model, "jnt_springyield") and model.jnt_springyield[self.j]:
+            yield f"{label}: springyield"
 
 
 # ---- loops -------------------------------------------------------------------------------------
@@ -394,7 +401,7 @@ def _end(model: Any, k: int, number: int, placed: list[Placed]) -> Placed:
     if not _is_by_sites(model, k):
         return placed[identity]
     on = placed[model.site_bodyid[identity]]
-    return Placed(on.link, on.pose @ _pose(model.site_pos[identity], model.site_quat[identity]))
+    return Placed(on.link, on.pose @ pose_of(model.site_pos[identity], model.site_quat[identity]))
 
 
 def _is_by_sites(model: Any, k: int) -> bool:
@@ -418,7 +425,7 @@ def _weld(model: Any, k: int) -> tuple[str, list[Array]]:
         return "fixed", [np.eye(4), anchor]
     data = model.eq_data[k]
     anchor[:3, 3] = data[:3]
-    return "fixed", [_pose(data[3:6], data[6:10]), anchor]
+    return "fixed", [pose_of(data[3:6], data[6:10]), anchor]
 
 
 # ---- what is left out --------------------------------------------------------------------------
@@ -426,15 +433,20 @@ def _weld(model: Any, k: int) -> tuple[str, list[Array]]:
 
 def _others(model: Any) -> Iterator[str]:
     """What a simulation of the file would have had besides, each kind once, with its number."""
+    import mujoco
+
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     counts = Counter(
         {
             "geoms that collide": int(collides.sum()),
+            "contact pairs": model.npair,
             "actuators": model.nu,
             "tendons": model.ntendon,
             "sensors": model.nsensor,
             "flexes": model.nflex,
             "plugins": model.nplugin,
+            "keyframes": model.nkey,
+            "joints with limits of their actuators' forces": int(model.jnt_actfrclimited.sum()),
             "bodies with gravcomp": int(np.count_nonzero(model.body_gravcomp)),
             "mocap bodies, which stand still": model.nmocap,
         }
@@ -442,3 +454,13 @@ def _others(model: Any) -> Iterator[str]:
     yield from (f"{count} {what}" for what, count in counts.items() if count)
     if model.opt.density or model.opt.viscosity:
         yield "the fluid's density and viscosity"
+    usual = mujoco.MjModel.from_xml_string("<mujoco/>").opt
+    changed = [
+        name
+        for name in dir(usual)
+        if name not in READ_OPTIONS
+        and not name.startswith("_")
+        and np.any(getattr(model.opt, name) != getattr(usual, name))
+    ]
+    if changed:
+        yield f"options of MuJoCo's own solver: {', '.join(changed)}"

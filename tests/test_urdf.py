@@ -1,0 +1,286 @@
+"""URDF: what is welded, limits, refusals, and what is left out; against MuJoCo and by hand."""
+
+from __future__ import annotations
+
+import warnings
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import lierb
+from lierb.errors import LeftOutWarning
+
+mujoco = pytest.importorskip("mujoco")
+
+ROUNDING = 1e-12  # of some ten rotations one after another, and lengths of metres
+SOUND = (0.2, 0.25, 0.3, 0.01, 0.02, -0.03)
+POINT = (0.0,) * 6
+FLAT = (0.01, 0.001, 0.001, 0.0, 0.0, 0.0)  # breaks A + B ≥ C
+NEGATIVE = (-0.001, 0.001, 0.001, 0.0, 0.0, 0.0)
+
+
+def inertial(mass=2.0, moments=SOUND, xyz=(0, 0, 0), rpy=(0, 0, 0)):
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    values = " ".join(f'{n}="{float(x)!r}"' for n, x in zip(names, moments))
+    mass = f'<mass value="{float(mass)!r}"/>'
+    return f"<inertial>{origin(xyz, rpy)}{mass}<inertia {values}/></inertial>"
+
+
+def origin(xyz, rpy):
+    listed = lambda numbers: " ".join(repr(float(x)) for x in numbers)
+    return f'<origin xyz="{listed(xyz)}" rpy="{listed(rpy)}"/>'
+
+
+def link(name, inside=None):
+    return f"<link name={quoteattr(name)}>{inertial() if inside is None else inside}</link>"
+
+
+def joint(name, parent, child, kind="revolute", inside='<axis xyz="0 0 1"/>'):
+    ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
+    return f"<joint name={quoteattr(name)} type={quoteattr(kind)}>{ends}{inside}</joint>"
+
+
+def robot(tmp_path, *parts):
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="r">{"".join(parts)}</robot>', encoding="utf-8")
+    return path
+
+
+def read(path, **options):
+    """The mechanism, and what it lacks."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mechanism = lierb.Mechanism.from_urdf(path, **options)
+    assert [w.category for w in caught] in ([], [LeftOutWarning])
+    return mechanism, caught[0].message.left_out if caught else ()
+
+
+def pair(tmp_path, inside="", kind="revolute", around="", child=None):
+    """A robot of one joint."""
+    moving = f'<axis xyz="0 0 1"/>{inside}'
+    return robot(
+        tmp_path, link("base", ""), link("arm", child), joint("hinge", "base", "arm", kind, moving),
+        around,
+    )  # fmt: skip
+
+
+# ---- what is welded ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("moments", [POINT, FLAT, NEGATIVE])
+@pytest.mark.parametrize("root", ["base", "world"])
+def test_from_urdf_needs_no_inertia_of_what_is_on_the_ground(tmp_path, moments, root):
+    path = robot(
+        tmp_path, link(root, inertial(3.25, moments)), link("plate", inertial(0.5, moments)),
+        link("arm"), joint("weld", root, "plate", "fixed"), joint("hinge", "plate", "arm"),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("arm",)
+    assert left_out == (f"mass of what is welded to the ground: {root} 3.25 kg, plate 0.5 kg",)
+
+
+@pytest.mark.parametrize("moments", [POINT, FLAT, NEGATIVE])
+def test_from_urdf_merges_a_welded_link_whose_inertia_no_body_has(tmp_path, moments):
+    """Masses and inertias by hand: parallel axes, in the frame of the moving link."""
+    weld = origin((0.3, -0.1, 0.2), (0.4, 0.5, -0.6))
+    tool = inertial(0.1, moments, (0.01, 0.02, 0.03), (0.7, -0.8, 0.9))
+    path = robot(
+        tmp_path, link("base", ""), link("arm"), link("tool", tool),
+        joint("hinge", "base", "arm"), joint("weld", "arm", "tool", "fixed", weld),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("arm",)
+    (lost,) = left_out
+    assert lost.startswith("body tool as a link of its own: tool's inertia ")
+    assert lost.endswith("; it is part of arm")
+    turn = Rotation.from_euler("xyz", (0.4, 0.5, -0.6))
+    centre = np.array((0.3, -0.1, 0.2)) + turn.apply((0.01, 0.02, 0.03))
+    R = (turn * Rotation.from_euler("xyz", (0.7, -0.8, 0.9))).as_matrix()
+    about = R @ np.diag(moments[:3]) @ R.T
+    steiner = 0.1 * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    body = mechanism.link("arm").body
+    # Rounding of principal axes, back and forth, of moments below 1.
+    np.testing.assert_allclose(body.mass, 2.1, rtol=1e-15)
+    np.testing.assert_allclose(body.com, 0.1 * centre / 2.1, rtol=1e-14)
+    np.testing.assert_allclose(body.inertia, matrix(SOUND) + about + steiner, rtol=0, atol=1e-14)
+
+
+def matrix(six):
+    xx, yy, zz, xy, xz, yz = six
+    return np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+
+
+def test_from_urdf_merges_through_a_sound_link_where_it_has_to(tmp_path):
+    """The tool is too much for the light flange, which is a body by itself, and not for the arm."""
+    flange, tool = inertial(0.001, np.array(SOUND) * 1e-5), inertial(0.1, FLAT)
+    path = robot(
+        tmp_path, link("base", ""), link("arm"), link("flange", flange), link("tool", tool),
+        joint("hinge", "base", "arm"), joint("k", "arm", "flange", "fixed"),
+        joint("l", "flange", "tool", "fixed"),
+    )  # fmt: skip
+    mechanism, _ = read(path)
+    assert mechanism.names == ("arm",)
+    np.testing.assert_allclose(mechanism.link("arm").body.mass, 2.101, rtol=1e-15)
+
+
+@pytest.mark.parametrize("arm", ["", inertial(0.01, POINT), inertial(0.0, SOUND)])
+def test_from_urdf_gives_a_moving_link_what_it_lacks(tmp_path, arm):
+    """Of two shells that are welded to it the first is part of it, the second a link."""
+    path = robot(
+        tmp_path, link("base", ""), link("arm", arm), link("frame", ""), link("shell"),
+        link("cover"), joint("hinge", "base", "arm"), joint("k", "arm", "frame", "fixed"),
+        joint("l", "frame", "shell", "fixed"), joint("m", "arm", "cover", "fixed"),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("arm", "cover")
+    assert [lost.partition(":")[0] for lost in left_out] == (
+        ["body shell as a link of its own"] if arm else []
+    )
+
+
+@pytest.mark.parametrize("root", ["base", "world"])
+def test_from_urdf_takes_links_without_mass_where_they_are_welded(tmp_path, root):
+    path = robot(
+        tmp_path, link(root, ""), link("arm"), link("frame", ""), link("lower"),
+        joint("hinge", root, "arm"), joint("k", "arm", "frame", "fixed"),
+        joint("l", "frame", "lower"),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert (mechanism.names, left_out) == (("arm", "lower"), ())
+    assert mechanism.link("lower").parent == "arm"
+
+
+# ---- random trees against MuJoCo ---------------------------------------------------------------
+
+
+def frame(xyz, rpy):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return pose
+
+
+def random_tree(rng, count=10):
+    """Links with random joints, half of them fixed; most inertias are no body's own.
+
+    One link of each rigid group, not always the one that moves, is heavy enough for all of it.
+    """
+    tree = []
+    for i in range(count):
+        kinds = ("fixed", "fixed", "fixed", "revolute", "continuous", "prismatic")
+        tree.append({
+            "name": f"link{i}", "parent": int(rng.integers(i)) if i else None,
+            "kind": "revolute" if i == 1 else str(rng.choice(kinds)), "axis": rng.normal(size=3),
+            "xyz": 0.3 * rng.normal(size=3), "rpy": rng.uniform(-3, 3, size=3),
+            "inertial": (*doubtful(rng), 0.1 * rng.normal(size=3), rng.uniform(-3, 3, size=3)),
+        })  # fmt: skip
+    for group in {base(tree, i) for i in range(count)} - {0}:
+        heavy = rng.choice([i for i in range(count) if base(tree, i) == group])
+        xyz, rpy = tree[heavy]["inertial"][2:]
+        tree[heavy]["inertial"] = 5.0, np.array(SOUND), xyz, rpy
+    return tree
+
+
+def doubtful(rng):
+    return [
+        (0.02, np.array(POINT)), (0.02, np.array(FLAT)), (0.02, np.array(NEGATIVE)),
+        (0.0, np.array(POINT)), (0.0, 0.1 * np.array(SOUND)), (-0.02, np.array(POINT)),
+        (0.02, np.array((0.001, 0.001, 0, 0, 0, 0))), (0.02, 0.01 * np.array(SOUND)),
+    ][rng.integers(8)]  # fmt: skip
+
+
+def base(tree, i):
+    """The link that moves, or the root, of all that link i is welded to."""
+    while i and tree[i]["kind"] == "fixed":
+        i = tree[i]["parent"]
+    return i
+
+
+def place(tree, i):
+    """The frame of link i in that of its base."""
+    if i == base(tree, i):
+        return np.eye(4)
+    return place(tree, tree[i]["parent"]) @ frame(tree[i]["xyz"], tree[i]["rpy"])
+
+
+def written(tree, tmp_path):
+    parts = []
+    for i, x in enumerate(tree):
+        parts.append(link(x["name"], inertial(*x["inertial"])))
+        if i:
+            axis = " ".join(repr(float(a)) for a in x["axis"])
+            inside = f'{origin(x["xyz"], x["rpy"])}<axis xyz="{axis}"/>'
+            parts.append(joint(f"j{i}", tree[x["parent"]]["name"], x["name"], x["kind"], inside))
+    return robot(tmp_path, *parts)
+
+
+def merged(tree):
+    """The same robot with one link for each rigid group: masses add up, about parallel axes."""
+    groups = {}
+    for i in sorted({base(tree, i) for i in range(len(tree))}):
+        mass, moment, about = 0.0, np.zeros(3), np.zeros((3, 3))
+        for k, x in enumerate(tree):
+            if base(tree, k) == i and i:
+                m, six, xyz, rpy = x["inertial"]
+                pose = place(tree, k) @ frame(xyz, rpy)
+                R, c = pose[:3, :3], pose[:3, 3]
+                mass, moment = mass + m, moment + m * c
+                about += R @ matrix(six) @ R.T + m * (c @ c * np.eye(3) - np.outer(c, c))
+        c = moment / (mass or 1.0)
+        I = about - mass * (c @ c * np.eye(3) - np.outer(c, c))
+        six = I[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        x = dict(tree[i], inertial=(mass, six, c, np.zeros(3)))
+        if i:
+            at = place(tree, x["parent"]) @ frame(x["xyz"], x["rpy"])
+            x |= {
+                "parent": list(groups).index(base(tree, x["parent"])), "xyz": at[:3, 3],
+                "rpy": Rotation.from_matrix(at[:3, :3]).as_euler("xyz"),
+            }  # fmt: skip
+        groups[i] = x
+    return list(groups.values())
+
+
+def mass_matrix(mechanism, q):
+    """Σ Jᵀ G J over the links, and the mass moments ∂V/∂g, from twists at unit rates."""
+    pose = mechanism.pose(q)
+    zero = dict.fromkeys(q, 0.0)
+    columns = [mechanism.twist(zero | {name: 1.0}, pose) for name in q]
+    found, moment = 0.0, np.zeros(3)
+    for each in mechanism.links:
+        J = np.column_stack([column[each.name] for column in columns])
+        body = each.body
+        coupling = body.mass * np.cross(np.eye(3), body.com)  # of ω with v
+        G = np.block([[body.inertia, coupling], [coupling.T, body.mass * np.eye(3)]])
+        found = found + J.T @ G @ J
+        moment = moment + body.mass * (pose[each.name] @ (*body.com, 1.0))[:3]
+    return found, moment
+
+
+def mass_matrix_of(model, data):
+    M = np.zeros((model.nv, model.nv))
+    for k in range(model.nv):
+        unit = np.eye(model.nv)[k]
+        mujoco.mj_mulM(model, data, M[k], unit)
+    return M
+
+
+@pytest.mark.parametrize(("seed", "merge_fixed"), [(k, k % 3 == 0) for k in range(15)])
+def test_from_urdf_has_the_mass_matrix_of_mujoco(tmp_path, seed, merge_fixed):
+    """MuJoCo reads the robot with its groups merged here, since it refuses most of the others."""
+    tree = random_tree(np.random.default_rng(seed))
+    mechanism, _ = read(written(tree, tmp_path), merge_fixed=merge_fixed)
+    model = mujoco.MjModel.from_xml_path(str(written(merged(tree), tmp_path)))
+    data = mujoco.MjData(model)
+    data.qpos[:] = np.random.default_rng(seed).normal(size=model.nq)
+    mujoco.mj_forward(model, data)
+    moving = [model.body(model.jnt_bodyid[j]).name for j in range(model.njnt)]
+    q = dict(zip(moving, data.qpos))
+    M, moment = mass_matrix(mechanism, q)
+    # MuJoCo's principal axes and quaternions are exact to 1e-14 or so; lengths are below 10 m.
+    np.testing.assert_allclose(M, mass_matrix_of(model, data), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(moment, model.body_mass @ data.xipos, rtol=0, atol=1e-9)
+    for name in moving:
+        np.testing.assert_allclose(
+            mechanism.pose(q)[name][:3, 3], data.xpos[model.body(name).id], atol=ROUNDING
+        )
