@@ -14,6 +14,7 @@ import numpy as np
 from lierb.arrays import Array
 
 SMALL = 1e-12  # kg or kg m², well above mjMINVAL
+HEAVIER = 2.0**60  # a power of two, so that nothing is rounded
 TRIANGLE = 1e-6  # well above the rounding by which flat bodies break A + B ≥ C
 
 
@@ -48,7 +49,7 @@ def compiled(spec: Any) -> Any:
 
 
 def _set_aside(spec: Any) -> list[SetAside]:
-    """Replace inertials that MuJoCo may refuse by a unit one, and return them."""
+    """Replace inertials that MuJoCo may refuse, or round, by a unit one, and return them."""
     from mujoco import mjtInertiaFromGeom
 
     is_of_geoms = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -57,7 +58,8 @@ def _set_aside(spec: Any) -> list[SetAside]:
         if body.geoms and (is_of_geoms or not body.explicitinertial):
             continue
         mass, inertia = _inertial(body)
-        if _is_doubtful(mass, inertia):
+        is_full = not np.isnan(body.fullinertia[0])  # earlier releases find its axes to 1e-9
+        if is_full or _is_doubtful(mass, inertia):
             aside.append(SetAside(body, mass, inertia))
             body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
             body.ipos = np.nan_to_num(body.ipos)  # NaN where the file has no <inertial>
@@ -86,9 +88,12 @@ def _adopt(spec: Any) -> bool:
     is_automatic = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     if not (is_automatic and hasattr(spec, "adopt_inertial")):
         return False
+    for geom in spec.geoms:  # those below mjMINVAL are not counted
+        geom.mass, geom.density = geom.mass * HEAVIER, geom.density * HEAVIER
     for body in spec.bodies[1:]:
         if body.geoms and not body.explicitinertial:
             spec.adopt_inertial(body)
+            body.mass, body.inertia = body.mass / HEAVIER, body.inertia / HEAVIER
     return True
 
 

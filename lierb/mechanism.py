@@ -128,8 +128,8 @@ class Mechanism(Shown):
 
         path : of the file; what it includes and refers to is found from there.
         merge_fixed : make bodies that are welded to each other one link, rather than a link each on
-            a fixed joint. A body without mass is merged with its parent anyhow, and one that is
-            welded to the world is the ground.
+            a fixed joint. A welded body without mass, or with an inertia that no rigid body has, is
+            merged with its parent anyhow, and one that is welded to the world is the ground.
         limit_stiffness : of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves
             limits out. MuJoCo's own are softer or harder with the mass that they stop.
 
@@ -141,7 +141,8 @@ class Mechanism(Shown):
         LeftOutWarning.
 
         Needs mujoco (the extra `lierb[mjcf]`). Raises ArgumentError for a file that MuJoCo does not
-        take, or with joints that are together none of the catalogue.
+        take, with joints that are together none of the catalogue, or with a link that moves and has
+        no mass or an inertia that no rigid body has.
         """
         return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
 
@@ -160,8 +161,8 @@ class Mechanism(Shown):
         gravity : (3,) or (n, 3), m/s²: URDF has none of its own.
         merge_fixed, limit_stiffness : as of `from_mjcf`.
 
-        Revolute and continuous, prismatic, fixed, planar and floating joints; else as `from_mjcf`,
-        whose reader it is.
+        Takes revolute, continuous, prismatic, fixed, planar and floating joints. The rest is as for
+        `from_mjcf`.
         """
         return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
 

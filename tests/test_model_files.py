@@ -264,6 +264,137 @@ def test_a_floating_joint_of_urdf_is_free_whatever_its_root_is_called(tmp_path, 
     np.testing.assert_array_equal(mechanism.pose()["bus"][:3, 3], (1.0, 2.0, 3.0))
 
 
+UNSOUND = {
+    "point": 'mass="0.1" diaginertia="0 0 0"',
+    "flat": 'mass="0.1" diaginertia="0.01 0.001 0.001"',
+    "negative": 'mass="0.1" fullinertia="0.001 0.001 -0.001 0.0001 0 0"',
+    "no mass": 'mass="0" diaginertia="0.01 0.02 0.02"',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("moments", UNSOUND.values(), ids=UNSOUND)
+def test_bodies_are_checked_as_one_with_what_is_welded_to_them(tmp_path, moments):
+    """Against MuJoCo's M at unit rates, of a sound body to which the unsound one has been added.
+
+    The sum by parallel axes, in the frame of the body, is made here.
+    """
+    inertial = f'<inertial pos="0.02 0.03 0.01" {moments}/>'
+    sensor = f'<body name="sensor" pos="0 0.1 0" euler="0.3 0 0.2">{inertial}</body>'
+    around = f'<body name="post">{inertial}</body>'
+    path = one_body(tmp_path, "<joint/>", inside=sensor, around=around)
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("base", "body")
+    assert any(lost.startswith("body sensor as a link of its own: sensor's") for lost in left_out)
+    found = mechanism.link("body").body
+    turn = Rotation.from_euler("XYZ", (0.3, 0.0, 0.2))
+    numbers = dict(x.split("=") for x in moments.replace('" ', '"|').split("|"))
+    added = float(numbers["mass"].strip('"'))
+    values = [float(x) for x in moments.rpartition("inertia=")[2].strip('"').split()]
+    xx, yy, zz, xy, xz, yz = (*values, 0.0, 0.0, 0.0)[:6]
+    R, own = turn.as_matrix(), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+    steiner = lambda m, c: m * (c @ c * np.eye(3) - np.outer(c, c))
+    c, c_own = turn.apply((0.02, 0.03, 0.01)) + np.array((0, 0.1, 0)), np.array((0.1, 0.02, -0.3))
+    expected = (
+        R @ own @ R.T + steiner(added, c) + np.diag((0.03, 0.02, 0.025)) + steiner(1.3, c_own)
+    )
+    # Rounding of principal axes, back and forth, of moments below 1.
+    np.testing.assert_allclose(found.inertia, expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.mass, 1.3 + added, rtol=1e-15)
+    np.testing.assert_allclose(found.com, (added * c + 1.3 * c_own) / (1.3 + added), rtol=1e-13)
+
+
+@pytest.mark.parametrize("moments", UNSOUND.values(), ids=UNSOUND)
+def test_bodies_that_move_are_refused_by_name(tmp_path, moments):
+    inertial = f'<inertial pos="0.02 0.03 0.01" {moments}/>'
+    with pytest.raises(ArgumentError, match=r"body body(:| moves and has no mass)"):
+        read(one_body(tmp_path, "<joint/>", inertial=inertial))
+
+
+def test_a_mass_on_the_ground_is_said(tmp_path):
+    around = f'<body name="table">{INERTIA}<body><geom size="1" mass="2" contype="0"'
+    path = one_body(tmp_path, "<joint/>", around=around + ' conaffinity="0"/></body></body>')
+    _, left_out = read(path)
+    assert left_out == ("mass of what is welded to the ground: table 1.3 kg, body2 2 kg",)
+
+
+WORM = """<mujoco><compiler autolimits="true" {settings}/><worldbody>
+  <body name="head"><joint axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 {length} 0 0" size="{radius}" contype="0" conaffinity="0"/>
+    <body name="tail" pos="{length} 0 0"><joint axis="0 1 0"/>
+      <geom type="box" size="{radius} {radius} {radius}" contype="0" conaffinity="0"/>
+    </body>
+  </body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjSpec, "adopt_inertial"), reason="no inertials of geoms in this release"
+)
+@pytest.mark.parametrize("length", [100.0, 1.0, 1e-3, 1e-6])
+def test_bodies_of_any_size_are_read(tmp_path, length):
+    """Capsule and box of 1000 kg/m³ in closed form; MuJoCo takes no moment below 1e-15 kg m²."""
+    path, r = tmp_path / "worm.xml", 0.05 * length
+    path.write_text(WORM.format(length=length, radius=r, settings=""))
+    head, tail = (link.body for link in read(path)[0].links)
+    rod, ball = 1e3 * np.pi * r**2 * length, 1e3 * 4 / 3 * np.pi * r**3
+    np.testing.assert_allclose(head.mass, rod + ball, rtol=1e-13)
+    about_axis = rod * r**2 / 2 + ball * 2 / 5 * r**2
+    about_centre = (
+        rod * (length**2 / 12 + r**2 / 4)
+        + ball * (2 / 5 * r**2 + length**2 / 4 + 3 / 8 * length * r)
+    )  # fmt: skip
+    across = about_centre + (rod + ball) * length**2 / 4
+    # MuJoCo's closed forms and principal axes round a dozen times.
+    np.testing.assert_allclose(
+        head.inertia, np.diag((about_axis, across, across)), rtol=1e-12, atol=1e-14 * across
+    )
+    side = 2 * r
+    np.testing.assert_allclose(
+        tail.inertia, 1e3 * side**5 / 6 * np.eye(3), rtol=1e-12, atol=1e-14 * side**5
+    )
+
+
+def test_a_size_that_no_release_can_read_is_refused_by_name(tmp_path):
+    """`inertiafromgeom="true"` leaves no room for an inertial in the file's stead."""
+    path = tmp_path / "worm.xml"
+    path.write_text(WORM.format(length=1e-3, radius=5e-5, settings='inertiafromgeom="true"'))
+    with pytest.raises(ArgumentError, match="mjMINVAL Element name 'head'"):
+        read(path)
+
+
+SETTINGS = {
+    "balanceinertia": ('balanceinertia="true"', 'mass="1" diaginertia="1 2 8"'),
+    "boundmass": ('boundmass="3"', 'mass="1" diaginertia="1 2 2"'),
+    "boundinertia": ('boundinertia="1.5"', 'mass="1" diaginertia="1e-9 2 2"'),
+    "tiny": ('boundmass="1e-3" boundinertia="1e-3"', 'mass="0" diaginertia="0 0 0"'),
+    "geoms": ('inertiafromgeom="true"', 'mass="1" diaginertia="1 2 8"'),
+    "no geoms": ('inertiafromgeom="false"', 'mass="1" diaginertia="1 2 2.5"'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_settings_of_inertias_are_those_of_mujoco(tmp_path, setting):
+    attributes, moments = SETTINGS[setting]
+    path, geom = tmp_path / "model.xml", '<geom size="0.5" contype="0" conaffinity="0"/>'
+    body = f'<body name="b"><joint/><inertial pos="0 0 0" {moments}/>{geom}</body>'
+    path.write_text(f"<mujoco><compiler {attributes}/><worldbody>{body}</worldbody></mujoco>")
+    found, model = read(path)[0].link("b").body, model_of(path)
+    np.testing.assert_allclose(found.mass, model.body_mass[1], rtol=1e-15)
+    moments = np.sort(model.body_inertia[1])
+    np.testing.assert_allclose(np.linalg.eigvalsh(found.inertia), moments, rtol=1e-14)
+
+
+def test_a_springdamper_has_the_inertia_of_the_file(tmp_path):
+    """MuJoCo makes stiffness and damping of it; what is welded and unsound stays refused there."""
+    joint = '<joint springdamper="0.1 1"/>'
+    path = one_body(tmp_path, joint)
+    mechanism, _ = read(path)
+    assert mechanism.forces[0].parameters["stiffness"] == model_of(path).jnt_stiffness[1] > 0.0
+    flat = f'<body name="sensor"><inertial pos="0 0 0" {UNSOUND["flat"]}/></body>'
+    with pytest.raises(ArgumentError, match="Element name 'sensor'"):
+        read(one_body(tmp_path, joint, inside=flat))
+
+
 def test_merged_bodies_weigh_the_same():
     mechanism = assert_same_mechanics(
         DATA / "double_pendulum.xml", rates=rates_of, merge_fixed=True
@@ -514,6 +645,83 @@ def test_slides_along_one_line_are_refused():
         composed(twice, np.eye(4))
 
 
+@pytest.mark.parametrize(
+    ("given", "line"),
+    [
+        ('range="1 1"', "joint knee: limits 1 … 1, which MuJoCo ignores"),
+        ('range="1 -1"', "joint knee: limits 1 … -1, which MuJoCo ignores"),
+        ('range="0 0"', None),  # MuJoCo's way to say that there are none
+        ('range="-1 1" limited="false"', None),
+    ],
+)
+def test_ranges_that_are_no_limits_are_said(tmp_path, given, line):
+    _, left_out = read(one_body(tmp_path, f'<joint name="knee" {given}/>'), limit_stiffness=10.0)
+    assert left_out == (() if line is None else (line,))
+
+
+def test_a_range_of_zero_that_is_a_limit_is_refused_by_name(tmp_path):
+    joint = '<joint name="knee" range="0 0" limited="true"/>'
+    with pytest.raises(ArgumentError, match="Element name 'knee'"):
+        read(one_body(tmp_path, joint))
+
+
+LEFT_OUT = {
+    "actuatorfrcrange": ('actuatorfrcrange="-1 1"', "", "1 joints with limits of their actuators"),
+    "tendon": (
+        "", '<tendon><fixed><joint joint="knee" coef="1"/></fixed></tendon>', "1 tendons",
+    ),
+    "sensor": ("", '<sensor><jointpos joint="knee"/></sensor>', "1 sensors"),
+    "keyframe": ("", '<keyframe><key qpos="0 1"/></keyframe>', "1 keyframes"),
+    "pair": (
+        "", '<contact><pair geom1="ball" geom2="floor"/></contact>', "1 contact pairs",
+    ),
+    "fluid": ("", '<option density="1.2" wind="1 0 0"/>', "the fluid's density and viscosity"),
+    "options": (
+        "", '<option integrator="implicitfast" timestep="0.001" cone="elliptic"/>',
+        "options of MuJoCo's own solver: cone, integrator, timestep",
+    ),
+    "equality": ("", '<equality><joint joint1="knee"/></equality>', "equality 0: equality/joint"),
+    "armature": ('armature="0.1"', "", "joint knee: armature 0.1"),
+    "friction": ('class="stiff"', "", "joint knee: friction 0.3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LEFT_OUT)
+def test_each_kind_that_is_left_out_is_said(tmp_path, what):
+    """Friction from a default class within another one."""
+    attributes, outside, line = LEFT_OUT[what]
+    geom = '<geom name="{}" size="0.1" contype="0" conaffinity="0"/>'
+    defaults = (
+        '<default><default class="outer"><joint frictionloss="0.3"/><default class="stiff">'
+        '<joint stiffness="7"/></default></default></default>'
+    )
+    path = one_body(
+        tmp_path, f'<joint name="knee" {attributes}/>', inside=geom.format("ball"),
+        around=geom.format("floor"), outside=defaults + outside,
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert any(each.startswith(line) for each in left_out)
+    if what == "friction":
+        assert mechanism.forces[0].parameters["stiffness"] == 7.0
+
+
+def test_gravity_compensation_is_said(tmp_path):
+    path = one_body(tmp_path, "<joint/>")
+    path.write_text(path.read_text().replace('name="body"', 'name="body" gravcomp="1"'))
+    assert read(path)[1] == ("1 bodies with gravcomp",)
+
+
+@pytest.mark.parametrize("flag", ["contact", "constraint", "frictionloss"])
+def test_what_is_disabled_anyhow_is_not_left_out(tmp_path, flag):
+    path = one_body(
+        tmp_path, '<joint name="knee" frictionloss="0.1"/>', inside='<geom size="0.1"/>',
+        outside=f'<option><flag {flag}="disable"/></option>',
+    )  # fmt: skip
+    friction, contact = "joint knee: friction 0.1", "1 geoms that collide"
+    expected = {"contact": (friction,), "constraint": (), "frictionloss": (contact,)}
+    assert read(path)[1] == expected[flag]
+
+
 def test_what_is_left_out_is_said_once(tmp_path):
     path = one_body(
         tmp_path,
@@ -545,6 +753,41 @@ def test_names_that_differ_in_case_alone_are_made_to_differ(tmp_path):
     bodies = f"<body name='arm'>{ball}<body name='Arm'>{ball}"
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
     assert read(path)[0].names == ("arm", "Arm_2")
+
+
+FAULTS = {
+    "type": '<joint name="{}" type="hingey"/>',
+    "axis": '<joint name="{}" axis="0 0 0"/>',
+    "words": '<joint name="{}" axis="0 x 0"/>',
+    "attribute": '<joint name="{}" nonsense="1"/>',
+    "class": '<joint name="{}" class="nowhere"/>',
+    "damping": '<joint name="{}" damping="-1"/>',
+    "twice": '<joint name="{0}"/><joint name="{0}"/>',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["knee", "n" * 99 + "MIDDLE" + "e" * 95, "knie é/[%s] {0} '"])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_refusals_name_the_joint_at_fault(tmp_path, fault, name):
+    """MuJoCo's parser gives the line alone."""
+    with pytest.raises(ArgumentError) as raised:
+        read(one_body(tmp_path, FAULTS[fault].format(name)))
+    assert name in str(raised.value)
+
+
+@pytest.mark.parametrize("fault", ["type", "axis", "words", "attribute", "class", "damping"])
+def test_refusals_name_the_body_of_a_joint_without_a_name(tmp_path, fault):
+    with pytest.raises(ArgumentError, match=r"body body|joint body"):
+        read(one_body(tmp_path, FAULTS[fault].replace('name="{}"', "")))
+
+
+def test_refusals_name_the_body_of_a_mesh(tmp_path):
+    path = one_body(
+        tmp_path, "<joint/>", inside='<geom type="mesh" mesh="shell"/>',
+        outside='<asset><mesh name="shell" file="nowhere.stl"/></asset>',
+    )  # fmt: skip
+    with pytest.raises(ArgumentError, match=r"nowhere.stl'.* \(a mesh of body body\)"):
+        read(path)
 
 
 @pytest.mark.parametrize(

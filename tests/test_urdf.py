@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb.errors import LeftOutWarning
+from lierb.errors import ArgumentError, LeftOutWarning
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -284,3 +284,275 @@ def test_from_urdf_has_the_mass_matrix_of_mujoco(tmp_path, seed, merge_fixed):
         np.testing.assert_allclose(
             mechanism.pose(q)[name][:3, 3], data.xpos[model.body(name).id], atol=ROUNDING
         )
+
+
+# ---- refusals ----------------------------------------------------------------------------------
+
+NAMES = {
+    "short": "knee",
+    "long": "n" * 99 + "MIDDLE" + "e" * 95,
+    "odd": "links/knie é [%s] {0} \"'<&>",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ("", "has no mass"),
+        (inertial(0.0), "has no mass"),
+        (inertial(-1.0), "mass is -1.0 kg"),
+        (inertial(1.0, POINT), "not positive definite"),
+        (inertial(1.0, FLAT), "exceeds the sum"),
+    ],
+)
+def test_from_urdf_names_the_moving_link_whose_inertia_no_body_has(tmp_path, name, inside, message):
+    path = robot(
+        tmp_path, link("base"), link(name, inside), link("tip"), joint("hinge", "base", name),
+        joint("next", name, "tip"),
+    )  # fmt: skip
+    with pytest.raises(ArgumentError) as raised:
+        read(path)
+    assert f"body {name}" in str(raised.value)
+    assert message in str(raised.value)
+
+
+def test_from_urdf_names_what_is_welded_to_a_link_that_it_refuses(tmp_path):
+    path = robot(
+        tmp_path, link("base"), link("arm", inertial(1.0, FLAT)), link("tool", inertial(1.0, FLAT)),
+        link("frame", ""), joint("hinge", "base", "arm"), joint("k", "arm", "tool", "fixed"),
+        joint("l", "arm", "frame", "fixed"),
+    )  # fmt: skip
+    with pytest.raises(ArgumentError, match="body arm, with tool welded to it: inertia"):
+        read(path)
+
+
+def faulty(name):
+    """By what is wrong: parts of a file beside the links base and arm, and words of the message."""
+    axis = lambda numbers: f'<axis xyz="{numbers}"/>'
+    twice = link("arm") + link(name, "") * 2
+    ends = f'<joint name={quoteattr(name)} type="fixed">'
+    return {
+        "type": (joint(name, "base", "arm", "hingey"), f"joint {name}: type='hingey'"),
+        "parent": (joint(name, "nowhere", "arm"), f"joint {name}: its parent nowhere"),
+        "child": (joint(name, "base", "nowhere"), f"joint {name}: its child nowhere"),
+        "no parent": (ends + '<child link="arm"/></joint>', f"joint {name} has no parent"),
+        "no child": (ends + '<parent link="base"/></joint>', f"joint {name} has no child"),
+        "two parents": (
+            joint("first", "base", "arm") + joint(name, "base", "arm"),
+            f"link arm is the child of two joints, first and {name}",
+        ),
+        "no axis": (joint(name, "base", "arm", inside=axis("0 0 0")), f"joint {name}: its axis"),
+        "planar": (
+            joint(name, "base", "arm", "planar", axis("0 1e-200 0")), f"joint {name}: its axis",
+        ),
+        "words": (joint(name, "base", "arm", inside=axis("0 x 1")), f"joint {name}: <axis xyz="),
+        "nan": (joint(name, "base", "arm", inside=axis("0 nan 1")), f"joint {name}: <axis xyz="),
+        "two numbers": (joint(name, "base", "arm", inside=axis("0 1")), f"joint {name}: <axis xyz"),
+        "two axes": (
+            joint(name, "base", "arm", inside=axis("0 0 1") * 2), f"joint {name} has 2 elements",
+        ),
+        "limit": (
+            joint(name, "base", "arm", inside='<limit lower="low"/>'), f"joint {name}: <limit",
+        ),
+        "joints": (
+            joint(name, "base", "arm") + joint(name, "arm", "base"), f"two joints are named {name}",
+        ),
+        "links": (twice, f"two links are named {name}"),
+        "roots": (link(name), f"links base, arm, {name} are children of no joint"),
+        "circle": (
+            link(name) + joint("hinge", "base", "arm") + joint("self", name, name),
+            f"the links {name} do not hang on a root",
+        ),
+        "mass": (link(name, inertial("1").replace('"1.0"', '"1 kg"')), f"link {name}: <mass value"),
+        "no mass": (
+            link(name, "<inertial><inertia/></inertial>"), f"link {name}: its <inertial> has no <m",
+        ),
+        "moment": (link(name, inertial().replace("ixy=", "ixx2=")), f"link {name}: <inertia> has"),
+        "frame": (link(name, inertial(xyz=(0, 0))), f"link {name}: <origin xyz"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+@pytest.mark.parametrize("fault", faulty(""))
+def test_from_urdf_names_the_link_or_joint_at_fault(tmp_path, name, fault):
+    parts, message = faulty(name)[fault]
+    if fault in ("mass", "no mass", "moment", "frame"):
+        parts += joint("hinge", "base", "arm") + joint("weld", "arm", name, "fixed")
+    path = robot(tmp_path, link("base"), "" if "arm" in parts[:20] else link("arm"), parts)
+    with pytest.raises(ArgumentError) as raised:
+        read(path)
+    assert "cannot be read as URDF" in str(raised.value)
+    assert message in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<robo/>", "its root element is <robo>; expected <robot>"),
+        ("<robot><link/></robot>", "link 1 of the file has no name"),
+        ("<robot>", "line 1"),
+        (f"<robot>{link('base')}</robot>", "no body that moves"),
+        (
+            f"<robot>{link('a')}{link('world')}{joint('j', 'a', 'world')}</robot>",
+            "link world: only the root can have this name",
+        ),
+    ],
+)
+def test_from_urdf_refuses_what_is_no_robot(tmp_path, text, message):
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    with pytest.raises(ArgumentError, match=message):
+        read(path)
+
+
+# ---- limits, and what is left out --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize(
+    ("limit", "ends"),
+    [
+        ('lower="0" upper="0"', "0 … 0"),
+        ('effort="1"', "0 … 0"),  # URDF: both are zero where the file has none
+        ('lower="0.5" upper="0.5"', "0.5 … 0.5"),
+        ('lower="0.5" upper="-0.5"', "0.5 … -0.5"),
+        ('lower="-5" upper="7"', "-5 … 7"),
+    ],
+)
+def test_from_urdf_lists_limits(tmp_path, kind, limit, ends):
+    _, left_out = read(pair(tmp_path, f"<limit {limit}/>", kind))
+    assert f"joint hinge: limits {ends}" in left_out
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+@pytest.mark.parametrize("at", [0.0, 0.5])
+def test_from_urdf_stops_a_joint_that_is_locked_where_it_is(tmp_path, kind, at):
+    path = pair(tmp_path, f'<limit lower="{at}" upper="{at}"/>', kind)
+    mechanism, left_out = read(path, limit_stiffness=1e4)
+    (stop,) = mechanism.forces
+    assert (stop.parameters["lower"], stop.parameters["upper"], left_out) == (at, at, ())
+
+
+@pytest.mark.parametrize(
+    "limit", [(0.5, -0.5), (-4, 4), (2, 5), (7, 8), (-8, -7)], ids=lambda x: f"{x[0]} to {x[1]}"
+)
+def test_from_urdf_makes_no_stops_that_would_act_elsewhere(tmp_path, limit):
+    """Stops know the pose alone, so that the shorter way to a range has to be that of the file."""
+    path = pair(tmp_path, '<limit lower="{}" upper="{}"/>'.format(*limit))
+    mechanism, left_out = read(path, limit_stiffness=1e4)
+    listed = "joint hinge: limits {} … {}".format(*limit)
+    assert (mechanism.forces, left_out) == ((), (listed,))
+
+
+LINES = {
+    "friction": ({"inside": '<dynamics friction="0.3"/>'}, "joint hinge: friction 0.3"),
+    "mimic": ({"inside": '<mimic joint="other"/>'}, "joint hinge: mimic of other"),
+    "continuous": ({"kind": "continuous", "inside": '<limit lower="-1" upper="1"/>'},
+        "joint hinge: limits -1 … 1, which a continuous joint does not have",
+    ),
+    "effort": ({"kind": "continuous", "inside": '<limit effort="1" velocity="2"/>'},
+        "limits of effort and velocity of 1 joints",
+    ),
+    "safety": ({"inside": "<safety_controller k_velocity='1'/><calibration rising='0'/>"},
+        "1 safety_controller elements",
+    ),
+    "transmission": ({"around": "<transmission/>" * 2}, "2 transmission elements"),
+    "gazebo": ({"around": "<gazebo/>"}, "1 gazebo elements"),
+    "xacro": ({"around": '<xacro:macro xmlns:xacro="http://ros.org/wiki/xacro"/>'},
+        "1 xacro:macro elements",
+    ),
+    "collision": ({"child": f"{inertial()}<collision/><collision/>"}, "2 geoms that collide"),
+    "planar": ({"kind": "planar", "inside": '<limit lower="0" upper="0"/>'},
+        "joint hinge: limits 0 … 0, which a planar joint does not have",
+    ),
+    "planar damping": ({"kind": "planar", "inside": '<dynamics damping="2"/>'},
+        "joint hinge_TX: stiffness and damping of a slide joint",
+    ),
+    "floating": ({"kind": "floating", "inside": '<dynamics damping="2"/>'},
+        "joint hinge: damping 2 and friction 0",
+    ),
+    "gravity": ({"around": '<mujoco><option gravity="0 0 -1"/></mujoco>'},
+        "gravity, which is an argument",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LINES)
+def test_from_urdf_says_what_is_left_out(tmp_path, what):
+    parts, line = LINES[what]
+    _, left_out = read(pair(tmp_path, **parts))
+    assert line in left_out
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic", "planar", "spherical"])
+def test_from_urdf_says_nothing_where_nothing_is_left_out(tmp_path, kind):
+    path = robot(
+        tmp_path, link("base", "<visual/>"), link("arm"), "<material name='red'/>",
+        joint("hinge", "base", "arm", kind),
+    )  # fmt: skip
+    assert read(path)[1] == ()
+
+
+# ---- joints of several freedoms, and settings --------------------------------------------------
+
+
+@pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (1, -2, 3), (0, 0, -1)])
+def test_from_urdf_has_the_planar_joint_of_mujoco(tmp_path, axis):
+    """Pose and coordinates of MuJoCo's own reader; lierb counts the turn first."""
+    inside = f'{origin((1, 2, 3), (0.4, 0.5, 0.6))}<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
+    path = robot(
+        tmp_path, link("base", ""), link("arm"), joint("j", "base", "arm", "planar", inside)
+    )
+    mechanism, _ = read(path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.qpos[:] = (0.3, -0.7, 0.9)
+    mujoco.mj_kinematics(model, data)
+    pose = mechanism.pose({"arm": (0.9, 0.3, -0.7)})["arm"]
+    np.testing.assert_allclose(pose[:3, 3], data.xpos[-1], atol=ROUNDING)
+    np.testing.assert_allclose(pose[:3, :3], data.xmat[-1].reshape(3, 3), atol=ROUNDING)
+
+
+def test_from_urdf_lets_a_link_float_on_one_that_moves(tmp_path):
+    """MuJoCo's reader takes floating joints of its world alone."""
+    at = (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)
+    path = robot(
+        tmp_path, link("base", ""), link("arm"), link("bird"), joint("hinge", "base", "arm"),
+        joint("launch", "arm", "bird", "floating", origin(*at)),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert mechanism.link("bird").joint.name == "free"
+    assert (mechanism.link("bird").parent, left_out) == ("arm", ())
+    np.testing.assert_allclose(mechanism.pose()["bird"], frame(*at), atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "settings", ['balanceinertia="true"', 'boundmass="3"', 'boundinertia="0.27"']
+)
+def test_from_urdf_minds_settings_of_mujoco(tmp_path, settings):
+    """The extension <mujoco>, as MuJoCo's own reader takes it."""
+    path = pair(
+        tmp_path, child=inertial(2.0, FLAT if "balance" in settings else SOUND),
+        around=f"<mujoco><compiler {settings}/></mujoco>",
+    )  # fmt: skip
+    body = read(path)[0].link("arm").body
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert float(body.mass) == model.body_mass[-1]
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(body.inertia), np.sort(model.body_inertia[-1]), rtol=1e-14
+    )
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
+def test_from_urdf_scales_to_a_total_mass(tmp_path):
+    """Masses in proportion, inertias with them; MuJoCo refuses this file for its flange."""
+    path = robot(
+        tmp_path, link("base", inertial(1.0, POINT)), link("arm", inertial(2.0)),
+        link("flange", inertial(1.0, FLAT)), joint("hinge", "base", "arm"),
+        joint("weld", "arm", "flange", "fixed"),
+        '<mujoco><compiler settotalmass="10"/></mujoco>',
+    )  # fmt: skip
+    body = read(path)[0].link("arm").body
+    np.testing.assert_allclose(body.mass, 7.5, rtol=1e-15)
+    np.testing.assert_allclose(body.inertia, 2.5 * (matrix(SOUND) + matrix(FLAT)), atol=1e-14)
