@@ -91,7 +91,10 @@ def _by_name(root: ElementXML, tag: str) -> dict[str, ElementXML]:
 def _in_order(
     links: dict[str, ElementXML], joints: dict[str, ElementXML]
 ) -> Iterator[tuple[str, str | None]]:
-    """Each link after its parent, with the joint that it hangs on; the root's joint is None."""
+    """Each link after its parent, with the joint that it hangs on; the root's joint is None.
+
+    In the order of MuJoCo's own reader: depth first, children by their joints' order in the file.
+    """
     held: dict[str, str] = {}
     children: dict[str, list[str]] = {link: [] for link in links}
     for name, joint in joints.items():
@@ -112,8 +115,7 @@ def _in_order(
     order, waiting = [], roots
     while waiting:
         order.append(waiting.pop())
-        inside = set(children[order[-1]])
-        waiting += [link for link in reversed(links) if link in inside]
+        waiting += reversed(children[order[-1]])
     if len(order) < len(links):
         rest = [link for link in links if link not in order]
         raise ArgumentError(

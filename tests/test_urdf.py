@@ -205,6 +205,7 @@ def place(tree, i):
 
 
 def written(tree, tmp_path):
+    """The file, its joints in another order than its links."""
     parts = []
     for i, x in enumerate(tree):
         parts.append(link(x["name"], inertial(*x["inertial"])))
@@ -212,7 +213,7 @@ def written(tree, tmp_path):
             axis = " ".join(repr(float(a)) for a in x["axis"])
             inside = f'{origin(x["xyz"], x["rpy"])}<axis xyz="{axis}"/>'
             parts.append(joint(f"j{i}", tree[x["parent"]]["name"], x["name"], x["kind"], inside))
-    return robot(tmp_path, *parts)
+    return robot(tmp_path, *sorted(parts, key=lambda part: (part[:6], part[::-1])))
 
 
 def merged(tree):
@@ -284,6 +285,18 @@ def test_from_urdf_has_the_mass_matrix_of_mujoco(tmp_path, seed, merge_fixed):
         np.testing.assert_allclose(
             mechanism.pose(q)[name][:3, 3], data.xpos[model.body(name).id], atol=ROUNDING
         )
+
+
+def test_from_urdf_has_the_links_in_the_order_of_mujoco(tmp_path):
+    tree = [dict(x, inertial=(1.0, SOUND)) for x in random_tree(np.random.default_rng(0))]
+    path = written(tree, tmp_path)
+    model = mujoco.MjSpec.from_file(str(path))
+    model.compiler.fusestatic = False
+    model = model.compile()
+    names = [model.body(i).name for i in range(1, model.nbody)]
+    links = read(path)[0].names
+    assert links == tuple(name for name in names if name in links)
+    assert names != sorted(names)
 
 
 # ---- refusals ----------------------------------------------------------------------------------
