@@ -76,12 +76,11 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
     """
     model, left_out = _compiled(path, language)
     parts = Parts(np.array(model.opt.gravity))
-    names = _names(model, parts)
     if limit_stiffness is not None:
         as_positive("limit_stiffness", limit_stiffness, "N m/rad, or N/m")
     try:
-        placed = _add_links(model, names, parts, merge_fixed, limit_stiffness)
-        _add_loops(model, names, placed, parts)
+        placed = _add_links(model, parts, merge_fixed, limit_stiffness)
+        _add_loops(model, placed, parts)
     except LierbError as error:
         raise ArgumentError(f"{told(fspath(path))}: {error}") from error
     if not parts.links:
@@ -167,15 +166,9 @@ def _disable(model: Any, bits: Any) -> None:
 # ---- names -------------------------------------------------------------------------------------
 
 
-def _names(model: Any, parts: Parts) -> list[str]:
-    """A name for each body that is an identifier and no other's; the world's is the ground's."""
-    found = [GROUND]
-    for i in range(1, model.nbody):
-        found.append(_free_name(model.body(i).name, f"body{i}", found, parts))
-    return found
-
-
-def _free_name(given: str, default: str, taken: list[str], parts: Parts) -> str:
+def _free_name(given: str, default: str, parts: Parts) -> str:
+    """A name that is an identifier and no other link's or loop's; one that differs is listed."""
+    taken = [GROUND, *(link[0] for link in parts.links), *(loop[0] for loop in parts.loops)]
     name = re.sub(r"\W", "_", given, flags=re.ASCII) or default
     name = name if name.isidentifier() else f"_{name}"
     unique, known = name, {other.lower() for other in taken}  # SQL, too, is blind to case
@@ -192,7 +185,7 @@ def _free_name(given: str, default: str, taken: list[str], parts: Parts) -> str:
 
 
 def _add_links(
-    model: Any, names: list[str], parts: Parts, merge_fixed: bool, limit_stiffness: float | None
+    model: Any, parts: Parts, merge_fixed: bool, limit_stiffness: float | None
 ) -> list[Placed]:
     """Fill in the links; for each body of the file, on which of them it is."""
     placed = [Placed(GROUND, np.eye(4))]
@@ -209,12 +202,13 @@ def _add_links(
             joint = composed(_joints(model, i), where)
         except LierbError as error:
             raise ArgumentError(f"body {label}: {error}") from error
-        parts.links.append((names[i], moving_body(model, i, groups[i]), joint, on.link))
-        placed.append(Placed(names[i], np.eye(4)))
+        name = _free_name(model.body(i).name, label, parts)
+        parts.links.append((name, moving_body(model, i, groups[i]), joint, on.link))
+        placed.append(Placed(name, np.eye(4)))
         for j in _range(model.body_jntadr[i], model.body_jntnum[i]):
             of = JointForces(model, j, label, joint, limit_stiffness)
             try:
-                parts.forces += [force.on(names[i]) for force in of.forces()]
+                parts.forces += [force.on(name) for force in of.forces()]
             except LierbError as error:
                 raise ArgumentError(f"{of.label}: {error}") from error
             parts.left_out += of.left_out()
@@ -368,7 +362,7 @@ class JointForces:
 # ---- loops -------------------------------------------------------------------------------------
 
 
-def _add_loops(model: Any, names: list[str], placed: list[Placed], parts: Parts) -> None:
+def _add_loops(model: Any, placed: list[Placed], parts: Parts) -> None:
     import mujoco
 
     makers = {int(mujoco.mjtEq.mjEQ_CONNECT): _connect, int(mujoco.mjtEq.mjEQ_WELD): _weld}
@@ -390,8 +384,7 @@ def _add_loops(model: Any, names: list[str], placed: list[Placed], parts: Parts)
             if ends[0].link == GROUND:
                 ends, frames = ends[::-1], frames[::-1]
             joint = joints.JOINTS[name](body_frame=frames[0], parent_frame=frames[1])
-            taken = [*names, *(loop[0] for loop in parts.loops)]
-            title = _free_name(model.equality(k).name, f"loop{k}", taken, parts)
+            title = _free_name(model.equality(k).name, f"loop{k}", parts)
             parts.loops.append((title, joint, ends[0].link, ends[1].link))
 
 

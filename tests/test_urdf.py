@@ -140,6 +140,18 @@ def test_from_urdf_gives_a_moving_link_what_it_lacks(tmp_path, arm):
     )
 
 
+def test_from_urdf_renames_links_alone(tmp_path):
+    """A root and a link that is part of another one need no name, and take none from others."""
+    path = robot(
+        tmp_path, link("base-link", ""), link("Base_Link"), link("tool-0", ""), link("tip-1"),
+        joint("hinge", "base-link", "Base_Link"), joint("k", "Base_Link", "tool-0", "fixed"),
+        joint("l", "tool-0", "tip-1"),
+    )  # fmt: skip
+    mechanism, left_out = read(path)
+    assert mechanism.names == ("Base_Link", "tip_1")
+    assert left_out == ("the name 'tip-1': it is tip_1",)
+
+
 @pytest.mark.parametrize("root", ["base", "world"])
 def test_from_urdf_takes_links_without_mass_where_they_are_welded(tmp_path, root):
     path = robot(
