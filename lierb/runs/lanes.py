@@ -22,13 +22,13 @@ from lierb.kernels.stepping.desk import (
     EVENT_COLUMNS,
     FATE,
     LANE_JOB,
-    LOOKS,
     OWN_ARRAYS,
     SERVICE,
     SHARE,
     SHARE_END,
     TOLD,
     desk_of,
+    room_of_step,
     serve,
 )
 from lierb.kernels.stepping.driver import (
@@ -182,7 +182,7 @@ class LaneRun:
         rows = np.zeros((desk_of(plan).count, lanes))
         rows[FATE] = IDLE
         watched = len(events_of(plan))
-        room = max(EVENT_ROOM, 4 * watched * LOOKS * lanes) if watched else 0
+        room = max(EVENT_ROOM, 2 * room_of_step(lanes, watched)) if watched else 0
         arrays = {
             "carried": np.zeros((carried_columns(plan), lanes)),
             "desk": rows,

@@ -360,7 +360,6 @@ class UserObservable(Passive):
 class UserEvent(Passive):
     """A number that is zero when something happens."""
 
-    bounds_steps: ClassVar = True
     function: Function
 
     def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:

@@ -156,10 +156,11 @@ def start_at_zero(desk, own, kinds, start, lanes):
 
 @shared
 def begin_looks(desk, lanes):
-    """Before crossings are looked for in an accepted step."""
+    """Before crossings are looked for in a part of an accepted step; its end is looked at first."""
     for lane in range(lanes):
         desk[CURSOR, lane] = 0.0
         desk[LAST, lane] = 2.0
+        desk[THETA, lane] = 1.0
 
 
 @shared

@@ -30,7 +30,7 @@ from lierb.kernels.stepping.signals import (
     outputs_of,
     signals_width,
 )
-from lierb.kernels.stepping.step_size import Tolerances
+from lierb.kernels.stepping.step_size import MOST_PARTS, Tolerances
 from lierb.kernels.stepping.systems import system_of
 
 # Rows of a desk that loops over lanes read and write.
@@ -85,6 +85,12 @@ first, stop : trajectories.   turns : iterations in this call.   watched : numbe
 sides, values, shown : rows of a desk.   own_summary : column of LANE_SUMMARY in a summary.
 serve, watch : entries of `serve` and of `lierb.kernels.stepping.crossings.watch`.
 """
+
+
+@shared
+def room_of_step(lanes, watched):
+    """The most events that the lanes can have in one step."""
+    return lanes * watched * (LOOKS + 1) * MOST_PARTS
 
 
 @lru_cache(64)

@@ -46,6 +46,7 @@ from lierb.kernels.stepping.desk import (
     TASK,
     THETA,
     TURN,
+    room_of_step,
 )
 from lierb.kernels.stepping.driver import (
     BODIES,
@@ -74,8 +75,10 @@ from lierb.kernels.stepping.lane_formulas import (
     as_ended,
     attempted,
     ended_between,
+    ends_step,
     fate_now,
     goes_on,
+    in_step,
     is_due_between,
     is_to_tidy,
     last_end,
@@ -84,12 +87,14 @@ from lierb.kernels.stepping.lane_formulas import (
     looks_now,
     mark_due,
     mark_due_between,
+    next_part,
     next_trial,
     own_start,
+    parts_of,
+    put_part,
     put_roundings,
     put_row,
     put_shown,
-    put_trial,
     put_values,
     renewed,
     restored,
@@ -173,7 +178,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     )  # fmt: skip
     carried, events, told = numbers_at(own.carried), numbers_at(own.events), numbers_at(own.told)
     jumps = numbers_at(job.jumps)
-    room = events.shape[0] - lanes * own.watched * (LOOKS + 1) - 1
+    room = events.shape[0] - room_of_step(lanes, own.watched) - 1
     is_new = own.begin == 0
     body = load_body(plan, inputs)
     state, record = load_state(plan, body, carried, 0), load_record(plan, carried, 0)
@@ -229,30 +234,43 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 record, fate = with_failures(record, clock, failed, fate)
             moved = made.state
             if own.watched > 0 or is_due_between(plan, clock, accepted):
-                put_trial(plan, desk, trial, accepted)
                 marks = silenced(plan, accepted)
                 slopes = slopes_between(plan, seen, state, made, trial)
-                task, turn = SHOWING, 0
-                if own.watched > 0:
-                    at_end = own.values + LOOKS * own.watched
-                    put_values(plan, seen, moved, held, trial.end, desk, at_end)
-                    told[0, ASKED], task = BEGINNING, LOOKING
-                    call(job.watch, inputs, counter, jobs)
+                part = parts_of(plan, seen, state, moved, trial, accepted)
+                begins, task, turn = own.watched > 0, SHOWING, 0
                 while True:
                     if task != SHOWING:
                         told[0, ASKED] = GOING_ON
                         call(job.watch, inputs, counter, jobs)
                         task, turn = int(told[0, TASK]), int(told[0, TURN])
-                    if task == SHOWING:
+                        if task == SHOWING:
+                            part = next_part(part, fate)
+                            begins = any_of(part.open)
+                    if begins:
+                        put_part(plan, desk, trial, part)
+                        told[0, ASKED], begins = BEGINNING, False
+                        call(job.watch, inputs, counter, jobs)
+                        task, turn = LOOKING, LOOKS
+                    elif task == SHOWING:
                         if not is_due_between(plan, clock, accepted):
                             break
                         mark_due_between(plan, desk, clock, trial, accepted)
                     theta = row_of(plan, desk, THETA)
-                    there = state_between(plan, seen, state, slopes, trial, theta)
+                    if task != SHOWING:
+                        theta = in_step(part, theta)
+                    time = time_between(trial, theta)
+                    is_end = task == LOOKING and turn == LOOKS
+                    if is_end and ends_step(part):
+                        there, time = moved, trial.end
+                    else:
+                        there = state_between(plan, seen, state, slopes, trial, theta)
+                        if is_end:
+                            there = taken(part.is_last, moved, there)
+                            time = taken(part.is_last, trial.end, time)
                     if task == LOOKING or task == DIPPING or task == SEARCHING:
                         # Of a look its own; of what is searched those behind all looks.
                         look = turn if task == LOOKING else LOOKS + 1
-                        row, time = own.values + look * own.watched, time_between(trial, theta)
+                        row = own.values + look * own.watched
                         put_values(plan, seen, there, held, time, desk, row)
                         if task != LOOKING:
                             told[0, ASKED] = NARROWING if task == SEARCHING else NOTING_DIP
@@ -263,17 +281,17 @@ def integrate_lanes(plan, inputs, counter, jobs):
                         call(job.watch, inputs, counter, jobs)
                     elif task == ENDING:
                         moved, clock, fate = ended_between(
-                            plan, desk, there, made, trial, clock, fate
+                            plan, desk, there, moved, trial, part, clock, fate
                         )
                     else:
                         due = row_of(plan, desk, MARK)
                         others = silenced(plan, due)
                         at = with_signals(plan, body, there, held)
                         shown, record = shown_between(plan, at, there, held, record, clock)
-                        time = clock.due
                         _store_row(
-                            plan, at, inputs, there, record, held, shown, desk, own, job.rows, time
-                        )
+                            plan, at, inputs, there, record, held, shown, desk, own, job.rows,
+                            clock.due,
+                        )  # fmt: skip
                         restored(plan, others, due)
                         told[0, ASKED] = HANDING_ROW
                         call(job.serve, inputs, counter, jobs)

@@ -80,7 +80,12 @@ from lierb.kernels.stepping.signals import (
 )
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.status import EVENT, MAX_STEPS, OK
-from lierb.kernels.stepping.step_size import Tolerances, longest_step, squared_error
+from lierb.kernels.stepping.step_size import (
+    Tolerances,
+    longest_step,
+    parts_to_watch,
+    squared_error,
+)
 from lierb.kernels.stepping.stepper import between, extended, trial_step
 from lierb.kernels.stepping.systems import system_of
 
@@ -599,14 +604,57 @@ def put_shown(
     _put_rows(plan, desk, "shown", (*links, state.states, held.controls))
 
 
-def put_trial(plan: AnyPlan, desk: Any, trial: Trial, accepted: Any) -> None:
-    put_row(plan, desk, TOOK, accepted)
-    put_row(plan, desk, START, trial.start)
-    put_row(plan, desk, LENGTH, trial.h)
+class Part(NamedTuple):
+    """A part of a step: number `at` out of `count`, lane by lane.
+
+    open : 1 where events are to be looked for in it.   is_last : 1 where the step ends with it.
+    """
+
+    at: Any
+    count: Any
+    open: Any
+    is_last: Any
+
+
+def parts_of(
+    plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
+) -> Part:
+    """The first part, in which every accepted step is."""
+    if not events_of(plan):
+        return Part(accepted, accepted, accepted, accepted)  # never
+    count = parts_to_watch(plan, body, state, moved, trial)
+    return _part(0.0 * count, count, accepted)
+
+
+def next_part(part: Part, fate: Any) -> Part:
+    """The part after it, where there is one and nothing has ended the trajectory."""
+    goes_on = (part.open > 0.5) & (part.is_last < 0.5) & (fate == 0.0)
+    return _part(part.at + 1.0, part.count, where(goes_on, 1.0, 0.0 * fate))
+
+
+def _part(at: Any, count: Any, is_open: Any) -> Part:
+    return Part(at, count, is_open, where(at + 1.0 >= count, 1.0, 0.0 * at))
+
+
+def ends_step(part: Part) -> Any:
+    """Whether the part is the last one in every lane that has it."""
+    return all_lanes((part.is_last > 0.5) | (part.open < 0.5))
+
+
+def in_step(part: Part, theta: Any) -> Any:
+    """θ of the step, from that of its part."""
+    return (part.at + theta) / part.count
+
+
+def put_part(plan: AnyPlan, desk: Any, trial: Trial, part: Part) -> None:
+    """Have events looked for in a part, as if it were a step."""
+    put_row(plan, desk, TOOK, part.open)
+    put_row(plan, desk, START, time_between(trial, in_step(part, 0.0)))
+    put_row(plan, desk, LENGTH, trial.h / part.count)
 
 
 class Ending(NamedTuple):
-    """Of a step in which something terminal happens: state and clock there, and the fate."""
+    """A step in which something terminal happens: state and clock there, and the fate."""
 
     state: State
     clock: LaneClock
@@ -614,13 +662,20 @@ class Ending(NamedTuple):
 
 
 def ended_between(
-    plan: AnyPlan, desk: Any, there: State, made: Made, trial: Trial, clock: LaneClock, fate: Any
+    plan: AnyPlan,
+    desk: Any,
+    there: State,
+    moved: State,
+    trial: Trial,
+    part: Part,
+    clock: LaneClock,
+    fate: Any,
 ) -> Ending:
-    """there : the states at θ = LAST."""
+    """there : the states at θ = LAST of the part."""
     last = row_of(plan, desk, LAST)
     ends = last <= 1.0
-    state = where(ends, there, made.state)
-    t = where(ends, time_between(trial, last), clock.t)
+    state = where(ends, there, moved)
+    t = where(ends, time_between(trial, in_step(part, last)), clock.t)
     clock = clock._replace(
         t=t, anchor=where(ends, t, clock.anchor), counted=where(ends, 0.0, clock.counted)
     )
@@ -632,7 +687,7 @@ for _formula in (
     fate_now, looks_now, looked, mark_due, with_due, store_lane_summary, as_ended, last_end,
     sooner, next_trial, attempted, verdict_on, with_failures, is_to_tidy, tidied, is_due_between,
     slopes_between, state_between, time_between, mark_due_between, shown_between, put_values,
-    put_roundings, put_shown, put_trial, ended_between, with_signals, goes_on, store_lane_end,
-    silenced, renewed, restored,
+    put_roundings, put_shown, parts_of, next_part, ends_step, in_step, put_part, ended_between,
+    with_signals, goes_on, store_lane_end, silenced, renewed, restored,
 ):  # fmt: skip
     kernel(_formula)

@@ -108,15 +108,20 @@ class Watching:
         pairs = zip(self.plan.elements, body.elements, strict=True)
         return [(i, e, own) for i, (e, own) in enumerate(pairs) if isinstance(e, kind)]
 
-    def travel(self, body: Any, start: Any, end: Any, time: Any) -> tuple[Bound, ...]:
-        """Bounds that elements set to an adaptive step.   start, end : from `seen`."""
+    def travel(
+        self, body: Any, start: Any, end: Any, time: Any, watched: bool
+    ) -> tuple[Bound, ...]:
+        """Bounds on a step, or, where `watched`, on the part of one in which events are looked for.
+
+        start, end : from `seen`.
+        """
         size = sqrt(body.girth)
         before, after = (self.motions(body, seen, time) for seen in (start, end))
         pairs = enumerate(zip(self.plan.elements, body.elements, strict=True))
         return tuple(
             bound
             for i, (e, own) in pairs
-            if e.bounds_steps
+            if (isinstance(e, UserEvent) if watched else e.bounds_steps)
             for bound in e.travel(own, before(i), after(i), size)
         )
 

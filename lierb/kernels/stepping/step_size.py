@@ -10,12 +10,21 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.kernels.numbers.arithmetic import absolute, fma, maximum, minimum, sqrt, where
+from lierb.kernels.numbers.arithmetic import (
+    absolute,
+    floor,
+    fma,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+)
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.words import rough_exp2, rough_log2
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
+from lierb.kernels.stepping.signals import events_of
 from lierb.kernels.stepping.state import State
 from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
 from lierb.kernels.stepping.systems import system_of
@@ -35,6 +44,7 @@ LEAST_OF_STEP = 1e-6  # of a step: no bound is shorter, so that the next one lea
 # whole step, changes a velocity by ROUGH of itself and moves the pose by THROW, in rad or in radii
 # of gyration. Its squared error is then at least ROUGH_ERROR.
 ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
+MOST_PARTS = 32  # of a step, in which events are looked for
 INF = float("inf")
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
 
@@ -68,24 +78,37 @@ def within(h: Any, limits: Tolerances) -> Any:
 
 def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
     """How long a step from `state` may be where elements act in a part of the way alone, s; None
-    where there are no such elements.
+    where nothing bounds it.
 
     moved : the state whose velocity counts: `state` before the step is tried, its end afterwards.
     h : the step that the error control proposes. No bound is so short beside it, or beside the
         time, that a trajectory stalls.
     """
-    if not any(element.bounds_steps for element in plan.elements):
+    if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
     system = system_of(plan)
     start, end = (system.seen(body, each, time) for each in (state, moved))
     least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF
-    for rate, distance in system.travel(body, start, end, time):
-        if not is_zero(rate):
-            moves = rate > 0.0
-            bound = maximum(distance / where(moves, rate, 1.0), least)
-            longest = minimum(longest, where(moves, bound, INF))
+    for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
+        for rate, distance in system.travel(body, start, end, time, watched):
+            if not is_zero(rate):
+                moves = rate > 0.0
+                bound = maximum(parts * distance / where(moves, rate, 1.0), least)
+                longest = minimum(longest, where(moves, bound, INF))
     return longest
+
+
+def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
+    """Number of equal parts of a step in which events are looked for, one after the other."""
+    system = system_of(plan)
+    start, end = (system.seen(body, each, trial.start) for each in (state, moved))
+    fastest: Any = 0.0 * trial.h
+    for at in (start, end):
+        for rate, distance in system.travel(body, start, at, trial.start, watched=True):
+            if not is_zero(rate):
+                fastest = maximum(fastest, rate / distance)
+    return minimum(floor(trial.h * fastest) + 1.0, float(MOST_PARTS))
 
 
 def squared_error(
