@@ -1,0 +1,147 @@
+"""One body: rackets, centres off the frame, tiny pendulums, long runs."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from cases import integrate
+from clocks.shared import G, rows_of
+from clocks.test_events import NEVER_TURNED, rate
+from scipy.special import ellipk, ellipkinc
+
+import lierb
+from public_cases.shared import summed
+
+# ---- c08: the racket that flips ----------------------------------------------------------------
+
+
+def flips(moments, omega0, t_end) -> np.ndarray:
+    """Times at which ω about the middle axis, e₂, crosses zero, by Jacobi's elliptic functions.
+
+    ω₂ = peak · sn(rate (t − t₀), m), where the body turns about e₃ on the whole (2 T I₂ < L²).
+    """
+    a, b, c = moments
+    spin = np.array(moments) * omega0
+    twice, square = float(spin @ omega0), float(spin @ spin)
+    assert a < b < c
+    assert twice * b < square < twice * c
+    least, most = square - twice * a, twice * c - square
+    speed = np.sqrt((c - b) * least / (a * b * c))
+    m = (b - a) * most / ((c - b) * least)
+    first, peak = np.sqrt(most / (a * (c - a))), np.sqrt(most / (b * (c - b)))
+    # ω₁ = first · cn, ω₂ = peak · sn, and ω₃ is positive as dn
+    at = ellipkinc(np.arctan2(omega0[1] / peak, omega0[0] / first), m)
+    assert omega0[2] > 0.0
+    half = 2.0 * ellipk(m)
+    found = (half * np.arange(-1, 2 + int(t_end * speed / half)) - at) / speed
+    return found[(found > 0.0) & (found < t_end)]
+
+
+@pytest.mark.parametrize(
+    ("moments", "omega0"),
+    [
+        ((0.3, 0.5, 0.7), (1e-3, 2.0, 1e-3)),
+        ((0.3, 0.5, 0.7), (-1e-4, 2.0, 1e-3)),
+        ((0.013, 0.047, 0.057), (0.1, 5.0, 0.5)),
+    ],
+)
+def test_c08_racket_flips_when_jacobi_says(moments, omega0):
+    """Principia#2251, bepuphysics2#79, Genesis#3074, avian#993: no flip, or energy is lost."""
+    omega0, t_end = np.array(omega0), 200.0
+    problem = lierb.Problem(
+        lierb.Body(1.0, moments), lierb.joints.free(), events=[rate(value=0.0), NEVER_TURNED]
+    )
+    result = lierb.integrate(
+        problem, twist0=(*omega0, 0.0, 0.0, 0.0), t_end=t_end, rtol=1e-13, method="DP54"
+    )
+    right = flips(moments, omega0, t_end)
+    assert right.size >= 10
+    # at the middle axis an error grows by e^(rate·t): 1e4 from one flip to the next one, and all
+    # that is kept is energy and momentum; the time of a flip is their logarithm. 2e-7 s were found
+    # for 59 of them
+    np.testing.assert_allclose(rows_of(result.events, "t"), right, rtol=0, atol=1e-6)
+    kinetic = 0.5 * float(np.array(moments) @ omega0**2)
+    # rounding of some 1e5 steps
+    assert summed(result, "energy_drift_max")[0] < 1e-10 * kinetic
+
+
+# ---- c09: a centre of mass that is not the frame's origin --------------------------------------
+
+
+def test_c09_centre_of_mass_flies_straight_whatever_the_frame():
+    """newton#1366, newton#2682: it drifts when it is off the frame. Right: both momenta.
+
+    Centres up to 5 m off a body of a few dm; RK4 at 1 ms, of turns of 0.4 … 4 rad/s.
+    """
+    centres = np.array([(0.0, 0.0, 0.0), (0.1, -0.05, 0.2), (1.0, 2.0, -0.5), (-5.0, 0.0, 0.1)])
+    mass, moments = 2.0, np.diag((0.3, 0.4, 0.5))
+    shift = [mass * (c @ c * np.eye(3) - np.outer(c, c)) for c in centres]
+    body = lierb.Body(np.full(4, mass), moments + np.array(shift), centres)
+    problem = lierb.Problem(body, lierb.joints.free())
+    omega = np.array((0.4, -1.0, 2.0))
+    velocity = np.array((0.3, 0.1, -0.2))  # of the centre of mass, at the start in body axes
+    twist0 = np.concatenate(
+        [np.broadcast_to(omega, (4, 3)), velocity - np.cross(omega, centres)], axis=1
+    )
+    result = integrate(problem, twist0=twist0, dt=1e-3, t_end=10.0)
+    R = summed(result, "rotation").reshape(4, 3, 3)
+    placed = summed(result, "position") + np.einsum("nij,nj->ni", R, centres)
+    # the method's order, of a lever arm of 5 m, and rounding of 1e4 steps
+    np.testing.assert_allclose(placed, centres + 10.0 * velocity, rtol=0, atol=1e-9)
+    spin = np.einsum("nij,jk,nk->ni", R, moments, summed(result, "omega"))
+    np.testing.assert_allclose(spin, np.broadcast_to(moments @ omega, (4, 3)), rtol=0, atol=1e-9)
+
+
+def test_c09_so3xr3_refuses_a_centre_that_is_off():
+    """newton#1366. There position is that of the frame, and a turn alone would move the centre."""
+    body = lierb.Body(1.0, (0.5, 0.6, 0.7), com=(0.1, 0.0, 0.0))
+    problem = lierb.Problem(body, lierb.joints.free())
+    with pytest.raises(lierb.errors.LierbError, match=r"SO3xR3.*com|com.*SO3xR3"):
+        lierb.integrate(problem, twist0=np.ones(6), dt=0.1, t_end=1.0, cspace="SO3xR3")
+
+
+# ---- c10, c20: small ones ----------------------------------------------------------------------
+
+
+@lierb.event(terminal=True)
+def at_rest(omega):
+    return omega[1]
+
+
+def test_c10_a_pendulum_has_its_period_whatever_its_size():
+    """newton#2211, mujoco#1086: mm and grams are inflated or refused. 1 m to 1 µm, 1 kg to 1 ag.
+
+    Right: half a period is 2 K(sin²(θ₀/2))/w. The last one is c20 (CodingTrain#533, drake#16992),
+    a point mass: it has 1e-12 of the inertia that its mass has about the pivot.
+    """
+    length = np.array([1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1.0])
+    gyration = np.array([0.3] * 7 + [1e-6]) * length
+    mass = length**3
+    body = lierb.Body(mass, (mass * gyration**2)[:, None] * np.ones(3))
+    points = length[:, None] * (0.0, 0.0, 1.0)
+    held = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=points)
+    problem = lierb.Problem(body, held, (0.0, 0.0, -G), events=at_rest())
+    angle = 2.0
+    result = lierb.integrate(
+        problem, pose0=held.pose(coordinates=[angle]), twist0=np.zeros((8, 6)), t_end=5.0,
+        rtol=1e-12, method="DP54",
+    )  # fmt: skip
+    quarter = float(mpmath.ellipk(mpmath.sin(angle / 2) ** 2))
+    right = 2.0 * quarter * np.sqrt((length**2 + gyration**2) / (G * length))
+    # 30 times rtol, and where the speed crosses zero the angle does not tell the time
+    np.testing.assert_allclose(result.t, right, rtol=1e-10)
+
+
+# ---- c21: two million steps --------------------------------------------------------------------
+
+
+def test_c21_attitude_stays_a_rotation():
+    """drake#14800, jaxsim#192, RocketPy#245: quaternions leave the sphere. Right: RᵀR = 1."""
+    problem = lierb.Problem(lierb.Body(1.0, (0.3, 0.4, 0.5)), lierb.joints.free())
+    twist0 = np.array([(1.0, 20.0, 0.5, 0.0, 0.0, 0.0), (3.0, -2.0, 5.0, 1.0, 2.0, 3.0)])
+    result = integrate(problem, twist0=twist0, dt=1e-3, t_end=2000.0, measure_every=1000)
+    R = summed(result, "rotation").reshape(2, 3, 3)
+    # rounding of one product of matrices
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), [np.eye(3)] * 2, rtol=0, atol=1e-15)
+    assert np.all(summed(result, "orthogonality_error_max") < 1e-14)
