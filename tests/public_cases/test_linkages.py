@@ -218,7 +218,7 @@ def accelerations(angles, speed, torque) -> tuple[np.ndarray, np.ndarray]:
     for k in range(4):
         coupler, rocker = 1 + 2 * k, 2 + 2 * k
         pins += [(coupler, -1.0, 0, 1.0), (rocker, -1.0, None, 0.0), (coupler, 1.0, rocker, 1.0)]
-    J, bias = np.zeros((26, 27)), []
+    J = np.zeros((26, 27))
     curved = []  # rows of −J̇v are sums of ω² times these
     for row, (first, end, second, other) in enumerate(pins):
         terms = []
@@ -234,8 +234,7 @@ def accelerations(angles, speed, torque) -> tuple[np.ndarray, np.ndarray]:
     held = np.vstack([J, np.eye(27)[2]])
     v = np.linalg.solve(held, np.append(np.zeros(26), speed))
     omega = v[2::3]
-    for terms in curved:
-        bias.append(sum(omega[i] ** 2 * arm for i, arm in terms))
+    bias = [sum(omega[i] ** 2 * arm for i, arm in terms) for terms in curved]
     masses = np.array([bar(x) for x in lengths])
     M = np.diag(masses[:, [0, 0, 1]].ravel())
     load = np.concatenate([[m * DOWN[0], m * DOWN[1], 0.0] for m, _ in masses])
@@ -255,16 +254,11 @@ def test_c40_four_loops_accelerate_as_the_kkt_system_says():
     crank = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     speed, torque, dt = np.linspace(-8.0, 12.0, 24), 0.4, 1e-3
     angles = assembled(crank)
-    at = lambda z: (z.real, z.imag, 0.0)
-    pin = lambda own, parent: lierb.joints.revolute(
-        at(complex(own)), parent_point=at(complex(parent))
-    )
+    at = lambda z: (complex(z).real, complex(z).imag, 0.0)
+    pin = lambda own, parent: lierb.joints.revolute(at(own), parent_point=at(parent))
     flat = lambda x: lierb.Body(bar(x)[0], bar(x)[1] * np.array((0.6, 0.7, 1.0)))
-    links, loops, places = (
-        [lierb.Link("crank", flat(ARM), pin(-ARM / 2, 0.0))],
-        [],
-        {"crank": crank},
-    )
+    places, loops = {"crank": crank}, []
+    links = [lierb.Link("crank", flat(ARM), pin(-ARM / 2, 0.0))]
     for k, (pivot, coupler, rocker, _) in enumerate(LOOPS):
         links += [
             lierb.Link(f"coupler{k}", flat(coupler), pin(-coupler / 2, ARM / 2), "crank"),

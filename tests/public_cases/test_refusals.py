@@ -11,11 +11,11 @@ from public_cases.shared import read_urdf, summed, urdf_joint, urdf_link
 
 
 def test_c20_a_point_mass_is_refused():
-    """CodingTrain/website-archive#533, drake#16992. A body that turns has an inertia, by definition.
+    """CodingTrain#533, drake#16992. A body that turns has an inertia, by definition.
 
     What 1e-12 kg m² do instead is in test_rigid_bodies.py.
     """
-    with pytest.raises(lierb.errors.InertiaError, match="principal moments .* are 0, 0, 0 kg m²"):
+    with pytest.raises(lierb.errors.InertiaError, match=r"principal moments .* are 0, 0, 0 kg m²"):
         lierb.Body(1.0, (0.0, 0.0, 0.0))
 
 
