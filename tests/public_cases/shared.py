@@ -17,12 +17,6 @@ def summed(result: lierb.Result, name: str) -> np.ndarray:
     return np.array(result.summary[name].to_pylist(), float)
 
 
-def saved(result: lierb.Result, name: str, count: int) -> np.ndarray:
-    """A column of the history, (times, n, …)."""
-    values = np.array(result.history[name].to_pylist(), float)
-    return values.reshape(-1, count, *values.shape[1:])
-
-
 def read_urdf(path: Path, text: str, **options) -> tuple[lierb.Mechanism, tuple[str, ...]]:
     """The mechanism of a URDF file with this text, and what its warning lists as left out."""
     path.write_text(text)
@@ -110,10 +104,9 @@ def wheels(speeds, lower, upper, stiffness, joint="revolute"):
     return lierb.Problem(WHEEL, held, forces=stops), twist0
 
 
-def angles_of(result, count) -> np.ndarray:
-    """(times, n) about e₃, rad."""
-    R = saved(result, "rotation", count).reshape(-1, count, 3, 3)
-    return np.arctan2(R[..., 1, 0], R[..., 0, 0])
+def angles_of(body) -> np.ndarray:
+    """(times, n) about e₃, rad; of a result, or of a link's part of one."""
+    return np.arctan2(body.rotation[..., 1, 0], body.rotation[..., 0, 0])
 
 
 def assert_bounces(result, t, rtol, speeds, lower, upper, stiffness, inertia=INERTIA):
@@ -126,8 +119,8 @@ def assert_bounces(result, t, rtol, speeds, lower, upper, stiffness, inertia=INE
     """
     count = result.summary.num_rows
     slides = inertia == WHEEL.mass
-    place = saved(result, "position", count)[..., 2] if slides else angles_of(result, count)
-    rate = saved(result, "v" if slides else "omega", count)[..., 2]
+    place = result.position[..., 2] if slides else angles_of(result)
+    rate = (result.v if slides else result.omega)[..., 2]
     frequency = np.sqrt(stiffness / inertia)
     met = 1.0 + t[-1] / ((upper - lower) / speeds + np.pi / frequency)  # stops
     assert result.summary["status"].to_pylist() == ["ok"] * count

@@ -50,7 +50,7 @@ def test_c08_racket_flips_when_jacobi_says(moments, omega0):
     """Principia#2251, bepuphysics2#79, Genesis#3074, avian#993: no flip, or energy is lost."""
     omega0, t_end = np.array(omega0), 200.0
     problem = lierb.Problem(
-        lierb.Body(1.0, moments), lierb.joints.free(), events=[rate(value=0.0), NEVER_TURNED]
+        lierb.Body(1.0, moments), lierb.joints.free(), events=[NEVER_TURNED, rate(value=0.0)]
     )
     result = lierb.integrate(
         problem, twist0=(*omega0, 0.0, 0.0, 0.0), t_end=t_end, rtol=1e-13, method="DP54"

@@ -68,7 +68,7 @@ def test_c49b_wheel_bounces_for_ever():
         problem, twist0=twist0, t_end=100.0, rtol=1e-6, save_at=np.linspace(0.0, 100.0, 2001),
         record=["state"],
     )  # fmt: skip
-    angle = angles_of(result, len(speeds))
+    angle = angles_of(result)
     # as deep as the energy takes it, which may drift by 1 % (`assert_bounces`)
     deepest = 1.01 * speeds / np.sqrt(200.0 / INERTIA)
     assert np.all(np.abs(angle) < WIDE[-1] + deepest)
@@ -104,8 +104,7 @@ def test_c49b_stops_of_a_link_turn_it_back():
         machine, twist0=machine.twist({"wheel": speeds}), t_end=10.0, rtol=1e-6, save_at=t,
         record=["state"],
     )  # fmt: skip
-    R = result["wheel"].rotation
-    angle = np.arctan2(R[..., 1, 0], R[..., 0, 0])
+    angle = angles_of(result["wheel"])
     right, _ = bounced(t[:, None], speeds, -stop, stop, np.sqrt(200.0 / INERTIA))
     # as in `assert_bounces`, of a stop met each 0.29 s by the fastest
     drift = summed(result, "energy_drift_max") / (0.5 * INERTIA * speeds**2)
@@ -236,9 +235,8 @@ def test_c15b_twist_of_project_is_taken_in_a_dead_point(dead_point, speed):
     turn = np.pi / abs(rates["crank"][0])
     result = integrate(machine, pose0=pose0, twist0=twist0, dt=turn / 500, t_end=turn)
     assert result.summary["status"].to_pylist() == ["ok"]
-    R, omega = result["crank"].rotation[-1, 0], result["crank"].omega[-1, 0, 2]
-    angle = np.arctan2(R[1, 0], R[0, 0])
-    x, _, _, mass, _ = slider_at(angle)
+    omega = result["crank"].omega[-1, 0, 2]
+    x, _, _, mass, _ = slider_at(angles_of(result["crank"])[-1, 0])
     # ½ M(φ) ω² stays. RK4 of half a turn in 500 steps, and a loop that drifts with it
     np.testing.assert_allclose(result["slider"].position[-1, 0, 0], x, rtol=0, atol=1e-9)
     start = slider_at(0.0 if dead_point == "stretched" else np.pi)[3]
