@@ -29,10 +29,11 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
     "sphinx_click",
     "sphinx_copybutton",
     "sphinx_design",
-    "docstrings",
+    "joint_entries",
     "links",
     "study_file",
 ]
@@ -50,10 +51,13 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4  # as GitHub makes them
 
-# `name` in a docstring is a link where the name is documented, and code where it is not.
+# Docstrings have numpydoc's sections. `name` in one, and each word of a type, is a link where the
+# name is documented, and code where it is not.
+napoleon_google_docstring = False
+napoleon_use_ivar = True  # attributes as a list: properties are documented by themselves
 default_role = "py:obj"
 nitpicky = True
-nitpick_ignore_regex = [("py:obj", r".*")]
+nitpick_ignore_regex = [("py:(obj|class)", r".*")]
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings have shapes and units, which say more than ArrayLike
 python_maximum_signature_line_length = 80

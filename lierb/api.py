@@ -97,68 +97,122 @@ def integrate(
 ) -> Result:
     """Integrate a body or a mechanism, or every member of a batch of them, from t0 to t_end.
 
-    problem : a body, its joint and gravity, or a `lierb.Mechanism`; all batched, (n, …), or shared.
-    twist0 : (6,) or (n, 6), body-fixed (ω, v) at t0, rad/s and m/s; see `Joint.twist`. Of a
-        mechanism a dictionary with that of every link; see `Mechanism.twist`.
-    pose0 : (4, 4), (n, 4, 4) or SciPy's RigidTransform. Default: the closed joint. Of a mechanism
-        a dictionary; default: that with all coordinates 0, `Mechanism.pose()`.
-    t_end, t0 : s. `Result.end` gives the pose0, twist0 and t0 with which a run goes on.
-    dt : of fixed steps, s; from t0 to t_end there must be a whole number of them. Of adaptive steps
-        the first one; default: Hairer's choice.
-    rtol, atol : either makes steps adaptive, each trajectory's its own: the error of a step by the
-        method's embedded one is, in each block, at most √(atol² + rtol² size²), over the method's
-        `ButcherTableau.calibration`. Blocks: rotation (size 1 rad), position, omega, v, and each of
-        the user's states. atol is a number, in SI units, or a dictionary by block ("states" for all
-        of these). Default: rtol 1e-6, atol 1e-3 rtol; of position and v in the body's radius of
-        gyration, a mechanism's as of one body, and that by second.
-    dt_min, dt_max : of adaptive steps, s. One that would have to be shorter ends the trajectory
-        with status "dt_min". Default: rounding of t, and no bound.
-    max_steps : tried steps, after which a trajectory ends with status "max_steps". Default: none.
-    method : a name of `lierb.TABLEAUS`, or a ButcherTableau. Default: "RK4", and "DOP853" with
-        adaptive steps, which need a method with an embedded one.
-    cspace : "SE3" (screw motions), "SO3xR3" (rotation and position decoupled), or "reduced": the
-        joint's own subgroup of SE(3), where there are no constraints (Müller, eqs. 3a, b), nor room
-        for an inconsistent start. Of a mechanism the product of such, one for each link, or a
+    Poses and twists of a mechanism are dictionaries with those of every link.
+
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        The body with its joint and forces, or the mechanism; batched or shared.
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them
+        Body-fixed twist (ω, v) at t0, rad/s and m/s; see `Joint.twist` and `Mechanism.twist`.
+    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+        Pose at t0. Default: the closed joint; for a mechanism `Mechanism.pose()`, all coordinates
+        0.
+    dt : float, optional
+        Length of fixed steps, s; a whole number of them must fit between t0 and t_end. With
+        adaptive steps, the length of the first one; default: Hairer's choice.
+    t_end : float
+        Time of the end, s.
+    t0 : float, optional
+        Time of the start, s. `Result.end` has the pose0, twist0 and t0 with which a run continues.
+    rtol : float, optional
+        Relative tolerance; it makes steps adaptive, each trajectory's its own. See Notes. Default:
+        1e-6 where only atol is given.
+    atol : float or dict, optional
+        Absolute tolerance in SI units; it makes steps adaptive too. One number, or a dictionary by
+        block: "rotation", "position", "omega", "v", and "states" for all of the user's. Default:
+        1e-3 rtol; for position and v times the body's radius of gyration, m, and that per second. A
+        mechanism's radius is that of all its links as one body.
+    dt_min : float, optional
+        Shortest adaptive step, s. A trajectory that needs a shorter one ends with status "dt_min".
+        Default: the rounding of t.
+    dt_max : float, optional
+        Longest adaptive step, s. Default: no bound.
+    max_steps : int, optional
+        Number of tried steps after which a trajectory ends with status "max_steps". Default: no
+        bound.
+    method : str or ButcherTableau, optional
+        A name of `lierb.TABLEAUS`, or a tableau. Default: "RK4", and "DOP853" with adaptive steps,
+        which need a method with an embedded one.
+    cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
+        Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
+        "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
+        where no start can be inconsistent. For a mechanism the product of those of its links, or a
         dictionary link → "SE3" or "SO3xR3"; "reduced" is the product of the joints' subgroups.
         Default: "SE3", and "reduced" for a mechanism.
-    update : "local" (Munthe-Kaas: a new chart each step) or "global" (one chart, moved at ‖ξ‖ = π).
-    save_every : steps between rows of `history`. Default: no history.
-    save_at : times of the rows of `history`, s, in ascending order; by the method's continuous
-        extension, or, where it has none, a step of its own to there. `step` is then the row's
-        number.
-    discontinuities : times, s, in ascending order, at which a function of t jumps or has a kink. A
-        step ends at each of them, and its stages see t on their own side. Times that differ from
-        trajectory to trajectory are parameters of a `lierb.wrench`. Default: none.
-    measure_every : steps between samples of the maxima in `summary`.
-    record : extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
+    update : {"local", "global"}, optional
+        "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
+    save_every : int, optional
+        Number of steps between rows of `history`. Default: no history.
+    save_at : array_like, shape (m,), optional
+        Times of the rows of `history`, s, in ascending order. States there come from the method's
+        continuous extension or, where it has none, from a step of their own. The column `step` is
+        then the row's number.
+    discontinuities : array_like, shape (m,), optional
+        Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
+        each of them, and its stages see t on their own side. Times that differ from trajectory to
+        trajectory are parameters of a `lierb.wrench`. Default: none.
+    measure_every : int, optional
+        Number of steps between samples of the maxima in `summary`.
+    record : iterable of str, optional
+        Extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
         the body's joint frame and in its axes, whatever rows describe the joint.
-    events : more of them, made by `lierb.event`, beside the problem's own; see `Result.events`. One
-        that is terminal ends its trajectory with status "event".
-    check : whether a pose or twist that violates the joint shall "raise", "warn" or pass ("off");
-        on "reduced" it raises, whatever `check` says.
-    solver : "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup",
+    events : Event or iterable of Event, optional
+        Events made by `lierb.event`, beside the problem's own; see `Result.events`. A terminal one
+        ends its trajectory with status "event".
+    check : {"raise", "warn", "off"}, optional
+        Treatment of a pose or twist that violates the joint. On "reduced" it always raises.
+    solver : {"auto", "saddle", "subgroup"}, optional
+        "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup" is
         for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
-        constant gain, found once (with check="raise" only: a start that is off by less than the
-        tolerance is put on the subgroup). Default: "subgroup" where it can be, else "saddle".
-        A mechanism has none to choose.
-    stabilise : what keeps a mechanism's loops, and its joints on "SE3" and "SO3xR3", that drift
-        otherwise: "project", after each step pose and velocity are put back on them, by the least
-        kinetic energy; or `lierb.baumgarte(alpha, beta)`. Default: nothing.
-    seed : of `lierb.noise`.   trajectories : numbers of the batch's members, (n,), to draw noise
-        by. Default: 0 … n−1.
-    threads : how many to use in this call. Default: Numba's number.
-    progress : True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell;
-        False for none, or a function of (done, in all): body-steps, or thousandths of trajectories
-        where each has a clock of its own, with adaptive steps and such. Default: a bar after
-        two seconds, on a terminal or in a notebook.
+        constant gain, computed once. It needs check="raise"; a start that violates the joint by
+        less than the tolerance is put on the subgroup. "auto" is "subgroup" where possible, else
+        "saddle". A mechanism has no choice.
+    stabilise : "project" or Stabilisation, optional
+        Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
+        otherwise. "project" puts pose and velocity back on them after each step, by the change of
+        least kinetic energy. `lierb.baumgarte(alpha, beta)` adds Baumgarte's terms. Default: none.
+    seed : int, optional
+        Seed of `lierb.noise`.
+    trajectories : array_like of int, shape (n,), optional
+        Numbers of the batch's members, by which noise is drawn. Default: 0 … n−1.
+    threads : int, optional
+        Number of threads in this call. Default: Numba's.
+    progress : bool or callable, optional
+        True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell; False for
+        none; or a function of (done, total). These count body-steps or, where each trajectory has
+        its own clock, thousandths of trajectories. Default: a bar after two seconds, on a terminal
+        or in a notebook.
 
-    Raises subclasses of `lierb.errors.LierbError` (a ValueError), before anything runs or, where a
-    start of up to 4096 bodies is off its joint, within the first fraction of a second; of them
-    MemoryLimitError for results that are larger than what memory is free. A body that
-    fails on the way gets a status in `summary` and leaves the others untouched; one
-    FailedTrajectoryWarning says how many do.
+    Returns
+    -------
+    Result
+        Tables with a row for each trajectory, each saved time and each event.
 
+    Raises
+    ------
+    LierbError
+        An argument is wrong. Subclasses, all of them ValueErrors, say which. They are raised before
+        anything runs or, for a start of up to 4096 bodies off its joint, within the first fraction
+        of a second.
+    MemoryLimitError
+        The results are larger than the free memory.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed on the way. Each has a status in `summary`; the others are
+        untouched.
+
+    Notes
+    -----
+    With adaptive steps, the method's embedded error of a step is in each block at most √(atol² +
+    rtol² size²), over the method's `ButcherTableau.calibration`. Blocks are rotation (of size 1
+    rad), position, omega, v, and each of the user's states.
+
+    Examples
+    --------
     >>> import lierb
     >>> body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
     >>> top = lierb.Problem(body, lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0)))

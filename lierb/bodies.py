@@ -1,7 +1,7 @@
 """Homogeneous solids as bodies: mass and inertia from their dimensions, or from a mesh.
 
 The body frame is at the centre of mass, its axes along those of the solid; a mesh keeps its own
-frame. Each takes `mass` (kg) or `density` (kg/m³), and may be batched like any other argument.
+frame. Each function takes either `mass` or `density`. Arguments may be batched.
 """
 
 from __future__ import annotations
@@ -26,11 +26,29 @@ _quiet = np.errstate(all="ignore")  # a mass or an inertia that overflows is non
 def box(
     size: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
 ) -> Body:
-    """A cuboid.
+    """Make a cuboid.
 
-    size : (3,) or (n, 3), its edges along e₁, e₂, e₃, m.   mass or density : number or (n,).
-    Raises ArgumentError for what is no positive length, mass or density.
+    Parameters
+    ----------
+    size : array_like, shape (3,) or (n, 3)
+        Lengths of the edges along e₁, e₂, e₃, m.
+    mass : float or array_like, shape (n,), optional
+        Mass, kg.
+    density : float or array_like, shape (n,), optional
+        Density, kg/m³, in place of `mass`.
 
+    Returns
+    -------
+    Body
+        The body or the batch of bodies.
+
+    Raises
+    ------
+    ArgumentError
+        A length, mass or density is not positive.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.bodies.box((0.1, 0.2, 0.3), density=1000.0).mass.round(9)
     np.float64(6.0)
@@ -50,10 +68,31 @@ def cylinder(
     mass: ArrayLike | None = None,
     density: ArrayLike | None = None,
 ) -> Body:
-    """A circular cylinder about e₃.
+    """Make a circular cylinder about e₃.
 
-    radius, length : number or (n,), m.   mass or density : number or (n,).
+    Parameters
+    ----------
+    radius : float or array_like, shape (n,)
+        Radius, m.
+    length : float or array_like, shape (n,)
+        Length along e₃, m.
+    mass : float or array_like, shape (n,), optional
+        Mass, kg.
+    density : float or array_like, shape (n,), optional
+        Density, kg/m³, in place of `mass`.
 
+    Returns
+    -------
+    Body
+        The body or the batch of bodies.
+
+    Raises
+    ------
+    ArgumentError
+        A length, mass or density is not positive.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.bodies.cylinder(0.1, 0.3, mass=2.0).inertia.diagonal().round(6).tolist()
     [0.02, 0.02, 0.01]
@@ -72,10 +111,31 @@ def rod(
     mass: ArrayLike | None = None,
     density: ArrayLike | None = None,
 ) -> Body:
-    """A slender cylinder along e₃, of a radius: without one it had no inertia about its axis.
+    """Make a slender cylinder along e₃. Its radius gives it an inertia about its own axis.
 
-    length, radius : number or (n,), m.   mass or density : number or (n,).
+    Parameters
+    ----------
+    length : float or array_like, shape (n,)
+        Length along e₃, m.
+    radius : float or array_like, shape (n,)
+        Radius, m.
+    mass : float or array_like, shape (n,), optional
+        Mass, kg.
+    density : float or array_like, shape (n,), optional
+        Density, kg/m³, in place of `mass`.
 
+    Returns
+    -------
+    Body
+        The body or the batch of bodies.
+
+    Raises
+    ------
+    ArgumentError
+        A length, mass or density is not positive.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.bodies.rod(0.6, 0.01, mass=0.5).inertia.diagonal().round(6).tolist()
     [0.015012, 0.015012, 2.5e-05]
@@ -87,10 +147,29 @@ def rod(
 def sphere(
     radius: ArrayLike, *, mass: ArrayLike | None = None, density: ArrayLike | None = None
 ) -> Body:
-    """A ball.
+    """Make a ball.
 
-    radius : number or (n,), m.   mass or density : number or (n,).
+    Parameters
+    ----------
+    radius : float or array_like, shape (n,)
+        Radius, m.
+    mass : float or array_like, shape (n,), optional
+        Mass, kg.
+    density : float or array_like, shape (n,), optional
+        Density, kg/m³, in place of `mass`.
 
+    Returns
+    -------
+    Body
+        The body or the batch of bodies.
+
+    Raises
+    ------
+    ArgumentError
+        A length, mass or density is not positive.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.bodies.sphere([0.1, 0.2], density=1000.0).mass.round(3).tolist()
     [4.189, 33.51]
@@ -102,14 +181,29 @@ def sphere(
 
 @_quiet
 def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = None) -> Body:
-    """The solid that a closed surface encloses, in the mesh's own frame.
+    """Make the homogeneous solid that a closed surface encloses, in the mesh's own frame.
 
-    mesh : trimesh.Trimesh, or the path of a file that trimesh loads; lengths in m.
-    mass or density : one number.
+    The body's `com` is the mesh's. SO(3)×R³ requires it at the origin: move the mesh there first,
+    by `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (the extra `lierb[mesh]`).
 
-    The body's `com` is the mesh's. SO(3)×R³ wants it at the origin: move the mesh there first, by
-    `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (the extra `lierb[mesh]`). Raises
-    ArgumentError for a surface that encloses no volume.
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh or path
+        The surface, or a file that trimesh loads; lengths in m.
+    mass : float, optional
+        Mass, kg.
+    density : float, optional
+        Density, kg/m³, in place of `mass`.
+
+    Returns
+    -------
+    Body
+        The body.
+
+    Raises
+    ------
+    ArgumentError
+        The surface encloses no volume, or trimesh is not installed.
     """
     try:
         import trimesh

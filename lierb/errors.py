@@ -1,4 +1,7 @@
-"""What the public face raises. Every message says what, where, got, expected and a remedy."""
+"""Errors and warnings of the public functions.
+
+Every message says what is wrong, where, what was given, what was expected, and a remedy.
+"""
 
 from __future__ import annotations
 
@@ -18,43 +21,43 @@ class ArgumentError(LierbError):
 
 
 class UnknownNameError(LierbError):
-    """A name (joint row, method, c-space, …) that does not exist."""
+    """A name (joint row, method, c-space, …) does not exist."""
 
 
 class InertiaError(LierbError):
-    """A mass or inertia that no rigid body has."""
+    """No rigid body has such a mass or inertia."""
 
 
 class ForceError(LierbError):
-    """A force that its joint has no axis for, or a function that no kernel can run."""
+    """A force acts about an axis that its joint does not have, or no kernel can run a function."""
 
 
 class PoseError(LierbError):
-    """A pose that is no rigid motion, or does not close the joint."""
+    """A pose is no rigid motion, or does not close the joint."""
 
 
 class TwistError(LierbError):
-    """A twist that violates the joint."""
+    """A twist violates the joint."""
 
 
 class StudyError(LierbError):
-    """A study that cannot be run, or results that are not its own."""
+    """A study cannot be run, or results are not its own."""
 
 
 class StudyFileError(StudyError, OSError):
-    """A file of a study's results that cannot be read or written, as on a full disk."""
+    """A file of a study's results cannot be read or written, as on a full disk."""
 
 
 class TimeGridError(LierbError):
-    """dt, t_end, save_every or measure_every that make no grid."""
+    """dt, t_end, save_every or measure_every make no grid."""
 
 
 class MemoryLimitError(LierbError):
-    """Results that the memory does not hold."""
+    """Results are larger than the free memory."""
 
 
 class InconsistentStateWarning(UserWarning):
-    """With check="warn": the pose or twist violates the joint."""
+    """The pose or twist violates the joint; with check="warn"."""
 
 
 class FailedTrajectoryWarning(UserWarning):
@@ -66,11 +69,11 @@ class ScalarFunctionWarning(UserWarning):
 
 
 class StudyWarning(UserWarning):
-    """Results of a study that may not be what they would be elsewhere."""
+    """Results of a study may differ from what they would be elsewhere."""
 
 
 class LeftOutWarning(UserWarning):
-    """A mechanism read from a file lacks what the file has besides; `left_out` lists it."""
+    """A mechanism lacks elements of the file that it was read from; `left_out` lists them."""
 
     def __init__(self, path: object, left_out: Iterable[str]) -> None:
         self.left_out = tuple(left_out)

@@ -1,12 +1,14 @@
 """Applied forces beside gravity: springs, dampers, drag, motors, and functions of the user's own.
 
+::
+
     problem = lierb.Problem(body, joint, forces=[lierb.forces.drag(linear=0.1)])
 
-Every parameter is one for all bodies or one for each: (n,), (n, 3). Points and directions are in
-the frame that the argument's name says, in m; by default points are the frame's origin.
+Every parameter has one value for all bodies or one for each: (n,), (n, 3). The name of a point or
+direction says in which frame it is; the default point is that frame's origin.
 
 A force is a class with its name, its parameters and its formulas, and the function of that name
-that makes it. Studies know it by the same name.
+that makes it. Studies use the same names.
 """
 
 from __future__ import annotations
@@ -164,14 +166,29 @@ def constant_wrench(
     point: ArrayLike = ORIGIN,
     frame: str = "ground",
 ) -> Force:
-    """A constant torque, N m, and a constant force, N, that acts at a point of the body.
+    """Apply a constant torque, and a constant force at a point of the body.
 
-    torque, force : (3,) or (n, 3), in the axes of `frame`: "ground", or "body" (a thruster).
-    point : (3,) or (n, 3), m, in the body frame.
+    A force that is constant in the ground has a potential, −force·x, which counts in the energy. A
+    torque, or a force in the body's axes, counts in the work.
 
-    A force that is constant in the ground has a potential, −force·x, and counts in the energy; what
-    a torque, or a thruster, does is work.
+    Parameters
+    ----------
+    torque : array_like, shape (3,) or (n, 3), optional
+        Torque, N m, in the axes of `frame`.
+    force : array_like, shape (3,) or (n, 3), optional
+        Force, N, in the axes of `frame`.
+    point : array_like, shape (3,) or (n, 3), optional
+        Point of the body where the force acts, m, in the body frame.
+    frame : {"ground", "body"}, optional
+        Axes of torque and force. A thruster's are "body".
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.constant_wrench(force=(0.0, 0.0, 2.0), frame="body")
     <constant_wrench: torque, force, point>
@@ -238,13 +255,31 @@ def spring_damper(
     damping: ArrayLike = 0.0,
     length: ArrayLike = 0.0,
 ) -> Force:
-    """A linear spring and damper between a point of the body and one of the ground.
+    """Apply a linear spring and damper between a point of the body and one of the ground.
 
-    stiffness : N/m.   damping : N s/m.   length : m, at which the spring is slack.
+    The force on the body is −(k (ℓ − length) + c ℓ̇) along the line between the points, and zero
+    where ℓ = 0. The spring's ½k(ℓ − length)² counts in the energy, the damper's power in the work.
 
-    Its force on the body is −(k (ℓ − length) + c ℓ̇) along the line; nothing where ℓ = 0. The
-    spring's ½k(ℓ − length)² counts in the energy, what the damper takes in the work.
+    Parameters
+    ----------
+    body_point : array_like, shape (3,) or (n, 3), optional
+        Point of the body, m, in the body frame.
+    ground_point : array_like, shape (3,) or (n, 3), optional
+        Point of the ground, m, in the ground frame.
+    stiffness : float or array_like, shape (n,), optional
+        Stiffness k, N/m.
+    damping : float or array_like, shape (n,), optional
+        Damping c, N s/m.
+    length : float or array_like, shape (n,), optional
+        Length at which the spring is slack, m.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.spring_damper(ground_point=(0.0, 0.0, 1.0), stiffness=[10.0, 20.0], length=0.5)
     <spring_damper: body_point, ground_point, stiffness, damping, length>
@@ -330,14 +365,28 @@ class TorsionalSpring(JointSpring):
 def torsional_spring(
     *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, angle: ArrayLike = 0.0
 ) -> Force:
-    """A spring and damper about the joint axis.
+    """Apply a spring and damper about the joint axis.
 
-    stiffness : N m/rad.   damping : N m s/rad.   angle : rad, at which the spring is slack.
+    The spring depends on the pose, not on the path to it: it turns back to `angle` the shorter way,
+    and its torque jumps half a turn from there. It counts in the energy, ½kφ². It is for joints
+    that keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
 
-    The spring knows the pose, not how it came about: it turns back to `angle` the shorter way, so
-    that its torque jumps half a turn from there. It counts in the energy, ½kφ². For joints that
-    keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
+    Parameters
+    ----------
+    stiffness : float or array_like, shape (n,), optional
+        Stiffness k, N m/rad.
+    damping : float or array_like, shape (n,), optional
+        Damping, N m s/rad.
+    angle : float or array_like, shape (n,), optional
+        Angle at which the spring is slack, rad.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.torsional_spring(stiffness=0.5, damping=[0.0, 0.01])
     <torsional_spring: stiffness, damping, angle>
@@ -359,13 +408,27 @@ class SlideSpring(AlongJoint, JointSpring):
 def slide_spring(
     *, stiffness: ArrayLike = 0.0, damping: ArrayLike = 0.0, position: ArrayLike = 0.0
 ) -> Force:
-    """A spring and damper along the joint axis.
+    """Apply a spring and damper along the joint axis.
 
-    stiffness : N/m.   damping : N s/m.   position : m, the coordinate d₃ at which it is slack.
+    The spring's ½k(d₃ − position)² counts in the energy, the damper's power in the work. It is for
+    joints that keep the axis e₃ and slide along it: prismatic, cylindrical, screw and the like.
 
-    It counts in the energy, ½k(d₃ − position)², what the damper takes in the work. For joints that
-    keep the axis e₃ and slide along it: prismatic, cylindrical, screw and the like.
+    Parameters
+    ----------
+    stiffness : float or array_like, shape (n,), optional
+        Stiffness k, N/m.
+    damping : float or array_like, shape (n,), optional
+        Damping, N s/m.
+    position : float or array_like, shape (n,), optional
+        Coordinate d₃ at which the spring is slack, m.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.slide_spring(stiffness=[10.0, 20.0], position=0.1)
     <slide_spring: stiffness, damping, position>
@@ -407,14 +470,29 @@ class SlideFriction(AlongJoint, JointFriction):
 def joint_friction(
     *, viscous: ArrayLike = 0.0, coulomb: ArrayLike = 0.0, speed: ArrayLike = 1e-2
 ) -> Force:
-    """Friction in a joint that turns: −(viscous + coulomb/√(ω² + speed²))·ω about its axis.
+    """Apply friction in a joint that turns: −(viscous + coulomb/√(ω² + speed²))·ω about its axis.
 
-    viscous : N m s/rad.   coulomb : N m.   speed : rad/s, positive.
+    Coulomb's friction is smoothed: it is 71 % of `coulomb` at ω = speed, all of it far above, and
+    viscous below, so that a joint that should stick creeps. Near ω = 0 its damping is
+    coulomb/speed: keep steps short beside the inertia over that. It is for joints that keep the
+    axis e₃.
 
-    Coulomb's friction is made smooth: it is 71 % of `coulomb` at ω = speed, all of it far above,
-    and viscous below, so that what would stick creeps. Near ω = 0 it is as stiff as coulomb/speed:
-    steps are to be short beside the inertia over that. For joints that keep the axis e₃.
+    Parameters
+    ----------
+    viscous : float or array_like, shape (n,), optional
+        Coefficient of viscous friction, N m s/rad.
+    coulomb : float or array_like, shape (n,), optional
+        Torque of Coulomb's friction, N m.
+    speed : float or array_like, shape (n,), optional
+        Speed over which Coulomb's friction is smoothed, rad/s, positive.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.joint_friction(viscous=0.01, coulomb=[0.0, 0.2])
     <joint_friction: viscous, coulomb, speed>
@@ -426,12 +504,27 @@ def joint_friction(
 def slide_friction(
     *, viscous: ArrayLike = 0.0, coulomb: ArrayLike = 0.0, speed: ArrayLike = 1e-3
 ) -> Force:
-    """Friction in a joint that slides: −(viscous + coulomb/√(u² + speed²))·u along its axis.
+    """Apply friction in a joint that slides: −(viscous + coulomb/√(u² + speed²))·u along its axis.
 
-    viscous : N s/m.   coulomb : N.   speed : m/s, positive: see `joint_friction`.
+    Coulomb's friction is smoothed as in `joint_friction`. It is for joints that keep the axis e₃
+    and slide along it.
 
-    For joints that keep the axis e₃ and slide along it.
+    Parameters
+    ----------
+    viscous : float or array_like, shape (n,), optional
+        Coefficient of viscous friction, N s/m.
+    coulomb : float or array_like, shape (n,), optional
+        Coulomb's friction, N.
+    speed : float or array_like, shape (n,), optional
+        Speed over which Coulomb's friction is smoothed, m/s, positive.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.slide_friction(coulomb=2.0, speed=[1e-3, 1e-2])
     <slide_friction: viscous, coulomb, speed>
@@ -506,16 +599,31 @@ class SlideLimit(AlongJoint, JointLimit):
 def joint_limit(
     *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
 ) -> Force:
-    """Stops of a joint that turns: beyond either one a spring and a damper about its axis.
+    """Apply stops to a joint that turns: a spring and a damper about its axis beyond either one.
 
-    lower : rad, the least angle φ.   upper : rad, the largest one.   stiffness : N m/rad.
-    damping : N m s/rad.
+    The spring counts in the energy, the damper's power in the work. A stop depends on the pose, not
+    on the path to it: beyond it the shorter way back counts, so that lower and upper must be less
+    than 2π apart. Keep steps short beside √(inertia/stiffness); the step in which a stop is met is
+    of lower order. It is for joints that keep the axis e₃.
 
-    The spring counts in the energy, what the damper takes in the work. The stop knows the pose, not
-    how it came about: of a turn beyond it the shorter way back counts, so that lower and upper have
-    to be less than 2π apart. Steps are to be short beside √(inertia/stiffness); the one in which a
-    stop is met is of lower order. For joints that keep the axis e₃.
+    Parameters
+    ----------
+    lower : float or array_like, shape (n,)
+        Least angle φ, rad.
+    upper : float or array_like, shape (n,)
+        Largest angle φ, rad.
+    stiffness : float or array_like, shape (n,)
+        Stiffness of the stops, N m/rad.
+    damping : float or array_like, shape (n,), optional
+        Damping in the stops, N m s/rad.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
     <joint_limit: lower, upper, stiffness, damping>
@@ -527,13 +635,29 @@ def joint_limit(
 def slide_limit(
     *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
 ) -> Force:
-    """Stops of a joint that slides: beyond either one a spring and a damper along its axis.
+    """Apply stops to a joint that slides: a spring and a damper along its axis beyond either one.
 
-    lower : m, the least coordinate d₃.   upper : m, the largest one.   stiffness : N/m.
-    damping : N s/m.
+    Energy, work and steps are as for `joint_limit`. It is for joints that keep the axis e₃ and
+    slide along it.
 
-    As `joint_limit`. For joints that keep the axis e₃ and slide along it.
+    Parameters
+    ----------
+    lower : float or array_like, shape (n,)
+        Least coordinate d₃, m.
+    upper : float or array_like, shape (n,)
+        Largest coordinate d₃, m.
+    stiffness : float or array_like, shape (n,)
+        Stiffness of the stops, N/m.
+    damping : float or array_like, shape (n,), optional
+        Damping in the stops, N s/m.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.slide_limit(lower=0.0, upper=0.2, stiffness=[1e3, 1e4])
     <slide_limit: lower, upper, stiffness, damping>
@@ -587,11 +711,26 @@ def drag(
     angular: ArrayLike = 0.0,
     point: ArrayLike = ORIGIN,
 ) -> Force:
-    """Resistance of a medium at rest: −(linear + quadratic·|u|)·u at a point with velocity u.
+    """Apply the drag of a medium at rest: −(linear + quadratic·‖u‖)·u at a point of velocity u.
 
-    linear : N s/m.   quadratic : N s²/m².   angular : N m s, for a torque −angular·ω.
-    point : (3,) or (n, 3), m, in the body frame.
+    Parameters
+    ----------
+    linear : float or array_like, shape (n,), optional
+        Coefficient of linear drag, N s/m.
+    quadratic : float or array_like, shape (n,), optional
+        Coefficient of quadratic drag, N s²/m².
+    angular : float or array_like, shape (n,), optional
+        Coefficient of a torque −angular·ω, N m s.
+    point : array_like, shape (3,) or (n, 3), optional
+        Point of the body where the drag acts, m, in the body frame.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.forces.drag(linear=0.1, quadratic=[0.0, 0.02])
     <drag: linear, quadratic, angular, point>
@@ -672,17 +811,32 @@ def motor(
     force: ArrayLike | Callable[..., Any] | None = None,
     **parameters: ArrayLike,
 ) -> Force:
-    """A motor on the joint axis: its torque, N m, or its speed, rad/s; or a force, N, along it.
+    """Drive the joint axis by a torque or a speed about it, or by a force along it.
 
-    torque, speed or force : number or (n,), or a function (t) or (t, params), and (…, body), with t
-        in s; see `lierb.wrench` for what such a function may do. A speed is a constraint of its
-        own, on which the twist at the start must be; −λ of its row is the torque that the motor
-        needs. A force, N, needs a joint that slides along e₃, such as prismatic.
-    parameters : of the function, each a number or (n,).
+    One of `torque`, `speed` and `force` is given: a number, one for each body, or a function (t) or
+    (t, params), or with a further argument `body`, with t in s. `lierb.wrench` describes what such
+    a function may do. The joint must keep the axis e₃: revolute, cylindrical, screw, planar and the
+    like.
 
-    For joints that keep the axis e₃: revolute, cylindrical, screw, planar and the like. A torque or
-    a speed needs one that turns about it; ForceError of a Problem or Mechanism says so.
+    Parameters
+    ----------
+    torque : float, array_like of shape (n,), or callable, optional
+        Torque about the axis, N m.
+    speed : float, array_like of shape (n,), or callable, optional
+        Speed about the axis, rad/s. It is a constraint of its own, which the twist at the start
+        must satisfy; −λ of its row is the torque that the motor needs.
+    force : float, array_like of shape (n,), or callable, optional
+        Force along the axis, N. The joint must slide along e₃, such as prismatic.
+    **parameters : float or array_like, shape (n,)
+        Parameters of the function, by name.
 
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
     >>> import lierb, math
     >>> lierb.forces.motor(lambda t, params: params.peak * math.sin(3.0 * t), peak=[0.1, 0.2])
     <motor: peak>

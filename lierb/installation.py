@@ -33,12 +33,18 @@ VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
 
 
 def info() -> dict[str, Any]:
-    """Versions, CPU, lanes, threads and the disk cache, as plain values; `lierb info` prints them.
+    """Describe the installation: versions, CPU, lanes, threads and the disk cache.
 
-    loaded : kernels in this process's memory.   cache : those of this version on the disk.
+    `lierb info` prints it. The call starts Numba's threads, to see which layer they run on.
 
-    Starts Numba's threads, to see which layer they run on.
+    Returns
+    -------
+    dict
+        Plain values by name. "loaded" has the kernels in this process's memory, "cache" those of
+        this version on the disk.
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.info()["lanes"] in (1, 2, 4, 8)
     True
@@ -108,14 +114,38 @@ def warmup(
 ) -> list[Kernel]:
     """Compile the kernel of every combination, or load it from the disk cache.
 
-    joints : names of the catalogue, or joints.   methods, cspaces, updates, solver : as in
-        `integrate` ("auto" means "saddle" there where check is not "raise").
-    multipliers : for runs that record them; those have kernels of their own.
-    progress : a function of (kernels done, kernels in all, the next one's name).
-
     A kernel serves every body, frame, gravity, step and batch size. A joint whose motions are no
-    subgroup has no "reduced" kernel: that combination is left out. Raises UnknownNameError.
+    subgroup has no "reduced" kernel: that combination is left out.
 
+    Parameters
+    ----------
+    joints : iterable of str or Joint, optional
+        Names of the catalogue, or joints.
+    methods : iterable of str or ButcherTableau, optional
+        Methods, as in `integrate`.
+    cspaces : iterable of str, optional
+        Configuration spaces, as in `integrate`.
+    updates : iterable of str, optional
+        Updates, as in `integrate`.
+    solver : {"auto", "saddle", "subgroup"}, optional
+        As in `integrate`, where "auto" means "saddle" if check is not "raise".
+    multipliers : bool, optional
+        Compile the kernels of runs that record multipliers.
+    progress : callable, optional
+        Function of (kernels done, kernels in all, name of the next one).
+
+    Returns
+    -------
+    list of Kernel
+        The kernels that are ready: joint, method, cspace, update and seconds.
+
+    Raises
+    ------
+    UnknownNameError
+        A joint, method, c-space, update or solver does not exist.
+
+    Examples
+    --------
     >>> import lierb
     >>> [kernel.joint for kernel in lierb.warmup(["revolute"], methods=["Euler"])]
     ['revolute']

@@ -1,4 +1,4 @@
-"""The joint catalogue, as data: each joint is a list of primitive rows, acting between two frames.
+"""The joint catalogue, as data: each joint is a list of primitive rows between two frames.
 
 Rows are of `lierb.kernels.mechanics.rows`, in the order in which λ has them, and act on
 D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
@@ -67,12 +67,24 @@ MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in t
 class Joint(Shown):
     """A joint between the ground and the body; made by the entries of this module.
 
-    ground_frame : (4, 4) or (n, 4, 4), the joint frame seen from the ground.
-    body_frame : (4, 4) or (n, 4, 4), the joint frame seen from the body.
-    pitch : () or (n,), m/rad; 0 where the joint has none.
-    length : () or (n,), m, of a rod; 0 where the joint has none.
-    subgroup : the joint's motions as a subgroup of SE(3), if they are one.
-    factors : of its motions, D = F₁(a) F₂(b), if they are such a product instead.
+    Attributes
+    ----------
+    name : str
+        Name of the entry of the catalogue.
+    rows : tuple of JointRow
+        Constraint rows, in the order in which λ has them.
+    ground_frame : ndarray, shape (4, 4) or (n, 4, 4)
+        Joint frame in the ground frame.
+    body_frame : ndarray, shape (4, 4) or (n, 4, 4)
+        Joint frame in the body frame.
+    pitch : ndarray, shape () or (n,)
+        Pitch, m/rad; 0 where the joint has none.
+    length : ndarray, shape () or (n,)
+        Length of a rod, m; 0 where the joint has none.
+    subgroup : str or None
+        Motion group of the joint as a subgroup of SE(3), if it is one.
+    factors : tuple of Factor
+        Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
     """
 
     name: str
@@ -85,7 +97,18 @@ class Joint(Shown):
     factors: tuple[Factor, ...] = ()
 
     def of(self, which: int | slice) -> Joint:
-        """That of one body of the batch, or of a part of it."""
+        """Return the joint of one body of the batch, or of a part of it.
+
+        Parameters
+        ----------
+        which : int or slice
+            Number of the body, or the part.
+
+        Returns
+        -------
+        Joint
+            Its joint.
+        """
         return replace(
             self,
             ground_frame=taken(self.ground_frame, which, 2),
@@ -108,14 +131,15 @@ class Joint(Shown):
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
-        """Which constraint errors the joint has rows for: "position", "rotation", both or none."""
+        """Kinds of constraint error of the joint: "position", "rotation", both or none."""
         return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property
     def closed_pose(self) -> Array:
-        """C = G B⁻¹, (4, 4) or (n, 4, 4): the pose in which the two joint frames coincide.
+        """Pose C = G B⁻¹ in which the two joint frames coincide, (4, 4) or (n, 4, 4).
 
-        A rod's ends do not: there the body's joint frame is at length·e₃ of the ground's.
+        The ends of a rod do not coincide: there the body's joint frame is at length·e₃ of the
+        ground's.
         """
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         with np.errstate(all="ignore"):
@@ -133,16 +157,30 @@ class Joint(Shown):
         velocities: ArrayLike | None = None,
         coordinates: ArrayLike | None = None,
     ) -> Array:
-        """Body-fixed twist (ω, v) from ω and the velocity of the joint's body point, or from rates.
+        """Compute a body-fixed twist (ω, v) from ω and a point's velocity, or from rates.
 
-        omega : (3,) or (n, 3), rad/s, in the body frame. Default: 0.
-        point_velocity : (3,) or (n, 3), m/s, in the ground frame. Default: 0.
-        velocities : (k,) or (n, k), instead: the rates of the joint's coordinates, rad/s and m/s.
-        pose : 4×4, (n, 4, 4) or SciPy.   coordinates : (k,) or (n, k), instead. Default: the closed
-            joint.
-        Returns (6,) or (n, 6). Of ω and a point's velocity: v = p×ω + Rᵀ·point_velocity, not made
-        to satisfy the joint. Rates do; `velocities` is the way back.
+        Parameters
+        ----------
+        omega : array_like, shape (3,) or (n, 3), optional
+            Angular velocity in the body frame, rad/s. Default: 0.
+        point_velocity : array_like, shape (3,) or (n, 3), optional
+            Velocity of the joint's body point in the ground frame, m/s. Default: 0.
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Pose of the body. Default: the closed joint.
+        velocities : array_like, shape (k,) or (n, k), optional
+            Rates of the joint's coordinates, rad/s and m/s, in place of `omega` and
+            `point_velocity`.
+        coordinates : array_like, shape (k,) or (n, k), optional
+            Coordinates of the joint, in place of `pose`.
 
+        Returns
+        -------
+        ndarray, shape (6,) or (n, 6)
+            Twist, rad/s and m/s. From ω and a point's velocity it is v = p×ω + Rᵀ·point_velocity,
+            which need not satisfy the joint. From rates it does; `velocities` is the inverse.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.joints.spherical(body_point=(1.0, 0.0, 0.0)).twist(omega=(0.0, 0.0, 2.0)).tolist()
         [0.0, 0.0, 2.0, 0.0, -2.0, 0.0]
@@ -190,14 +228,29 @@ class Joint(Shown):
 
     @_quiet
     def velocities(self, twist: ArrayLike, pose: Any = None) -> Array:
-        """The rates of the joint's coordinates, (k,) or (n, k), in the order of `coordinate_names`.
+        """Compute the rates of the joint's coordinates, in the order of `coordinate_names`.
 
-        twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : 4×4, (n, 4, 4) or SciPy;
-            the closed joint if not given. That they satisfy the joint is not checked.
+        `twist(velocities=…, pose=…)` is the inverse.
 
-        `twist(velocities=…, pose=…)` is the way back. Raises ArgumentError for a joint whose
-        motions are no group.
+        Parameters
+        ----------
+        twist : array_like, shape (6,) or (n, 6)
+            Body-fixed twist (ω, v), rad/s and m/s. That it satisfies the joint is not checked.
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Pose of the body. Default: the closed joint.
 
+        Returns
+        -------
+        ndarray, shape (k,) or (n, k)
+            Rates, rad/s and m/s.
+
+        Raises
+        ------
+        ArgumentError
+            The joint has no coordinates: its motions are neither a group nor a product.
+
+        Examples
+        --------
         >>> import lierb
         >>> plane = lierb.joints.planar()
         >>> turned = plane.pose((np.pi, 0.0, 0.0))
@@ -216,22 +269,37 @@ class Joint(Shown):
         """Names of the joint's coordinates, for the lower pairs, all motion groups, and products.
 
         `phi`: the turn about e₃, rad; `xi1` … `xi3`: the rotation vector, rad, in the ground's
-        joint frame; `d1` … `d3`: the place of the body's joint frame in the ground's, m. Of a
-        universal joint `alpha`, the turn about e₃ of the ground, and `beta`, that about e₂ of the
-        body; of a hook joint those about e₂ and e₃. A pin in a slot has `d1` and `phi`; one whose
-        slot is on the body `phi` and `s`, the place of the body's joint frame along its own e₁.
+        joint frame; `d1` … `d3`: the position of the body's joint frame in the ground's, m. A
+        universal joint has `alpha`, the turn about e₃ of the ground, and `beta`, that about e₂ of
+        the body; a hook joint those about e₂ and e₃. A pin in a slot has `d1` and `phi`; one whose
+        slot is on the body `phi` and `s`, the position of the body's joint frame along its own e₁.
         """
         return self.motions.names
 
     @_quiet
     def coordinates(self, pose: Any) -> Array:
-        """Where on the joint a pose is, (k,) or (n, k), in the order of `coordinate_names`.
+        """Compute the joint's coordinates at a pose, in the order of `coordinate_names`.
 
-        pose : (4, 4), (n, 4, 4) or SciPy; that it closes the joint is not checked.
+        Angles are in [−π, π], except for a screw with a pitch, whose slide tells how often it has
+        turned.
 
-        Angles are in [−π, π], but for a screw with a pitch, whose slide tells how often it has
-        turned. Raises ArgumentError for a joint whose motions are no group.
+        Parameters
+        ----------
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
+            Pose of the body. That it closes the joint is not checked.
 
+        Returns
+        -------
+        ndarray, shape (k,) or (n, k)
+            Coordinates, rad and m.
+
+        Raises
+        ------
+        ArgumentError
+            The joint has no coordinates: its motions are neither a group nor a product.
+
+        Examples
+        --------
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
         >>> hinge.coordinates(hinge.pose([0.5])).tolist()
@@ -245,17 +313,33 @@ class Joint(Shown):
     def pose(
         self, place: Any = None, /, *, coordinates: ArrayLike | None = None, rotation: Any = None
     ) -> Array:
-        """The pose with these coordinates, or turned by this rotation, (4, 4) or (n, 4, 4).
+        """Compute the pose with these coordinates, or turned by this rotation.
 
-        coordinates : (k,) or (n, k), see `coordinate_names`.
-        rotation : (3, 3), (n, 3, 3) or SciPy's `Rotation`, instead, for a joint that turns about a
-            point: the body's joint frame seen from the ground's.
-        place : either of them. A shape that may be both is refused: a matrix, and the rotation
+        Parameters
+        ----------
+        place : array_like or Rotation, optional
+            Coordinates or rotation. A shape that may be both is refused: a matrix, and the rotation
             vectors of three bodies, are (3, 3).
+        coordinates : array_like, shape (k,) or (n, k), optional
+            Coordinates, rad and m; see `coordinate_names`.
+        rotation : array_like or Rotation, shape (3, 3) or (n, 3, 3), optional
+            Orientation of the body's joint frame in the ground's, for a joint that turns about a
+            point.
 
-        Raises ArgumentError for a joint whose motions are no group, PoseError for a matrix that is
-        no rotation.
+        Returns
+        -------
+        ndarray, shape (4, 4) or (n, 4, 4)
+            Pose of the body.
 
+        Raises
+        ------
+        ArgumentError
+            The joint has no coordinates: its motions are neither a group nor a product.
+        PoseError
+            A matrix is no rotation.
+
+        Examples
+        --------
         >>> import lierb
         >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, -1.0))
         >>> turned = ball.pose(rotation=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -323,7 +407,13 @@ class Joint(Shown):
 
     @cached_property
     def motions(self) -> Motions:
-        """What its coordinates are. Raises ArgumentError for a joint that has none."""
+        """Coordinates of the joint's motions, as kernels use them.
+
+        Raises
+        ------
+        ArgumentError
+            The joint has none.
+        """
         if self.subgroup:
             return SubgroupMotions(slots_of(self.rows), self.pitch)
         if self.factors:
@@ -345,9 +435,20 @@ def _shown_frame(frame: Array) -> str:
 class JointType:
     """An entry of the catalogue; calling it makes the joint.
 
-    subgroup: the motion group of the joint as a subgroup of SE(3), if it is one.
-    options: what else the entry takes ("pitch", "length", "slot", "second_axis").
-    factors: of its motions, if they are a product D = F₁(a) F₂(b) of two instead.
+    Attributes
+    ----------
+    name : str
+        Name of the entry.
+    rows : tuple of JointRow
+        Constraint rows, in the order in which λ has them.
+    summary : str
+        Description in a line.
+    subgroup : str or None
+        Motion group of the joint as a subgroup of SE(3), if it is one.
+    options : frozenset of str
+        Further arguments that the entry takes: "pitch", "length", "slot", "second_axis".
+    factors : tuple of Factor
+        Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
     """
 
     name: str
@@ -372,22 +473,51 @@ class JointType:
         parent_point: ArrayLike | None = None,
         parent_frame: Any = None,
     ) -> Joint:
-        """The joint, its frames given by points and axes, or as 4×4 matrices. All may be batched.
+        """Make the joint, its frames given by points and axes, or as 4×4 matrices.
 
-        body_point : (3,) or (n, 3), m, in the body frame. Default: its origin.
-        ground_point : (3,) or (n, 3), m, in the ground frame. Default: its origin.
-        axis : (3,) or (n, 3), the body direction of the joint axis e₃. Default: (0, 0, 1).
-        slot : (3,), body direction of the slot e₁ at R = I (pin_in_slot only).
-        second_axis : (3,), body direction of e₂ (universal and hook only).
-        pitch : number or (n,), m/rad (screw and helical_planar only).
-        length : number or (n,), m, positive (point_on_sphere only).
-        body_frame, ground_frame : (4, 4) or (n, 4, 4), instead of points and axes.
-        parent_point, parent_frame : the same as ground_point and ground_frame, of a joint between
-            two links of a `lierb.Mechanism`: in the body frame of the one that it hangs on.
+        All arguments may be batched. Without `ground_frame` the ground's joint frame is turned like
+        the body's: the joint closes at R = I.
 
-        Without ground_frame the ground's joint frame is turned like the body's: the joint closes at
-        R = I. Raises ArgumentError, or PoseError for a frame that is no rigid motion.
+        Parameters
+        ----------
+        body_point : array_like, shape (3,) or (n, 3), optional
+            Point of the joint in the body frame, m. Default: its origin.
+        ground_point : array_like, shape (3,) or (n, 3), optional
+            Point of the joint in the ground frame, m. Default: its origin.
+        axis : array_like, shape (3,) or (n, 3), optional
+            Direction of the joint axis e₃ in the body frame. Default: (0, 0, 1).
+        slot : array_like, shape (3,) or (n, 3), optional
+            Direction of the slot e₁ at R = I, in the body frame (pin_in_slot only).
+        second_axis : array_like, shape (3,) or (n, 3), optional
+            Direction of e₂ in the body frame (universal and hook only).
+        pitch : float or array_like, shape (n,), optional
+            Pitch, m/rad (screw and helical_planar only).
+        length : float or array_like, shape (n,), optional
+            Length, m, positive (point_on_sphere only).
+        body_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Joint frame in the body frame, in place of point and axes.
+        ground_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Joint frame in the ground frame, in place of the point.
+        parent_point : array_like, shape (3,) or (n, 3), optional
+            Another name of `ground_point`, for a joint between two links of a `lierb.Mechanism`: in
+            the body frame of the parent.
+        parent_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Another name of `ground_frame`, likewise.
 
+        Returns
+        -------
+        Joint
+            The joint or the batch of joints.
+
+        Raises
+        ------
+        ArgumentError
+            The entry does not take an argument, or its shape or value is wrong.
+        PoseError
+            A frame is no rigid motion.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.joints.screw(body_point=(0.1, 0.0, 0.0), pitch=0.02).coordinate_names
         ('phi',)
@@ -606,20 +736,61 @@ def from_rows(
     parent_frame: Any = None,
     name: str = "from_rows",
 ) -> Joint:
-    """A joint from rows: `d1`, `Qtd1`, `Q32`, `Omega1` (axes 1 to 3), `screw`, `rod` or `cv`.
+    """Make a joint from rows: `d1`, `Qtd1`, `Q32`, `Omega1` (axes 1 to 3), `screw`, `rod` or `cv`.
 
     `Omega` rows come in twos or threes: one alone is a condition on velocity that fixes no
-    orientation. A `screw` row needs pitch=, and Omega1 and Omega2; a `rod` row needs length=, and
-    goes with Omega, Q and cv rows only. Frames as for every joint.
+    orientation. A `screw` row needs `pitch`, and Omega1 and Omega2; a `rod` row needs `length`, and
+    goes with Omega, Q and cv rows only.
 
-    Rows may say a thing twice. One given again is left out; of rows that depend on others where the
-    body is, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is what
-    they exert together). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
+    Rows may be redundant. A row given twice is used once; of rows that depend on others at the
+    body's pose, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is
+    their common wrench). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
     other, and the body is marked `singular`.
 
-    Raises UnknownNameError for another row, ArgumentError for more than twelve rows, or rows that
-    make no joint.
+    Parameters
+    ----------
+    rows : sequence of str
+        Names of the rows.
+    body_point : array_like, shape (3,) or (n, 3), optional
+        Point of the joint in the body frame, m. Default: its origin.
+    ground_point : array_like, shape (3,) or (n, 3), optional
+        Point of the joint in the ground frame, m. Default: its origin.
+    axis : array_like, shape (3,) or (n, 3), optional
+        Direction of the joint axis e₃ in the body frame. Default: (0, 0, 1).
+    slot : array_like, shape (3,) or (n, 3), optional
+        Direction of e₁ at R = I, in the body frame.
+    second_axis : array_like, shape (3,) or (n, 3), optional
+        Direction of e₂ in the body frame.
+    pitch : float or array_like, shape (n,), optional
+        Pitch of the `screw` row, m/rad.
+    length : float or array_like, shape (n,), optional
+        Length of the `rod` row, m, positive.
+    body_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        Joint frame in the body frame, in place of point and axes.
+    ground_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        Joint frame in the ground frame, in place of the point.
+    parent_point : array_like, shape (3,) or (n, 3), optional
+        Another name of `ground_point`, for a joint between two links of a `lierb.Mechanism`: in the
+        body frame of the parent.
+    parent_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+        Another name of `ground_frame`, likewise.
+    name : str, optional
+        Name of the joint.
 
+    Returns
+    -------
+    Joint
+        The joint or the batch of joints.
+
+    Raises
+    ------
+    UnknownNameError
+        A row does not exist.
+    ArgumentError
+        There are more than twelve rows, or the rows make no joint.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.joints.from_rows(["d3", "Omega1", "Omega3"], body_point=(0.1, 0.0, 0.0))
     from_rows joint

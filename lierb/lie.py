@@ -1,4 +1,4 @@
-"""The Lie groups for their own sake, on arrays with any leading batch shape.
+"""The Lie groups on their own, on arrays with any leading batch shape.
 
 `lierb.lie.so3`, `.se3` and `.so3xr3` share one interface. Vectors of the algebra hold the angular
 part first (rad, then m); elements of the group are matrices, R (…, 3, 3) or C (…, 4, 4). For
@@ -30,10 +30,18 @@ from lierb.runs.memory import require_memory
 class Group:
     """A Lie group of rotations or rigid motions.
 
-    name: "so3", "se3" or "so3xr3".   size: 3 for 3×3 matrices, 4 for 4×4.   dim: 3 or 6.
     All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` (so3) or
     `RigidTransform` (the others) for group elements, and raise ArgumentError for a wrong shape, and
-    for what are no real numbers.
+    for values that are no real numbers.
+
+    Attributes
+    ----------
+    name : {"so3", "se3", "so3xr3"}
+        Name of the group.
+    size : {3, 4}
+        Size of its matrices, 3×3 or 4×4.
+    dim : {3, 6}
+        Dimension of its algebra.
     """
 
     name: str
@@ -41,8 +49,20 @@ class Group:
     dim: int
 
     def exp(self, X: ArrayLike) -> Array:
-        """exp: (…, dim) → group element. ‖ξ‖ up to 1e5 rad; the error grows as 1e-15 ‖ξ‖.
+        """Compute exp X.
 
+        Parameters
+        ----------
+        X : array_like, shape (…, dim)
+            Element of the algebra, with ‖ξ‖ up to 1e5 rad; the error grows as 1e-15 ‖ξ‖.
+
+        Returns
+        -------
+        ndarray, shape (…, size, size)
+            Element of the group.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.se3.exp([0, 0, 0, 1.0, 2.0, 3.0])[:3, 3].tolist()
         [1.0, 2.0, 3.0]
@@ -50,10 +70,22 @@ class Group:
         return self._call("exp", X)
 
     def log(self, C: Any) -> Array:
-        """The X with exp X = C and ‖ξ‖ ≤ π, (…, dim).
+        """Compute the X with exp X = C and ‖ξ‖ ≤ π.
 
         At ‖ξ‖ = π the component of ξ largest in size is positive (the first, where several are).
 
+        Parameters
+        ----------
+        C : array_like, Rotation or RigidTransform, shape (…, size, size)
+            Element of the group.
+
+        Returns
+        -------
+        ndarray, shape (…, dim)
+            Element of the algebra.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.so3.log(lierb.lie.so3.exp([0.1, -0.2, 0.3])).round(12).tolist()
         [0.1, -0.2, 0.3]
@@ -61,8 +93,22 @@ class Group:
         return self._call("log", C)
 
     def compose(self, C1: Any, C2: Any) -> Array:
-        """The product C₁C₂ of the group.
+        """Compute the product C₁C₂ of the group.
 
+        Parameters
+        ----------
+        C1 : array_like, Rotation or RigidTransform, shape (…, size, size)
+            Element of the group.
+        C2 : array_like, Rotation or RigidTransform, shape (…, size, size)
+            Element of the group.
+
+        Returns
+        -------
+        ndarray, shape (…, size, size)
+            Their product.
+
+        Examples
+        --------
         >>> import lierb
         >>> shift, turn = lierb.lie.se3.exp([[0, 0, 0, 1, 0, 0], [0, 0, 1, 0, 0, 0]])
         >>> lierb.lie.se3.compose(shift, turn)[:3, 3].tolist()
@@ -71,8 +117,20 @@ class Group:
         return self._call("compose", C1, C2)
 
     def inverse(self, C: Any) -> Array:
-        """C⁻¹.
+        """Compute C⁻¹.
 
+        Parameters
+        ----------
+        C : array_like, Rotation or RigidTransform, shape (…, size, size)
+            Element of the group.
+
+        Returns
+        -------
+        ndarray, shape (…, size, size)
+            Its inverse.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.se3.inverse(lierb.lie.se3.exp([0, 0, 0, 1.0, 2.0, 3.0]))[:3, 3].tolist()
         [-1.0, -2.0, -3.0]
@@ -80,8 +138,22 @@ class Group:
         return self._call("inverse", C)
 
     def Ad(self, C: Any, X: ArrayLike | None = None) -> Array:
-        """Ad_C X, (…, dim); without X the matrix Ad_C, (…, dim, dim).
+        """Compute Ad_C X, or the matrix Ad_C.
 
+        Parameters
+        ----------
+        C : array_like, Rotation or RigidTransform, shape (…, size, size)
+            Element of the group.
+        X : array_like, shape (…, dim), optional
+            Element of the algebra.
+
+        Returns
+        -------
+        ndarray, shape (…, dim) or (…, dim, dim)
+            Ad_C X, or without X the matrix Ad_C.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.se3.Ad(lierb.lie.se3.exp([0, 0, 0, 1.0, 0, 0]), [0, 0, 1.0, 0, 0, 0]).tolist()
         [0.0, 0.0, 1.0, 0.0, -1.0, 0.0]
@@ -89,8 +161,22 @@ class Group:
         return self._call("Ad", C, X) if X is not None else self._matrix("Ad", C, 2)
 
     def ad(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
-        """The bracket [X, Y] = ad_X Y, (…, dim); without Y the matrix ad_X.
+        """Compute the bracket [X, Y] = ad_X Y, or the matrix ad_X.
 
+        Parameters
+        ----------
+        X : array_like, shape (…, dim)
+            Element of the algebra.
+        Y : array_like, shape (…, dim), optional
+            Element of the algebra.
+
+        Returns
+        -------
+        ndarray, shape (…, dim) or (…, dim, dim)
+            ad_X Y, or without Y the matrix ad_X.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.so3.ad([1.0, 0, 0], [0, 1.0, 0]).tolist()
         [0.0, 0.0, 1.0]
@@ -98,8 +184,22 @@ class Group:
         return self._call("ad", X, Y) if Y is not None else self._matrix("ad", X, 1)
 
     def dexp(self, X: ArrayLike, Y: ArrayLike | None = None) -> Array:
-        """Right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X; without Y its matrix.
+        """Compute the right-trivialised differential, dexp_X Ẋ = ĊC⁻¹ for C = exp X, or its matrix.
 
+        Parameters
+        ----------
+        X : array_like, shape (…, dim)
+            Element of the algebra.
+        Y : array_like, shape (…, dim), optional
+            Rate Ẋ.
+
+        Returns
+        -------
+        ndarray, shape (…, dim) or (…, dim, dim)
+            dexp_X Y, or without Y the matrix dexp_X.
+
+        Examples
+        --------
         >>> import lierb
         >>> lierb.lie.se3.dexp([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]).shape
         (6, 6)
@@ -107,8 +207,22 @@ class Group:
         return self._call("dexp", X, Y) if Y is not None else self._matrix("dexp", X, 1)
 
     def dexpinv(self, X: ArrayLike, V: ArrayLike | None = None) -> Array:
-        """dexp_X⁻¹ V for ‖ξ‖ < 2π; without V its matrix.
+        """Compute dexp_X⁻¹ V for ‖ξ‖ < 2π, or its matrix.
 
+        Parameters
+        ----------
+        X : array_like, shape (…, dim)
+            Element of the algebra.
+        V : array_like, shape (…, dim), optional
+            Element of the algebra.
+
+        Returns
+        -------
+        ndarray, shape (…, dim) or (…, dim, dim)
+            dexp_X⁻¹ V, or without V its matrix.
+
+        Examples
+        --------
         >>> import lierb
         >>> X, V = [0.1, 0.2, 0.3], [1.0, -1.0, 0.5]
         >>> lierb.lie.so3.dexpinv(X, lierb.lie.so3.dexp(X, V)).round(12).tolist()

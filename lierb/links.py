@@ -20,11 +20,20 @@ NOWHERE = -1  # the number of the ground
 class Link(Shown):
     """A body of a mechanism, and the joint by which it hangs on another one or on the ground.
 
-    name : letters, digits and _; of its columns in the results.
-    joint : its `parent_point` or `parent_frame`, which is `ground_point` or `ground_frame` by
-        another name, is in the body frame of the parent.
-    parent : the name of another link, or "ground".
+    Parameters
+    ----------
+    name : str
+        Name of the link and of its columns in the results: letters, digits and _.
+    body : Body
+        The body or the batch of bodies.
+    joint : Joint
+        Joint to the parent. Its `parent_point` or `parent_frame`, another name for `ground_point`
+        or `ground_frame`, is in the body frame of the parent.
+    parent : str, optional
+        Name of another link, or "ground".
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.Link("crank", lierb.bodies.box((0.1, 0.02, 0.02), mass=0.3), lierb.joints.revolute())
     lierb.Link crank: revolute joint to ground
@@ -51,9 +60,19 @@ class Link(Shown):
 class Loop(Shown):
     """A joint beside those of the links, which closes a loop of them.
 
-    name : as of a link.   body, parent : names of the links that it is between; `parent`, in whose
-    body frame its `parent_point` is, may be "ground".
+    Parameters
+    ----------
+    name : str
+        Name of the loop and of its columns in the results: letters, digits and _.
+    joint : Joint
+        Joint between the two links.
+    body : str
+        Name of the link that `body_point` belongs to.
+    parent : str, optional
+        Name of the link that `parent_point` belongs to, or "ground".
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.Loop("pin", lierb.joints.spherical(), body="rod")
     <lierb.Loop pin: spherical joint of rod to ground>

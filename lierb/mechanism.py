@@ -54,19 +54,42 @@ _quiet = np.errstate(all="ignore")  # what overflows is found in the result
 class Mechanism(Shown):
     """Bodies, joints between them, and the forces on them.
 
-    links : in any order; a link's parent may come after it.
-    loops : joints beside those of the links.
-    gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
-    forces, constraints, observables, events, states, controllers : as of `lierb.Problem`, each
-        placed by `.on(link)` or `.on(link, other)`; with one link that may be left out.
-
     Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
-    (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed.
+    (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed. Forces and
+    other elements act where their method `on` says, `.on(link)` or `.on(link, other)`; with one
+    link it may be left out.
 
-    Raises ArgumentError for links that make no tree and for names that are no link's, ForceError
-    for a force about a joint axis that there is not, and for a function that sees states or
-    controls that there are not.
+    Parameters
+    ----------
+    links : Link or iterable of Link
+        Links in any order; a link's parent may come after it.
+    loops : Loop or iterable of Loop, optional
+        Joints beside those of the links.
+    gravity : array_like, shape (3,) or (n, 3), optional
+        Acceleration of gravity in the ground frame, m/s². Default: none.
+    forces : Force or iterable of Force, optional
+        Forces made by `lierb.forces` and `lierb.wrench`.
+    constraints : Constraint or iterable of Constraint, optional
+        Constraints made by `lierb.constraint`.
+    observables : Observable or iterable of Observable, optional
+        Columns of the results, made by `lierb.observable`.
+    events : Event or iterable of Event, optional
+        Crossings of zero to be located, made by `lierb.event`.
+    states : ExtraStates or iterable of ExtraStates, optional
+        Further states, made by `lierb.states` and integrated with the mechanism's.
+    controllers : Controller or iterable of Controller, optional
+        Sampled controllers, made by `lierb.controller`.
 
+    Raises
+    ------
+    ArgumentError
+        The links make no tree, or a name is no link's.
+    ForceError
+        A force acts about a joint axis that does not exist, or a function uses states or controls
+        that the mechanism does not have.
+
+    Examples
+    --------
     >>> import lierb
     >>> pin = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
     >>> body = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
@@ -124,25 +147,37 @@ class Mechanism(Shown):
     def from_mjcf(
         cls, path: Any, *, merge_fixed: bool = False, limit_stiffness: float | None = None
     ) -> Mechanism:
-        """The mechanism of an MJCF file, MuJoCo's format.
+        """Read the mechanism of an MJCF file, MuJoCo's format.
 
-        path : of the file; what it includes and refers to is found from there.
-        merge_fixed : make bodies that are welded to each other one link, rather than a link each on
-            a fixed joint. A welded body without mass, or with an inertia that no rigid body has, is
-            merged with its parent anyhow, and one that is welded to the world is the ground.
-        limit_stiffness : of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves
-            limits out. MuJoCo's own are softer or harder with the mass that they stop.
-
-        Bodies keep their names and frames, hinge, slide, ball and free joints become joints of the
-        catalogue (several on one body that joint which is all of them, such as universal),
+        Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
+        catalogue; several on one body become the joint that combines them, such as universal.
         `equality/connect` and `weld` become loops, springs and dampers of joints that keep their
-        axis become forces, and `pose()` is the pose at qpos0. What a simulation by MuJoCo would
-        have had besides (contacts, friction, actuators, tendons …) is left out, and listed in a
-        LeftOutWarning.
+        axis become forces, and `pose()` is the pose at qpos0. A LeftOutWarning lists what is left
+        out: contacts, friction, actuators, tendons and other elements of MuJoCo's. Needs mujoco
+        (the extra `lierb[mjcf]`).
 
-        Needs mujoco (the extra `lierb[mjcf]`). Raises ArgumentError for a file that MuJoCo does not
-        take, with joints that are together none of the catalogue, or with a link that moves and has
-        no mass or an inertia that no rigid body has.
+        Parameters
+        ----------
+        path : path
+            The file; files that it includes and refers to are found from there.
+        merge_fixed : bool, optional
+            Make bodies that are welded to each other one link, rather than a link each on a fixed
+            joint. A welded body without mass, or with an inertia that no rigid body has, is merged
+            with its parent in any case, and one that is welded to the world is the ground.
+        limit_stiffness : float, optional
+            Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves limits
+            out. MuJoCo's own stiffness depends on the mass that a stop holds.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism.
+
+        Raises
+        ------
+        ArgumentError
+            MuJoCo refuses the file or is not installed, the joints of a body combine to none of the
+            catalogue, or a link that moves has no mass or an inertia that no rigid body has.
         """
         return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
 
@@ -155,14 +190,33 @@ class Mechanism(Shown):
         merge_fixed: bool = False,
         limit_stiffness: float | None = None,
     ) -> Mechanism:
-        """The mechanism of a URDF file; its root link is the ground.
+        """Read the mechanism of a URDF file; its root link is the ground.
 
-        path : of the file. Meshes are not looked for: all mass is in <inertial>.
-        gravity : (3,) or (n, 3), m/s²: URDF has none of its own.
-        merge_fixed, limit_stiffness : as of `from_mjcf`.
+        Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
+        compiler, as in `from_mjcf`.
 
-        Takes revolute, continuous, prismatic, fixed, planar and floating joints. The rest is as for
-        `from_mjcf`.
+        The file has revolute, continuous, prismatic, fixed, planar and floating joints.
+
+        Parameters
+        ----------
+        path : path
+            The file. Meshes are not read: all mass is in <inertial>.
+        gravity : array_like, shape (3,) or (n, 3), optional
+            Acceleration of gravity, m/s², which URDF does not have.
+        merge_fixed : bool, optional
+            Make welded bodies one link, as in `from_mjcf`.
+        limit_stiffness : float, optional
+            Stiffness of stops at the limits of joints, N m/rad or N/m; None leaves limits out.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism.
+
+        Raises
+        ------
+        ArgumentError
+            MuJoCo refuses the file or is not installed.
         """
         return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
 
@@ -265,7 +319,23 @@ class Mechanism(Shown):
         )
 
     def link(self, name: str) -> Link:
-        """The link of that name. Raises UnknownNameError."""
+        """Return the link of that name.
+
+        Parameters
+        ----------
+        name : str
+            Name of the link.
+
+        Returns
+        -------
+        Link
+            The link.
+
+        Raises
+        ------
+        UnknownNameError
+            No link has that name.
+        """
         if not (isinstance(name, str) and name in self.names):
             raise unknown_name("link", name, self.names)
         return self.links[self.numbers[name]]
@@ -399,7 +469,23 @@ class Mechanism(Shown):
         return batch_size(**self._batched, **more)
 
     def of_body(self, body: int) -> Mechanism:
-        """One member of the batch. Raises ArgumentError for a number of none."""
+        """Return one member of the batch.
+
+        Parameters
+        ----------
+        body : int
+            Number of the member.
+
+        Returns
+        -------
+        Mechanism
+            The member, not batched.
+
+        Raises
+        ------
+        ArgumentError
+            The batch has no member of that number.
+        """
         return self.part(member_of(body, self.batch_size()))
 
     def part(self, which: int | slice) -> Mechanism:
@@ -470,14 +556,26 @@ class Mechanism(Shown):
 
     @_quiet
     def pose(self, coordinates: Mapping[str, Any] | None = None) -> dict[str, Array]:
-        """The poses of all links, from the coordinates of their joints; loops may stay open.
+        """Compute the poses of all links from the coordinates of their joints; loops may stay open.
 
-        coordinates : of each link's joint, as `lierb.joints.Joint.pose` takes them: (k,) or (n, k),
-            a number or (n,) where there is one, or a rotation. What is left out is 0. A link whose
-            joint has none, such as point_on_line, may be given its pose in the ground frame, (4, 4)
-            or (n, 4, 4), and so may any other; left out, its two joint frames coincide.
-        Returns (4, 4) for each link, or (n, 4, 4) where one's is. `close` then closes the loops.
+        `close` then closes the loops.
 
+        Parameters
+        ----------
+        coordinates : dict, optional
+            Coordinates of each link's joint, as `lierb.joints.Joint.pose` takes them: (k,) or (n,
+            k), a number or (n,) where there is one, or a rotation. Coordinates left out are 0. Any
+            link may be given its pose in the ground frame instead, (4, 4) or (n, 4, 4). A link
+            whose joint has no coordinates, such as point_on_line, and that is left out has
+            coinciding joint frames.
+
+        Returns
+        -------
+        dict of ndarray, shape (4, 4) or (n, 4, 4)
+            Pose of each link.
+
+        Examples
+        --------
         >>> import lierb
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
         >>> lierb.Mechanism([wheel]).pose({"wheel": [0.0, 0.1, 0.2]})["wheel"].shape
@@ -511,12 +609,18 @@ class Mechanism(Shown):
 
     @_quiet
     def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
-        """Where on its joint each link is, (k,) or (n, k), as `lierb.joints.Joint.coordinates`.
+        """Compute the coordinates of the joints, as `lierb.joints.Joint.coordinates` does.
 
-        pose : of all links; that they close the joints is not checked.
+        Parameters
+        ----------
+        pose : dict
+            Poses of all links; that they close the joints is not checked.
 
-        Of a joint that has none the link's pose in the ground frame stands there instead, as `pose`
-        takes it; a fixed joint's link is left out.
+        Returns
+        -------
+        dict of ndarray, shape (k,) or (n, k)
+            Coordinates of each link's joint. A joint without coordinates has the link's pose in the
+            ground frame instead, as `pose` takes it; the link of a fixed joint is left out.
         """
         poses = self.poses("pose", pose)
         found = {}
@@ -532,14 +636,26 @@ class Mechanism(Shown):
     def twist(
         self, velocities: Mapping[str, Any] | None = None, pose: Mapping[str, Any] | None = None
     ) -> dict[str, Array]:
-        """The body-fixed twists (ω, v) of all links, from the rates of their joints' coordinates.
+        """Compute the twists of all links from the rates of their joints' coordinates.
 
-        velocities : of each link's joint, rad/s and m/s, (k,) or (n, k), or a number or (n,) where
-            there is one. What is left out is 0. A link whose joint has no coordinates may be given
+        `project` then satisfies the loops.
+
+        Parameters
+        ----------
+        velocities : dict, optional
+            Rates of each link's joint, rad/s and m/s, (k,) or (n, k), or a number or (n,) where
+            there is one. Rates left out are 0. A link whose joint has no coordinates may be given
             its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
-        pose : of all links. Default: all coordinates 0.
-        Returns (6,) for each link, or (n, 6) where one's is. `project` then satisfies the loops.
+        pose : dict, optional
+            Poses of all links. Default: all coordinates 0.
 
+        Returns
+        -------
+        dict of ndarray, shape (6,) or (n, 6)
+            Body-fixed twist (ω, v) of each link, rad/s and m/s.
+
+        Examples
+        --------
         >>> import lierb
         >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), hinge)
@@ -576,12 +692,20 @@ class Mechanism(Shown):
     def velocities(
         self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None
     ) -> dict[str, Array]:
-        """The rates of the joints' coordinates, (k,) or (n, k), in the order of `coordinate_names`.
+        """Compute the rates of the joints' coordinates, in the order of `coordinate_names`.
 
-        twist, pose : of all links. That they satisfy the joints is not checked.
+        Parameters
+        ----------
+        twist : dict
+            Body-fixed twists of all links; that they satisfy the joints is not checked.
+        pose : dict, optional
+            Poses of all links. Default: all coordinates 0.
 
-        Of a joint that has none the link's twist stands there instead, as `twist` takes it; a fixed
-        joint's link is left out.
+        Returns
+        -------
+        dict of ndarray, shape (k,) or (n, k)
+            Rates of each link's joint, rad/s and m/s. A joint without coordinates has the link's
+            twist instead, as `twist` takes it; the link of a fixed joint is left out.
         """
         poses = self.poses("pose", self.pose() if pose is None else pose)
         twists = self.twists("twist", twist)
@@ -619,15 +743,29 @@ class Mechanism(Shown):
     # ---- closing -------------------------------------------------------------------------------
 
     def close(self, pose: Mapping[str, Any]) -> dict[str, Array]:
-        """Poses that close all joints and loops, from some near by, by Newton's method.
+        """Find poses that close all joints and loops near given ones, by Newton's method.
 
-        pose : of all links, (4, 4) or (n, 4, 4).   Returns the same.
+        Every step is the motion of least kinetic energy that closes the joints, as in
+        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already is
+        returned unchanged.
 
-        Every step is the motion of least kinetic energy that makes up for what is open, as in
-        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already
-        comes back as it is. Raises PoseError where that leads nowhere, and says which joint stays
-        open by how much.
+        Parameters
+        ----------
+        pose : dict
+            Poses of all links, (4, 4) or (n, 4, 4).
 
+        Returns
+        -------
+        dict of ndarray, shape (4, 4) or (n, 4, 4)
+            Closed pose of each link.
+
+        Raises
+        ------
+        PoseError
+            The iteration does not converge; the message says which joint stays open by how much.
+
+        Examples
+        --------
         >>> import lierb
         >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
         >>> turning = dict(axis=(0.0, 1.0, 0.0))
@@ -657,14 +795,29 @@ class Mechanism(Shown):
     def project(
         self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
     ) -> dict[str, Array]:
-        """The twists nearest to these that satisfy all joints and loops, in kinetic energy.
+        """Return the nearest twists that satisfy all joints and loops, in kinetic energy.
 
-        twist : of all links, (6,) or (n, 6), body-fixed.   pose : of all links. Default: all
-            coordinates 0.   t0 : s, at which motors are to have their speeds.
-        Returns V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁺ (J V − prescribed), of all links together.
+        Parameters
+        ----------
+        twist : dict
+            Body-fixed twists of all links, (6,) or (n, 6).
+        pose : dict, optional
+            Poses of all links. Default: all coordinates 0.
+        t0 : float, optional
+            Time at which motors have their speeds, s.
 
-        Raises TwistError where motors ask for speeds that no twist has.
+        Returns
+        -------
+        dict of ndarray, shape (6,) or (n, 6)
+            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁺ (J V − prescribed), of all links together.
 
+        Raises
+        ------
+        TwistError
+            Motors prescribe speeds that no twist has.
+
+        Examples
+        --------
         >>> import lierb
         >>> box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
         >>> pair = lierb.Mechanism([
@@ -687,11 +840,20 @@ class Mechanism(Shown):
         }
 
     def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
-        """How many freedoms its joints and loops leave at a pose, and how many rows are redundant.
+        """Count the freedoms that joints and loops leave at a pose, and the redundant rows.
 
-        pose : of all links, closed. Default: all coordinates 0.
-        Returns numbers, or (n,) of them, as `freedoms` and `redundant`. Motors are left out of it.
+        Parameters
+        ----------
+        pose : dict, optional
+            Closed poses of all links. Default: all coordinates 0.
 
+        Returns
+        -------
+        Mobility
+            `freedoms` and `redundant`, whole numbers or (n,) of them. Motors do not count.
+
+        Examples
+        --------
         >>> import lierb
         >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
         >>> bearing = lierb.Loop("bearing", lierb.joints.revolute(), "wheel")

@@ -80,16 +80,27 @@ ELEMENTS: dict[str, type[Element]] = {
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Body(Shown):
-    """A rigid body, or one per member of a batch.
+    """A rigid body, or a batch of them.
 
-    mass : number or (n,), kg.
-    inertia : (3,) or (n, 3) principal moments, (3, 3) or (n, 3, 3) matrices, kg m², about the body
-        frame's origin and in its axes. A shape (3, 3) is one matrix, and refused where mass or com
-        are those of three bodies.
-    com : (3,) or (n, 3), m, centre of mass in the body frame. Default: its origin.
+    Parameters
+    ----------
+    mass : float or array_like, shape (n,)
+        Mass, kg.
+    inertia : array_like, shape (3,), (n, 3), (3, 3) or (n, 3, 3)
+        Principal moments or inertia matrices, kg m², about the body frame's origin and in its axes.
+        A shape (3, 3) is one matrix, and refused where mass or com are those of three bodies.
+    com : array_like, shape (3,) or (n, 3), optional
+        Centre of mass in the body frame, m. Default: its origin.
 
-    Raises InertiaError for a mass or inertia that no body has, ArgumentError for wrong shapes.
+    Raises
+    ------
+    InertiaError
+        No body has such a mass or inertia.
+    ArgumentError
+        A shape is wrong.
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531)).inertia.shape
     (3, 3)
@@ -299,17 +310,36 @@ def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None
 class Problem(Shown):
     """A body, the joint that holds it to the ground, and the forces on it.
 
-    gravity : (3,) or (n, 3), m/s², in the ground frame. Default: none.
-    forces : made by `lierb.forces` and `lierb.wrench`, as many as wanted.
-    constraints : made by `lierb.constraint`, beside the joint's own.
-    observables : made by `lierb.observable`: columns of the results.
-    events : made by `lierb.event`: crossings of zero, to be found and told.
-    states : made by `lierb.states`: more states, integrated with the body's.
-    controllers : made by `lierb.controller`: called once a period, with outputs that are held.
+    Parameters
+    ----------
+    body : Body
+        The body or the batch of bodies.
+    joint : Joint
+        Its joint to the ground; `lierb.joints.free()` for none.
+    gravity : array_like, shape (3,) or (n, 3), optional
+        Acceleration of gravity in the ground frame, m/s². Default: none.
+    forces : Force or iterable of Force, optional
+        Forces made by `lierb.forces` and `lierb.wrench`.
+    constraints : Constraint or iterable of Constraint, optional
+        Constraints made by `lierb.constraint`, beside the joint's own.
+    observables : Observable or iterable of Observable, optional
+        Columns of the results, made by `lierb.observable`.
+    events : Event or iterable of Event, optional
+        Crossings of zero to be located, made by `lierb.event`.
+    states : ExtraStates or iterable of ExtraStates, optional
+        Further states, made by `lierb.states` and integrated with the body's.
+    controllers : Controller or iterable of Controller, optional
+        Sampled controllers, made by `lierb.controller`: called once a period, their outputs are
+        held.
 
-    Raises ForceError for a force about a joint axis that the joint does not have, and for a
-    function that sees states or controls that the problem has not.
+    Raises
+    ------
+    ForceError
+        A force acts about a joint axis that the joint does not have, or a function uses states or
+        controls that the problem does not have.
 
+    Examples
+    --------
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=[1.0, 2.0])
     >>> lierb.Problem(box, lierb.joints.free(), forces=lierb.forces.drag(linear=0.1)).batch_size()
@@ -369,7 +399,23 @@ class Problem(Shown):
         return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
 
     def of_body(self, body: int) -> Problem:
-        """The problem of one body of the batch. Raises ArgumentError for a number of none."""
+        """Return the problem of one body of the batch.
+
+        Parameters
+        ----------
+        body : int
+            Number of the body.
+
+        Returns
+        -------
+        Problem
+            Its problem, not batched.
+
+        Raises
+        ------
+        ArgumentError
+            The batch has no body of that number.
+        """
         which = member_of(body, self.batch_size())
         elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
         gravity = taken(self.gravity, which, 1)
@@ -464,16 +510,31 @@ class Problem(Shown):
         return kinds.body_with(space, parameters, self.kinds, numbers)
 
     def close(self, pose: Any) -> Array:
-        """A pose that closes the joint, from one near by, by Newton's method on its constraints.
+        """Find a pose that closes the joint near a given one, by Newton's method on its rows.
 
-        pose : (4, 4), (n, 4, 4) or SciPy.   Returns (4, 4) or (n, 4, 4).
+        Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
+        constraints' values; a body that is small beside its lever arm counts as larger there, so
+        that it does not turn by a radian to move by a hair. The iteration ends at rounding,
+        relative to the problem's own length.
 
-        Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that makes up for
-        the constraints' values; a body that is small beside its arm counts as larger there, or it
-        would rather turn by a radian than move by a hair. Ends where rounding does, relative to
-        the problem's own length. Raises PoseError where that leads nowhere: from too far away, in a
-        singular configuration, or from exactly half a turn off.
+        Parameters
+        ----------
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
+            Pose near the joint.
 
+        Returns
+        -------
+        ndarray, shape (4, 4) or (n, 4, 4)
+            Pose that closes the joint.
+
+        Raises
+        ------
+        PoseError
+            The iteration does not converge: the pose is too far away, in a singular configuration,
+            or exactly half a turn off.
+
+        Examples
+        --------
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
         >>> pendulum = lierb.Problem(lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0), hinge)
@@ -537,12 +598,24 @@ class Problem(Shown):
         return finite("the closed pose", pose_matrix(turned_back))
 
     def project(self, twist: ArrayLike, pose: Any = None, *, t0: float = 0.0) -> Array:
-        """The nearest twist that satisfies the joint, in the kinetic-energy metric.
+        """Return the nearest twist that satisfies the joint, in the kinetic-energy metric.
 
-        twist : (6,) or (n, 6), body-fixed (ω, v), rad/s and m/s.   pose : as in `integrate`.
-        t0 : s, at which a motor is to have its speed.
-        Returns (6,) or (n, 6): V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+        Parameters
+        ----------
+        twist : array_like, shape (6,) or (n, 6)
+            Body-fixed twist (ω, v), rad/s and m/s.
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Pose of the body. Default: the closed joint.
+        t0 : float, optional
+            Time at which a motor has its speed, s.
 
+        Returns
+        -------
+        ndarray, shape (6,) or (n, 6)
+            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+
+        Examples
+        --------
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 0.0, 1.0))
         >>> wheel = lierb.Problem(lierb.bodies.cylinder(0.3, 0.05, mass=2.0), hinge)

@@ -1,7 +1,7 @@
-"""Random numbers for controllers, by place in a stream: seed, trajectory, name, tick, component.
+"""Random numbers for controllers, addressed by seed, trajectory, name, tick and component.
 
-`normal` draws inside of functions of `@lierb.controller`; `sample` gives the same bits anywhere
-else. Nothing is drawn one after the other: a trajectory's noise is the same alone and in a batch of
+`normal` draws inside functions of `@lierb.controller`; `sample` gives the same bits anywhere
+else. No draw depends on an earlier one: a trajectory's noise is the same alone and in a batch of
 a million, on one lane or eight, when it is resumed and on another machine.
 """
 
@@ -25,13 +25,29 @@ __all__ = ["normal", "sample"]
 def sample(
     seed: int, trajectory: ArrayLike, name: str, tick: ArrayLike, size: int | tuple[()] = ()
 ) -> Array:
-    """What `normal(name, size)` gives in a controller, to the bit.
+    """Compute the numbers that `normal(name, size)` draws in a controller, to the bit.
 
-    seed, trajectory : of the run: `lierb.integrate(seed=…, trajectories=…)`. Whole numbers, 0 to
-        2⁵³ − 1, trajectory an array of them if wanted.
-    tick : number of the call: it is at tick·T, T being the controller's period. An array if wanted.
-    Returns trajectory's and tick's shapes broadcast, and then (size,) where it is a count.
+    Parameters
+    ----------
+    seed : int
+        Seed of the run, `lierb.integrate(seed=…)`, 0 to 2⁵³ − 1.
+    trajectory : int or array_like of int
+        Number of the trajectory, `lierb.integrate(trajectories=…)`, 0 to 2⁵³ − 1.
+    name : str
+        Name of the noise.
+    tick : int or array_like of int
+        Number of the call, which is at tick·T for a controller of period T.
+    size : int or (), optional
+        Number of components; () for a single number.
 
+    Returns
+    -------
+    ndarray
+        Numbers in the shapes of trajectory and tick, broadcast, followed by (size,) where it is a
+        count.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.noise.sample(0, trajectory=[0, 1, 2], name="gyro", tick=5, size=3).round(3).tolist()
     [[1.334, 0.184, -0.075], [1.292, -0.763, 0.197], [2.011, 1.632, 0.737]]

@@ -30,12 +30,27 @@ from lierb.model import Problem
 
 @dataclass(frozen=True)
 class Prediction:
-    """What one c-space's update keeps.
+    """Prediction of what one c-space's update keeps.
 
-    group : the completion group K; of a joint of a mechanism, its projection to what the joint's
-        rows depend on.   dimension : of it.
-    rows : the joint's rows, and `rows_exact`, whether each is kept exactly.
-    position_exact, rotation_exact : whether all translational, or rotational, rows are.
+    Attributes
+    ----------
+    cspace : str
+        Configuration space.
+    group : str
+        Completion group K; for a joint of a mechanism, its projection to what the joint's rows
+        depend on.
+    dimension : int
+        Dimension of that group.
+    rows : tuple of str
+        Rows of the joint.
+    rows_exact : tuple of bool
+        True for each row that is kept exactly.
+    position_exact : bool
+        True if all translational rows are kept exactly.
+    rotation_exact : bool
+        True if all rotational rows are kept exactly.
+    reason : str
+        Reason, in a sentence.
     """
 
     cspace: str
@@ -61,10 +76,18 @@ class Predictions(dict[str, Prediction]):
 
 
 class JointPredictions(dict[str, Prediction]):
-    """Of a mechanism in one c-space: a Prediction for each link's joint, loop and constraint.
+    """Predictions for a mechanism in one c-space, one for each link's joint, loop and constraint.
 
-    dimension : of the completion group of the whole mechanism.
-    position_exact, rotation_exact : whether those of all joints are.
+    Attributes
+    ----------
+    found : Mapping of str to Prediction
+        Prediction for each joint, by name; the object itself is this mapping.
+    dimension : int
+        Dimension of the completion group of the whole mechanism.
+    position_exact : bool
+        True if all joints' translational rows are kept exactly.
+    rotation_exact : bool
+        True if all joints' rotational rows are kept exactly.
     """
 
     def __init__(self, found: Mapping[str, Prediction], dimension: int) -> None:
@@ -137,20 +160,38 @@ def predict(problem: Mechanism, pose0: Any = None) -> MechanismPredictions: ...
 
 
 def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | MechanismPredictions:
-    """Which rows of the joints each c-space keeps exactly, and why.
+    """Predict which rows of the joints each c-space keeps exactly, and why.
 
-    problem : of one body, or a mechanism; not a batch.
-    pose0 : (4, 4) or SciPy; the closed joint if not given. It says where the body's frame is to the
-        joint, and on which branch. Of a mechanism a dictionary of all links' poses; if not given,
-        `mechanism.close(mechanism.pose())`, all coordinates 0.
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        One problem, not a batch.
+    pose0 : array_like or RigidTransform, shape (4, 4), or dict of them, optional
+        Pose of the body: where its frame is relative to the joint, and on which branch. For a
+        mechanism a dictionary of all links' poses. Default: the closed joint; for a mechanism
+        `mechanism.close(mechanism.pose())`.
 
+    Returns
+    -------
+    Predictions or MechanismPredictions
+        Predictions by c-space; for a mechanism by c-space and by the name of the link or loop that
+        the joint belongs to. SO(3)×R³ is left out where the centre of mass of a body is not at its
+        frame's origin.
+
+    Raises
+    ------
+    ArgumentError
+        The problem is a batch.
+    PoseError
+        The pose does not close the joints, or is singular.
+
+    Notes
+    -----
     The algebra is generated numerically (ranks to 1e-8) from the kernels of J at configurations
-    sampled until its dimension is stable. SO(3)×R³ is left out where the centre of mass of a body
-    is not at its frame's origin. Returns Predictions, by c-space; of a mechanism
-    MechanismPredictions, by c-space and by the name of the link or loop whose joint it is.
+    sampled until its dimension is stable.
 
-    Raises ArgumentError for a batch, PoseError for a pose off the joints or one that is singular.
-
+    Examples
+    --------
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
     >>> top = lierb.Problem(box, lierb.joints.spherical(body_point=(0.0, 0.1, 0.2)))
@@ -159,7 +200,7 @@ def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | Me
     SE3      SO(3)             3    exact     exact     d1 d2 d3 / –
     SO3xR3   SO(3)×R³          6    drifts    exact     – / d1 d2 d3
 
-    Of a pendulum that hangs on a wheel only the wheel's own joint is kept on SE(3)²:
+    On SE(3)², the joint of a wheel with the ground is kept; that of a pendulum on it drifts:
 
     >>> wheel = lierb.Link("wheel", box, lierb.joints.revolute(axis=(0, 0, 1)))
     >>> hung = lierb.joints.revolute(axis=(1, 0, 0), body_point=(0, 0, 0.2), parent_point=(1, 0, 0))

@@ -57,7 +57,7 @@ class States(Shown):
 
     @property
     def t(self) -> Array:
-        """Of the state, s: (times,) of the history, or (n,), the end of each trajectory.
+        """Times of the state, s: (times,) of the history, or (n,), the end of each trajectory.
 
         A trajectory that failed ends there; the history goes on.
         """
@@ -67,7 +67,7 @@ class States(Shown):
 
     @property
     def position(self) -> Array:
-        """r in the ground frame, m: (times, n, 3), or (n, 3) at the end."""
+        """Position r in the ground frame, m: (times, n, 3), or (n, 3) at the end."""
         return self._state("position", 3)
 
     @property
@@ -119,9 +119,16 @@ class States(Shown):
 
 @dataclass(frozen=True, repr=False)
 class LinkResult(States):
-    """What one link of a mechanism does: `result["rod"]`; see `Result` for its arrays.
+    """Motion of one link of a mechanism, `result["rod"]`; it has the arrays of `Result`.
 
-    name : of the link.   summary, history : the tables of the whole mechanism.
+    Attributes
+    ----------
+    summary : pyarrow.Table
+        Summary of the whole mechanism.
+    history : pyarrow.Table or None
+        History of the whole mechanism.
+    name : str
+        Name of the link.
     """
 
     name: str
@@ -138,19 +145,28 @@ class LinkResult(States):
 
 @dataclass(frozen=True, repr=False)
 class Result(States):
-    """What `integrate` gives back: pyarrow tables, and the state in them as NumPy arrays.
-
-    summary: one row per trajectory.   history: one row per saved time and trajectory, time-major;
-    None without `save_every` or `save_at`.   events: one row per crossing of an event, with the
-    state there, by trajectory and time; None for a problem without events.
+    """Tables that `integrate` returns, and the state in them as NumPy arrays.
 
     `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
     state (`save_every=…` or `save_at=…`, `record="state"`), an axis of times before that of
-    trajectories; else they are of the end. Nobody can write to them: they are the tables' memory. A
+    trajectories; else they are of the end. The arrays are read-only: they are the tables' memory. A
     batch of one keeps its axis. After a failure all but `t` are NaN; so are rows after the end of a
-    trajectory that an event has ended. Of a mechanism each link has its own:
+    trajectory that an event has ended. A mechanism's links have results of their own:
     `result["rod"].position`.
 
+    Attributes
+    ----------
+    summary : pyarrow.Table
+        One row for each trajectory.
+    history : pyarrow.Table or None
+        One row for each saved time and trajectory, time-major; None without `save_every` or
+        `save_at`.
+    events : pyarrow.Table or None
+        One row for each crossing of an event, with the state there, by trajectory and time; None
+        for a problem without events.
+
+    Examples
+    --------
     >>> import lierb
     >>> body = lierb.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
     >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
@@ -174,7 +190,7 @@ class Result(States):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Names of the links, of a mechanism's result; of one body's none."""
+        """Names of the links of a mechanism; none for a single body."""
         ends = (n.rpartition(".") for n in self.summary.column_names)
         return tuple(link for link, _, what in ends if link and what == "rotation")
 
@@ -202,11 +218,17 @@ class Result(States):
 
     @property
     def momentum(self) -> Array:
-        """Angular momentum about the ground's origin, N m s, and linear momentum, N s, of all links
-        together and in the ground's axes: (times, n, 6), or (n, 6) at the end.
+        """Angular momentum about the ground's origin, N m s, and linear momentum, N s.
 
-        Raises ArgumentError for a result that was pickled, which has lost its bodies.
+        Both are sums over all links, in the ground's axes: (times, n, 6), or (n, 6) at the end.
 
+        Raises
+        ------
+        ArgumentError
+            The result was pickled, and has lost its bodies.
+
+        Examples
+        --------
         >>> import lierb
         >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=2.0), lierb.joints.free())
         >>> twist0 = (0.0, 0.0, 0.0, 3.0, 0.0, 0.0)
@@ -246,23 +268,27 @@ class Result(States):
 
     @cached_property
     def end(self) -> dict[str, Any]:
-        """Where the run ended, as the keywords `pose0`, `twist0` and `t0` with which it goes on.
+        """End of the run, as the keywords `pose0`, `twist0` and `t0` with which it continues.
 
         `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with the same body, joint
         and formulation (the same `Mechanism`), in the same process, from the driver's own state, so
         that with the same dt and method the bits are those of one run without a break. A state that
-        has drifted off its joint goes on as it is. Maxima, energy drift and work count from the new
-        start. Copies and parts of `pose0`, or another twist or time with it, start as any other
-        pose does.
+        has drifted off its joint is continued as it is. Maxima, energy drift and work count from
+        the new start. Copies and parts of `pose0`, or another twist or time with it, start as any
+        other pose does.
 
-        So do the problem's own states, what its controllers hold and remember, and the length of
-        adaptive steps: the bits are those of one run where that had a step end here, as all have at
-        a controller's tick. `seed` and `trajectories` are to be given again. What would lose states
-        or memory on the way is an ArgumentError of `integrate`.
+        The problem's own states, the outputs and memory of its controllers, and the length of
+        adaptive steps continue too: the bits are those of one run in which a step ends here, as one
+        does at every tick of a controller. `seed` and `trajectories` are to be given again.
+        `integrate` raises ArgumentError where states or memory would be lost.
 
-        Raises ArgumentError where a trajectory has failed, and where they have ended at different
-        times.
+        Raises
+        ------
+        ArgumentError
+            A trajectory has failed, or trajectories have ended at different times.
 
+        Examples
+        --------
         >>> import lierb
         >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
         >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -285,14 +311,30 @@ class Result(States):
     # ---- pictures ----
 
     def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
-        """A moving picture of trajectories, written to `path`, an HTML file; a notebook shows it.
+        """Make a moving picture of trajectories, and write it to an HTML file; a notebook shows it.
 
-        options : `trajectories`, `shape`, `trail`, `frames`, `title`, …: see `lierb.animate`, which
-            also puts several results side by side.
+        It needs the poses over time: `save_every=…` or `save_at=…`, `record="state"`.
 
-        Needs the poses over time: `save_every=…` or `save_at=…`, `record="state"`. Raises
-        ArgumentError without.
+        Parameters
+        ----------
+        path : path, optional
+            HTML file to write. Default: none.
+        **options : object
+            Arguments of `lierb.animate`, such as `trajectories`, `shape`, `trail`, `frames` and
+            `title`. That function also puts several results side by side.
 
+        Returns
+        -------
+        Animation
+            The moving picture.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no states.
+
+        Examples
+        --------
         >>> import lierb
         >>> body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
         >>> flight = lierb.Problem(body, lierb.joints.free())
@@ -309,20 +351,38 @@ class Result(States):
         trajectories: int | Iterable[int] | None = None,
         problem: Problem | Mechanism | None = None,
     ) -> Figure:
-        """What is in the history, over time, as a Matplotlib figure; needs `lierb[plot]`.
+        """Draw the history over time, as a Matplotlib figure; needs `lierb[plot]`.
 
-        columns : which panels: "angles", "trace" (where the body's axis points, on the sphere),
-            "position" and "omega", of a recorded state; and any column of the history, such as
-            "energy", "position_error" or an observable. Default: all but rates of errors. Of a
-            mechanism "angles" and "slides", the coordinates of its joints, and what all joints have
-            together; "rod.omega", "pin.position_error", "pin.force" and the like are drawn when
-            they are asked for.
-        trajectories : their numbers. Default: all; of more than six, median and 5 to 95 %.
-        problem : of a result that was pickled, which has lost its own.
+        Errors are drawn on logarithmic axes, where a zero is a gap.
 
-        Errors are drawn on logarithmic axes, where a zero is a gap. Raises ArgumentError without a
-        history, MissingExtraError without Matplotlib.
+        Parameters
+        ----------
+        columns : str or iterable of str, optional
+            Panels: "angles", "trace" (where the body's axis points, on the sphere), "position" and
+            "omega", of a recorded state; and any column of the history, such as "energy",
+            "position_error" or an observable. Default: all but rates of errors. For a mechanism
+            "angles" and "slides" are the coordinates of its joints, and the default is what all
+            joints have together; ask for "rod.omega", "pin.position_error", "pin.force" and the
+            like.
+        trajectories : int or iterable of int, optional
+            Numbers of the trajectories. Default: all; of more than six, their median and 5 to 95 %.
+        problem : Problem or Mechanism, optional
+            The problem of a result that was pickled, which has lost its own.
 
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no history.
+        MissingExtraError
+            Matplotlib is not installed.
+
+        Examples
+        --------
         >>> import lierb
         >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
         >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
@@ -338,16 +398,29 @@ class Result(States):
     # ---- data frames ----
 
     def to_pandas(self, table: str = "summary") -> pandas.DataFrame:
-        """A table as a pandas data frame, vectors as a column for each component.
-
-        table : "summary", "history" or "events".
+        """Convert a table to a pandas data frame, with a column for each component of a vector.
 
         `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
         `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
-        `reaction_force_x` …; `lambda` becomes `lambda_1` …. Of a mechanism the link's or joint's
-        name stands before: `rod.position_x`. `attrs["units"]` has their units.
+        `reaction_force_x` …; `lambda` becomes `lambda_1` …. The link's or joint's name of a
+        mechanism comes first: `rod.position_x`. `attrs["units"]` has the units.
 
-        Raises ArgumentError where there is no such table, MissingExtraError without pandas.
+        Parameters
+        ----------
+        table : {"summary", "history", "events"}, optional
+            Name of the table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no such table.
+        MissingExtraError
+            pandas is not installed.
         """
         require("pandas")
         chosen = self._expanded(table)
@@ -356,11 +429,24 @@ class Result(States):
         return frame
 
     def to_polars(self, table: str = "summary") -> polars.DataFrame:
-        """A table as a polars data frame, its columns as those of `to_pandas`.
+        """Convert a table to a polars data frame, with the columns of `to_pandas`.
 
-        table : "summary", "history" or "events".
+        Parameters
+        ----------
+        table : {"summary", "history", "events"}, optional
+            Name of the table.
 
-        Raises ArgumentError where there is no such table, MissingExtraError without polars.
+        Returns
+        -------
+        polars.DataFrame
+            The table.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no such table.
+        MissingExtraError
+            polars is not installed.
         """
         require("polars")
         import polars

@@ -8,7 +8,7 @@ at once.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, update_wrapper
 from typing import Any, ClassVar, Self, overload
@@ -35,9 +35,16 @@ from lierb.user_functions import (
 class Element:
     """A force, a constraint or an observable.
 
-    parameters : by name, each in its own shape, or with an axis for the bodies before it.
-    made_by : the function of the user's that it is made of, as it was decorated.
-    at : of a mechanism, where it acts: on a link, between two, or about the axis of a joint.
+    Attributes
+    ----------
+    name : str
+        Name of the function that made it.
+    parameters : dict of ndarray
+        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : callable or None
+        The user's function, as it was decorated.
+    at : tuple of str
+        Place in a mechanism: a link, two links, or the joint about whose axis it acts.
     """
 
     name: str
@@ -62,13 +69,24 @@ class Element:
         return f"<{self.name}: {', '.join(self.parameters) or 'no parameters'}{where}>"
 
     def on(self, link: str, other: str | None = None) -> Self:
-        """The same on a link of a `lierb.Mechanism`, or between two links.
+        """Place the element on a link of a `lierb.Mechanism`, or between two links.
 
-        link : its name; of what acts about a joint axis that of the link, or of the loop, whose
-            joint it is.
-        other : the link that takes the ground's place: what the element calls the ground's (points,
-            directions, R and r) is in its body frame, and of a force it bears the reaction.
+        Parameters
+        ----------
+        link : str
+            Name of the link. For an element that acts about a joint axis, the name of the link or
+            loop whose joint it is.
+        other : str, optional
+            Link in place of the ground: the element's points and directions of the ground, R and r
+            are in its body frame, and it receives the reaction of a force.
 
+        Returns
+        -------
+        Element
+            The element in that place.
+
+        Examples
+        --------
         >>> import lierb
         >>> spring = lierb.forces.spring_damper(stiffness=10.0)
         >>> spring.on("rod", "crank")
@@ -154,17 +172,40 @@ class Constraint(Element):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observable(Element):
-    """A number to be known of the motion; made by `lierb.observable`.
+    """A number that is recorded along the motion; made by `lierb.observable`.
 
-    name : of its column in a history; unit : of its numbers.
+    Attributes
+    ----------
+    name : str
+        Name of its column in a history.
+    parameters : dict of ndarray
+        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : callable or None
+        The user's function, as it was decorated.
+    at : tuple of str
+        Place in a mechanism: a link or two.
+    unit : str
+        Unit of its numbers.
     """
 
     unit: str = "1"
     words: ClassVar = "an observable", "observables"
 
     def named(self, name: str) -> Self:
-        """The same under another name: a problem may have one function several times.
+        """Rename the observable: a problem may have one function several times.
 
+        Parameters
+        ----------
+        name : str
+            Name of its columns.
+
+        Returns
+        -------
+        Observable
+            The observable of that name.
+
+        Examples
+        --------
         >>> import lierb
         >>> @lierb.observable(unit="m", height=0.0)
         ... def above(r, params):
@@ -217,9 +258,14 @@ class Wrench(Decorated):
 
     _potential: Callable[..., Any] | None = None
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
-        given = defaults.pop("discontinuities", ())
-        names = (given,) if isinstance(given, str) else tuple(given)
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        defaults: dict[str, Any],
+        discontinuities: str | Iterable[str],
+    ) -> None:
+        is_one = isinstance(discontinuities, str)
+        names = (discontinuities,) if is_one else tuple(discontinuities)
         for name in names:
             if name not in defaults:
                 raise unknown_name("discontinuities", name, defaults)
@@ -292,34 +338,57 @@ class ObservableFunction(Decorated):
 @overload
 def wrench(function: Callable[..., Any], /) -> Wrench: ...
 @overload
-def wrench(**defaults: ArrayLike) -> Callable[[Callable[..., Any]], Wrench]: ...
-def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike) -> Any:
+def wrench(
+    *, discontinuities: str | Iterable[str] = (), **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], Wrench]: ...
+def wrench(
+    function: Callable[..., Any] | None = None,
+    /,
+    *,
+    discontinuities: str | Iterable[str] = (),
+    **defaults: ArrayLike,
+) -> Any:
     """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
 
     The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
     3×3 and r the pose in the ground frame, ω and v the body-fixed twist, all as arrays of numbers;
     torque (N m) and force (N) are in body axes, about the body frame's origin.
 
-    Called with its parameters, what results is a force for `Problem(forces=…)`. The defaults say
-    which parameters there are and what shape they have for one body; without defaults all are
-    numbers. In the function they are `params.name`.
-
-    An argument named `body`, after `params`, sees the body: `body.mass`, `body.inertia` (3×3, about
+    An argument named `body`, after `params`, has the body: `body.mass`, `body.inertia` (3×3, about
     the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
-    discontinuities : names of parameters that are times at which the function jumps or has a kink,
-        such as those at which a thruster is switched. Steps end there: see `lierb.integrate`.
-
-    Arguments named `states` and `controls` see the problem's extra states (`lierb.states`) and what
-    its controllers put out last (`lierb.controller`), each by its name.
+    Arguments named `states` and `controls` have the problem's extra states (`lierb.states`) and the
+    last outputs of its controllers (`lierb.controller`), each by its name.
 
     The function is written for one body and compiled for many at once: operators, `math`, NumPy,
-    and `lierb.where(condition, a, b)` in place of `if`. One that branches on a number all the same
-    runs body by body, 10 to 60 times slower; a warning says so once. It must be a function of its
-    arguments: what else it refers to is what it was when the force was made, and once that has
-    changed the force can be used no more.
+    and `lierb.where(condition, a, b)` in place of `if`. A function that branches on a number runs
+    body by body, 10 to 60 times slower; a warning says so once. It must be a function of its
+    arguments: other objects that it refers to are compiled as they were when the force was made,
+    and a force whose objects have changed cannot be used any more.
 
-    Raises ForceError for a function of another form, or one that cannot be compiled at all.
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    discontinuities : str or iterable of str, optional
+        Names of parameters that are times, s, at which the function jumps or has a kink, such as
+        those at which a thruster is switched. Steps end there, as at the times of the argument of
+        that name of `lierb.integrate`.
+    **defaults : array_like
+        Default of each parameter, whose shape is that for one body. In the function they are
+        `params.name`. Without defaults all parameters are numbers.
 
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes a force for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.wrench(stiffness=10.0, anchor=(0.0, 0.0, 1.0))
     ... def tether(t, R, r, omega, v, params):
@@ -327,7 +396,7 @@ def wrench(function: Callable[..., Any] | None = None, /, **defaults: ArrayLike)
     >>> tether(stiffness=[5.0, 10.0, 20.0])
     <tether: stiffness, anchor>
     """
-    return decorated(Wrench, function, defaults)
+    return decorated(partial(Wrench, discontinuities=discontinuities), function, defaults)
 
 
 @overload
@@ -340,14 +409,32 @@ def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     """Make a function a constraint: `@lierb.constraint`, or with defaults as `lierb.wrench`.
 
     The function is called with (R, r, params), and `body` as in `lierb.wrench`, and returns h, one
-    number or several, which shall stay zero; each becomes a row beside the joint's. Its Jacobian
+    number or several, which must stay zero; each becomes a row beside the joint's. Its Jacobian
     and acceleration term come from the same function, differentiated exactly. It cannot branch on
-    numbers but with `lierb.where`.
+    numbers except by `lierb.where`.
 
-    unit : of h, "m" or "1": whether it counts as position or as rotation error. Default "m".
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    unit : {"m", "1"}, optional
+        Unit of h: position error or rotation error.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
 
-    Raises ForceError as `lierb.wrench` does.
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes a constraint for
+        `Problem(constraints=…)`.
 
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.constraint(length=0.5)
     ... def rod(R, r, params):
@@ -368,20 +455,40 @@ def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -
     """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns one number. For
-    `Problem(observables=…)`. It is asked where measures are taken (`measure_every`, `save_every`),
-    and changes nothing of the motion. Steps of a tolerance are long: for a fine mean there give
-    `dt_max`, or integrate the number as a state (`lierb.states`).
+    and in any order, each as in `lierb.wrench`, and returns one number. It is evaluated where
+    measures are taken (`measure_every`, `save_every`), and does not change the motion. Adaptive
+    steps are long: for a fine mean give `dt_max`, or integrate the number as a state
+    (`lierb.states`).
 
-    `history` has its values in a column of its name; `summary` has, under that name and over the
+    `history` has its values in a column of its name. `summary` has, under that name and over the
     measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
     `…_final`. After a failure the extremes are those up to it, and the others NaN. A value that is
     NaN makes the extremes and the mean NaN, and is no failure.
 
-    unit : of the number, for the columns' metadata. Default: "1".
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    unit : str, optional
+        Unit of the number, for the columns' metadata.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
 
-    Raises ForceError as `lierb.wrench` does, ArgumentError for a name that columns have already.
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes an observable for
+        `Problem(observables=…)`.
 
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        Columns of that name exist already.
+
+    Examples
+    --------
     >>> import lierb
     >>> import numpy as np
     >>> @lierb.observable(unit="rad", axis=(0.0, 0.0, 1.0))
@@ -415,7 +522,7 @@ def require_unit(argument: str, unit: Any) -> str:
     return unit
 
 
-def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+def decorated(kind: Callable[..., Decorated], function: Any, defaults: dict[str, Any]) -> Any:
     if function is None:
         return lambda given: decorated(kind, given, defaults)
     if not inspect.isfunction(function):

@@ -46,11 +46,22 @@ SAMPLED = "it is called for many at once, each at its own time"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event(Element):
-    """Something that happens where a number is zero; made by `lierb.event`.
+    """A crossing of zero by a number, located along the motion; made by `lierb.event`.
 
-    name : in the table of events.
-    direction : of the crossing: +1 rising, −1 falling, 0 both.
-    terminal : whether the trajectory ends there.
+    Attributes
+    ----------
+    name : str
+        Name in the table of events.
+    parameters : dict of ndarray
+        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : callable or None
+        The user's function, as it was decorated.
+    at : tuple of str
+        Place in a mechanism: a link or two.
+    direction : {-1, 0, 1}
+        Crossings that count: 1 rising, −1 falling, 0 both.
+    terminal : bool
+        True if the trajectory ends there.
     """
 
     direction: int = 0
@@ -58,8 +69,20 @@ class Event(Element):
     words: ClassVar = "an event", "events"
 
     def named(self, name: str) -> Self:
-        """The same under another name: a problem may have one function several times.
+        """Rename the event: a problem may have one function several times.
 
+        Parameters
+        ----------
+        name : str
+            Name in the table of events.
+
+        Returns
+        -------
+        Event
+            The event of that name.
+
+        Examples
+        --------
         >>> import lierb
         >>> @lierb.event(height=0.0)
         ... def crossing(r, params):
@@ -326,14 +349,34 @@ def event(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
     and in any order, each as in `lierb.wrench`, and returns one number, which should be smooth. The
-    event is where that crosses zero. For `Problem(events=…)` and `lierb.integrate(events=…)`; the
-    crossings are in `result.events`.
+    event is where that number crosses zero. The crossings are in `result.events`.
 
-    direction : of the crossings that count: 1 rising, −1 falling, 0 both. Default: 0.
-    terminal : whether the trajectory ends at the first one. Default: False.
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    direction : {-1, 0, 1}, optional
+        Crossings that count: 1 rising, −1 falling, 0 both.
+    terminal : bool, optional
+        End the trajectory at the first crossing.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
 
-    Raises ForceError as `lierb.wrench` does, ArgumentError for another direction.
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes an event for `Problem(events=…)` and
+        `lierb.integrate(events=…)`.
 
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        The direction is another number.
+
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.event(direction=-1, terminal=True, ground=0.0)
     ... def landing(r, params):
@@ -358,18 +401,36 @@ def states(function: Callable[..., Any] | None = None, /, **given: Any) -> Any:
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
     and in any order, each as in `lierb.wrench`, and returns the states' derivatives, a dictionary
-    by their names. For `Problem(states=…)`. The states are integrated with the motion; wrenches,
-    observables, events, controllers and other states see them as `states.NAME`. They are columns of
-    `history` and `summary`. The function cannot branch on numbers but with `lierb.where`.
+    by their names. The states are integrated with the motion; wrenches, observables, events,
+    controllers and other states have them as `states.NAME`. They are columns of `history` and
+    `summary`. The function cannot branch on numbers except by `lierb.where`.
 
-    initial : each state's initial value, a number or a vector of fixed length.
-    unit : of the states, by name, for the columns' metadata. Default: "1".
-    params : the defaults of parameters, by name. Without them all parameters are numbers.
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    unit : dict of str, optional
+        Unit of each state, by name, for the columns' metadata. Default: "1".
+    params : dict of array_like, optional
+        Default of each parameter, by name. Without them all parameters are numbers.
+    **initial : array_like
+        Initial value of each state, a number or a vector of fixed length.
 
-    Called, a keyword that is a state's name is its initial value, any other one a parameter.
+    Returns
+    -------
+    callable
+        Function that makes states for `Problem(states=…)`. A keyword with a state's name is its
+        initial value, any other one a parameter.
 
-    Raises ForceError as `lierb.wrench` does, ArgumentError for a name that columns have already.
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        Columns of that name exist already.
 
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.states(wheel=(0.0, 0.0, 0.0), filtered=0.0, unit={"wheel": "N m s"})
     ... def wheel_and_filter(omega, states, controls, params):
@@ -397,27 +458,44 @@ def controller(function: Callable[..., Any] | None = None, /, **given: Any) -> A
     """Make a function a sampled controller: `@lierb.controller(every=0.1)`.
 
     The function takes any of t, R, r, omega, v, params, body, states, controls and memory, by these
-    names and in any order, each as in `lierb.wrench`. It returns what it puts out, a dictionary of
-    numbers and vectors by name; with memory (outputs, memory), two dictionaries. For
-    `Problem(controllers=…)`.
+    names and in any order, each as in `lierb.wrench`. It returns its outputs, a dictionary of
+    numbers and vectors by name; with memory (outputs, memory), two dictionaries.
 
     It is called at the multiples of its period, 0, T, 2T, …, from the start of the run on. Outputs
     are held until the next call, and are zero before the first one; wrenches, observables, events,
-    states and controllers see them as `controls.NAME`. They are columns of `history` and `summary`.
-    Names and shapes of outputs are found by tracing the function once. It cannot branch on numbers
-    but with `lierb.where`; `lierb.noise.normal` draws random numbers.
+    states and controllers have them as `controls.NAME`. They are columns of `history` and
+    `summary`. Tracing the function once gives the names and shapes of outputs. It cannot branch on
+    numbers except by `lierb.where`; `lierb.noise.normal` draws random numbers.
 
-    every : the period T, s, a number or (n,). It may be left to the call.
-    memory : initial values of what it remembers from call to call, by name; a number or a vector
-        each. In the function they are `memory.NAME`.
-    unit : of the outputs, by name, for the columns' metadata. Default: "1".
-    defaults : of the parameters, as of `lierb.wrench`.
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    every : float or array_like, shape (n,), optional
+        Period T, s. It may be left to the call.
+    memory : dict of array_like, optional
+        Initial values of what it keeps from call to call, by name: a number or a vector each. In
+        the function they are `memory.NAME`.
+    unit : dict of str, optional
+        Unit of each output, by name, for the columns' metadata. Default: "1".
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
 
-    Called, `every` is the period, a keyword that is a memory's name its initial value, any other
-    one a parameter.
+    Returns
+    -------
+    callable
+        Function that makes a controller for `Problem(controllers=…)`. Its keyword `every` is the
+        period, one with a memory's name its initial value, any other one a parameter.
 
-    Raises ForceError as `lierb.wrench` does, ArgumentError for a name that columns have already.
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        Columns of that name exist already.
 
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.controller(
     ...     every=0.1, memory={"integral": (0.0, 0.0, 0.0)}, unit={"torque": "N m"}, gain=0.5,

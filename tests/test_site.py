@@ -1,27 +1,23 @@
-"""The site: every public name has its place and an example; docstrings become what Sphinx reads."""
+"""The site: every public name has its place, an example, and a docstring that is true."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
 import re
-import sys
+import typing
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from documented import entries, sections
 
 import lierb
 
 DOCS = Path(__file__).parent.parent / "docs"
-sys.path.insert(0, str(DOCS / "_ext"))
-
-import docstrings  # noqa: E402
-
 REFERENCE = [page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("reference/*.md"))]
-DIRECTIVE = re.compile(
-    r"^\.\. (auto)?(\w+):: (lierb[\w.]*)(?:\(\))?\n((?:   :.*\n)*)", re.MULTILINE
-)
+DIRECTIVE = re.compile(r"^\.\. (auto)?(\w+):: (lierb[\w.]*)(\(\))?\n((?:   :.*\n)*)", re.MULTILINE)
 
 
 def _public() -> dict[str, object]:
@@ -39,19 +35,37 @@ def _public() -> dict[str, object]:
     return names | {f"lierb.lie.{name}": getattr(lierb.lie, name) for name in groups}
 
 
-def _documented() -> set[str]:
-    found = set()
-    for _, kind, name, options in DIRECTIVE.findall("\n".join(REFERENCE)):
-        found.add(name)
-        members = re.search(r":members:(.*)", options)
-        if kind == "module" and members:
-            module = importlib.import_module(name)
-            listed = members[1].replace(",", " ").split() or vars(module)
-            found |= {f"{name}.{member}" for member in listed}
-    return found
+def _item(name: str) -> typing.Any:
+    """The object of a dotted name; a module may have to be imported first."""
+    parent, _, last = name.rpartition(".")
+    if not parent:
+        return lierb
+    holder = _item(parent)
+    return getattr(holder, last) if hasattr(holder, last) else importlib.import_module(name)
+
+
+def _documented() -> dict[str, bool]:
+    """Every name in the reference, and whether its signature is left out there."""
+    names: dict[str, bool] = {}
+    for _, kind, name, hidden, options in DIRECTIVE.findall("\n".join(REFERENCE)):
+        if kind == "currentmodule":
+            continue
+        names[name] = bool(hidden)
+        if members := re.search(r":(?:special-)?members:(.*)", options):
+            own = [
+                x for x, item in vars(_item(name)).items() if x[0] != "_" and inspect.getdoc(item)
+            ]
+            listed = members[1].replace(",", " ").split() or own
+            names |= {f"{name}.{member}": False for member in listed}
+    return names
+
+
+def _is_error(item: object) -> bool:
+    return inspect.isclass(item) and issubclass(item, (Exception, Warning))
 
 
 PUBLIC = _public()
+DOCUMENTED = _documented()
 WITHOUT_EXAMPLE = {
     "lierb.bodies.from_mesh",  # needs a mesh, and trimesh
     "lierb.sampling.Distribution",  # what all distributions have in common
@@ -62,17 +76,14 @@ WITHOUT_EXAMPLE = {
 
 @pytest.mark.parametrize("name", PUBLIC)
 def test_public_name_is_in_the_reference(name):
-    assert name in _documented(), (
-        f"add it to a page in docs/reference, as `.. autofunction:: {name}`"
-    )
+    assert name in DOCUMENTED, f"add it to a page in docs/reference, as `.. autofunction:: {name}`"
 
 
 @pytest.mark.parametrize("name", [n for n in PUBLIC if n not in WITHOUT_EXAMPLE])
 def test_public_name_has_an_example(name):
     """In its docstring or, of a class, in a method's; test_docs.py runs them."""
     item = PUBLIC[name]
-    is_error = inspect.isclass(item) and issubclass(item, (Exception, Warning))
-    if is_error or isinstance(item, (ModuleType, lierb.joints.JointType)):
+    if _is_error(item) or isinstance(item, (ModuleType, lierb.joints.JointType)):
         return
     where = item if inspect.isclass(item) or inspect.isroutine(item) else type(item)
     methods = vars(where).values() if inspect.isclass(where) else ()
@@ -87,28 +98,89 @@ def test_a_name_without_an_example_has_none():
     assert not [x for x in exempt if inspect.isroutine(x) and ">>> " in (inspect.getdoc(x) or "")]
 
 
-class TestDocstrings:
-    def test_arguments_become_definitions(self):
-        given = ["mass : number, kg.   com : (3,), m,", "    centre of mass.", "Returns a body."]
-        assert docstrings.restructured(given) == [
-            "``mass``", "    number, kg.", "",
-            "``com``", "    (3,), m,", "    centre of mass.", "",
-            "Returns a body.", "",
-        ]  # fmt: skip
+# ---- docstrings --------------------------------------------------------------------------------
 
-    def test_prose_keeps_its_words_and_loses_its_markup(self):
-        (line, _) = docstrings.restructured(["−c·|u|·u, 2*x, C_ of `d_i*`, ArgumentError."])
-        assert line == (r"−c·\|u\|·u, 2\*x, C\_ of `d_i*`, :py:exc:`~lierb.errors.ArgumentError`.")
+FUNCTIONS = [n for n in DOCUMENTED if inspect.isfunction(_item(n)) or inspect.ismethod(_item(n))]
+CLASSES = [n for n in DOCUMENTED if inspect.isclass(_item(n)) and not _is_error(_item(n))]
+WITH_SIGNATURE = FUNCTIONS + CLASSES
+EMPTY = inspect.Parameter.empty
+ODD_OPENINGS = {"Of", "What", "Whether", "How", "Those", "The same", "That", "Where"}
 
-    def test_examples_stay_as_they_are(self):
-        given = [">>> a = {'b : c': 1}", ">>> a", "{'b : c': 1}"]
-        assert docstrings.restructured(given) == [*given, ""]
 
-    def test_a_block_of_its_own_is_code(self):
-        assert docstrings.restructured(["Say:", "", "    x = f(y)"])[2:4] == [
-            ".. code-block:: python", "",
-        ]  # fmt: skip
+def _parameters(item: typing.Any) -> dict[str, bool]:
+    """Whether each parameter may be left out, by its name, with its stars.
 
-    def test_a_sentence_with_a_colon_is_no_argument(self):
-        (line, _) = docstrings.restructured(["Raises what it must: an error."])
-        assert line == "Raises what it must: an error."
+    Overloads say more than the function that they are of, whose order counts.
+    """
+    stars = {inspect.Parameter.VAR_POSITIONAL: "*", inspect.Parameter.VAR_KEYWORD: "**"}
+    signatures = [
+        {stars.get(p.kind, "") + p.name: p for p in inspect.signature(x).parameters.values()}
+        for x in typing.get_overloads(item) or (item,)
+    ]
+    first = [name for name in inspect.signature(item).parameters if name in signatures[-1]]
+    names = sorted(dict.fromkeys([*first, *chain(*signatures)]), key=lambda name: name[:1] == "*")
+    return {
+        name: name[:1] != "*"
+        and any(name not in each or each[name].default is not EMPTY for each in signatures)
+        for name in names
+        if name != "self"
+    }
+
+
+@pytest.mark.parametrize("name", WITH_SIGNATURE)
+def test_documented_parameters_are_the_real_ones(name):
+    """Names, order, which are optional; each has a type and a description.
+
+    A class whose signature the reference leaves out lists attributes instead.
+    """
+    item = _item(name)
+    text = sections(inspect.getdoc(item) or "")
+    if DOCUMENTED[name]:
+        assert "Parameters" not in text
+        listed = entries(text.get("Attributes", ""))
+        known = {
+            *dir(item),
+            *inspect.signature(item.__init__).parameters,
+            *inspect.get_annotations(item),
+        }
+        assert known >= listed.keys()
+    else:
+        assert "Attributes" not in text
+        listed, real = entries(text.get("Parameters", "")), _parameters(item)
+        assert list(listed) == list(real)
+        for parameter, (kind, _) in listed.items():
+            assert kind.endswith(", optional") == real[parameter], parameter
+    assert all(kind and said for kind, said in listed.values()), listed
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_what_is_returned_is_documented(name):
+    item = _item(name)
+    text = sections(inspect.getdoc(item) or "")
+    returns = inspect.signature(item).return_annotation not in ("None", None)
+    assert ("Returns" in text) == returns
+    assert all(said for _, said in entries(text.get("Returns", "")).values())
+
+
+@pytest.mark.parametrize("name", WITH_SIGNATURE)
+def test_named_errors_exist(name):
+    text = sections(inspect.getdoc(_item(name)) or "")
+    named = entries(text.get("Raises", "")) | entries(text.get("Warns", ""))
+    for error, (_, said) in named.items():
+        assert said
+        assert f"lierb.errors.{error}" in DOCUMENTED or error in (
+            "MissingExtraError", "OSError", "TypeError", "ValueError",
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_a_docstring_opens_with_its_subject(name):
+    """And has its arguments in sections, in no form of its own."""
+    holder, _, last = name.rpartition(".")
+    item = inspect.getattr_static(_item(holder), last, None) if holder != "lierb" else _item(name)
+    if isinstance(item, (dict, lierb.joints.JointType)):
+        return
+    before = sections(inspect.getdoc(item or _item(name)) or "")[""]
+    assert before.strip()
+    assert not re.match(rf"({'|'.join(ODD_OPENINGS)})\b", before)
+    assert not re.search(r"^[a-z]\w*(, \w+)* : ", before, re.MULTILINE), before

@@ -44,14 +44,23 @@ HEIGHT = 640  # of a notebook's frame, pixels
 class Animation:
     """A moving picture; `save` writes it, a notebook shows it.
 
-    scene : as `lierb.animation.scene` describes it.
+    Attributes
+    ----------
+    scene : dict
+        Views, bodies, joints and curves, as `lierb.animation.scene` describes them.
     """
 
     def __init__(self, scene: dict[str, Any]) -> None:
         self.scene = scene
 
     def html(self) -> str:
-        """The page as text."""
+        """Return the page as text.
+
+        Returns
+        -------
+        str
+            HTML.
+        """
         data = json.dumps(self.scene, separators=(",", ":"), ensure_ascii=False)
         texts = {
             "TITLE": html.escape(self.scene["title"]),
@@ -61,10 +70,22 @@ class Animation:
         return re.sub("%([A-Z]+)%", lambda mark: texts[mark[1]], _asset("player.html"))
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the page and return its path.
+        """Write the page.
 
-        Raises StudyFileError, an OSError, where it cannot be written, or would replace a file that
-        is no HTML page.
+        Parameters
+        ----------
+        path : path
+            HTML file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        StudyFileError
+            The file cannot be written, or it would replace one that is no HTML page. An OSError.
         """
         file = Path(path).expanduser()
         require_page(file)
@@ -72,7 +93,18 @@ class Animation:
         return file
 
     def frame(self, height: int = HEIGHT) -> str:
-        """An <iframe> with the page inside, to stand in another page."""
+        """Return an <iframe> with the page inside, for another page.
+
+        Parameters
+        ----------
+        height : int, optional
+            Height, pixels.
+
+        Returns
+        -------
+        str
+            HTML.
+        """
         return (
             f'<iframe srcdoc="{html.escape(self.html())}" sandbox="allow-scripts" loading="lazy" '
             f'title="{html.escape(self.scene["title"])}" '
@@ -99,26 +131,48 @@ def animate(
     magnify: float = 1.0,
     title: str | None = None,
 ) -> Animation:
-    """A moving picture of trajectories, side by side on one clock and under one camera.
-
-    results : with states (`save_every=…, record="state"`): one, several, or several by their
-        names, such as one of each c-space. Every trajectory of each has a view of its own.
-    path : of an HTML file to write; it opens without a network.
-    trajectories : their numbers. Default: the first, as many as make 8 views.
-    problem : of the results; for such as were pickled, which have lost theirs.
-    shape : of the body, see `lierb.animation.box`, `cylinder` and `mesh`. Default: the box or
-        cylinder of the body's mass and inertia. Of a mechanism a dictionary by link.
-    trail : whether the centre of mass leaves one (of a body that turns about it, a corner), or the
-        point of the body that does, (3,), m. Of a mechanism those of links on which no other one
-        hangs, or a dictionary link → point.
-    frames : of a trajectory, at most; of longer histories some are left out, evenly.
-    magnify : by how much the gap is magnified at first.   title : default: joint and method.
+    """Make a moving picture of trajectories, side by side on one clock and under one camera.
 
     The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
-    curve below has the joint's errors. Returns an Animation, which a notebook shows.
+    curve below shows the joint's errors.
 
-    Raises ArgumentError for a result without states, or without its problem.
+    Parameters
+    ----------
+    results : Result, sequence of Result or dict of Result
+        Results with states (`save_every=…, record="state"`): one, several, or several by their
+        names, such as one for each c-space. Every trajectory of each has a view of its own.
+    path : path, optional
+        HTML file to write; it opens without a network. Default: none.
+    trajectories : int or iterable of int, optional
+        Numbers of the trajectories. Default: the first ones, as many as make 8 views.
+    problem : Problem or Mechanism, optional
+        Problem of results that were pickled, which have lost theirs.
+    shape : Shape or dict of Shape, optional
+        Shape of the body, see `lierb.animation.box`, `cylinder` and `mesh`; for a mechanism a
+        dictionary by link. Default: the box or cylinder of the body's mass and inertia.
+    trail : bool, array_like of shape (3,), or dict of them, optional
+        True for a trail of the centre of mass (for a body that turns about it, of a corner), or the
+        point of the body that leaves one, m. For a mechanism a dictionary link → point. Default:
+        True; for a mechanism the links on which no other one hangs.
+    frames : int, optional
+        Largest number of frames; longer histories are thinned evenly.
+    magnify : float, optional
+        Factor by which the gap is magnified at first.
+    title : str, optional
+        Title. Default: joint and method.
 
+    Returns
+    -------
+    Animation
+        The moving picture, which a notebook shows.
+
+    Raises
+    ------
+    ArgumentError
+        A result has no states, or has lost its problem.
+
+    Examples
+    --------
     >>> import lierb
     >>> top = lierb.Problem(
     ...     lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0),

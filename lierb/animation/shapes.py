@@ -23,8 +23,14 @@ NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # of a box's face
 class Shape:
     """A surface of flat faces in the body's axes.
 
-    vertices : (k, 3), m.   faces : indices of vertices, anticlockwise seen from outside.
-    marked : faces of another tint, by which a turn is seen.
+    Attributes
+    ----------
+    vertices : ndarray, shape (k, 3)
+        Vertices, m.
+    faces : tuple of tuples of int
+        Indices of the vertices of each face, anticlockwise seen from outside.
+    marked : tuple of int
+        Faces of another tint, by which a turn is seen.
     """
 
     vertices: Array
@@ -37,7 +43,18 @@ class Shape:
         return float(np.ptp(self.vertices, axis=0).max())
 
     def placed(self, pose: Any) -> Shape:
-        """The same, its own frame at `pose` in the body's: (4, 4) or SciPy's."""
+        """Move the shape: its own frame is put at a pose in the body's.
+
+        Parameters
+        ----------
+        pose : array_like or RigidTransform, shape (4, 4)
+            Pose of the shape's frame in the body frame.
+
+        Returns
+        -------
+        Shape
+            The moved shape.
+        """
         matrix = as_poses("pose", pose)
         if matrix.shape != (4, 4):
             raise ArgumentError(f"pose has shape {matrix.shape}; expected (4, 4)")
@@ -45,8 +62,20 @@ class Shape:
 
 
 def box(size: ArrayLike) -> Shape:
-    """A cuboid about the body frame's origin.   size : (3,), its edges along e₁, e₂, e₃, m.
+    """Make a cuboid about the body frame's origin.
 
+    Parameters
+    ----------
+    size : array_like, shape (3,)
+        Lengths of the edges along e₁, e₂, e₃, m.
+
+    Returns
+    -------
+    Shape
+        The shape.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.animation.box((0.1, 0.2, 0.3)).vertices.max(axis=0).tolist()
     [0.05, 0.1, 0.15]
@@ -62,7 +91,20 @@ def box(size: ArrayLike) -> Shape:
 
 
 def cylinder(radius: float, length: float) -> Shape:
-    """A circular cylinder about e₃, its middle at the body frame's origin; m."""
+    """Make a circular cylinder about e₃, its middle at the body frame's origin.
+
+    Parameters
+    ----------
+    radius : float
+        Radius, m.
+    length : float
+        Length, m.
+
+    Returns
+    -------
+    Shape
+        The shape.
+    """
     (r,), (h,) = _positive("radius", radius, 1), _positive("length", length, 1)
     angles = 2 * np.pi * np.arange(SIDES) / SIDES
     rim = np.column_stack([r * np.cos(angles), r * np.sin(angles), np.zeros(SIDES)])
@@ -73,10 +115,21 @@ def cylinder(radius: float, length: float) -> Shape:
 
 
 def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
-    """Any closed surface, as `trimesh` has it: `mesh(m.vertices, m.faces)`.
+    """Make any closed surface, as `trimesh` has it: `mesh(m.vertices, m.faces)`.
 
-    vertices : (k, 3) in the body's axes, m.   faces : three or more indices each, anticlockwise
-        seen from outside. Faces are drawn from the farthest to the nearest.
+    Faces are drawn from the farthest to the nearest.
+
+    Parameters
+    ----------
+    vertices : array_like, shape (k, 3)
+        Vertices in the body's axes, m.
+    faces : sequence of sequences of int
+        Three or more indices of vertices for each face, anticlockwise seen from outside.
+
+    Returns
+    -------
+    Shape
+        The shape.
     """
     points = as_floats("vertices", vertices)
     if points.ndim != 2 or points.shape[-1] != 3 or not np.isfinite(points).all():
@@ -95,13 +148,21 @@ def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
 
 
 def equivalent(body: Body) -> Shape:
-    """The homogeneous solid of the body's mass and inertia, at its centre of mass.
+    """Make the homogeneous solid of the body's mass and inertia, at its centre of mass.
 
-    A cylinder where two principal moments are equal and the third is not, else a box; where all
-    three are, a cube, on which a turn is seen and on a ball is not. A body without extent along an
-    axis, such as a plate or an ideal rod, is drawn THINNEST of its longest edge thick.
+    It is a cylinder where two principal moments are equal and the third is not, else a box; where
+    all three are equal it is a cube, on which a turn can be seen. A body without extent along an
+    axis, such as a plate or an ideal rod, is drawn with a thickness of 2 % of its longest edge.
 
-    body : one, not a batch.
+    Parameters
+    ----------
+    body : Body
+        One body, not a batch.
+
+    Returns
+    -------
+    Shape
+        The shape.
     """
     moments, axes = principal(body)
     mass, centre = float(body.mass), np.asarray(body.com)

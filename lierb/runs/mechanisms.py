@@ -59,11 +59,27 @@ def arrays_of(mechanism: Mechanism, argument: str, given: Any) -> dict[str, Arra
 def baumgarte(alpha: float, beta: float) -> Stabilisation:
     """Baumgarte's stabilisation, for `lierb.integrate(…, stabilise=…)`.
 
-    alpha, beta : 1/s. In place of ḧ = 0 the constraints obey ḧ + 2α ḣ + β² h = 0, so that errors
-        die out like e^(−αt) where β = α; values beyond 1/dt make steps unstable.
+    In place of ḧ = 0 the constraints obey ḧ + 2α ḣ + β² h = 0, so that errors decay like e^(−αt)
+    where β = α.
 
+    Parameters
+    ----------
+    alpha : float
+        Rate α, 1/s. Values beyond 1/dt make steps unstable.
+    beta : float
+        Rate β, 1/s.
+
+    Returns
+    -------
+    Stabilisation
+        Value of the argument `stabilise`.
+
+    References
+    ----------
     J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972) 1–16.
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.baumgarte(10.0, 10.0)
     Stabilisation(kind='baumgarte', alpha=10.0, beta=10.0)

@@ -1,12 +1,14 @@
 """Monte Carlo draws for very many bodies: each depends on the seed and the body's number alone.
 
+::
+
     design = Design({"mass": Uniform(1.0, 2.0), "omega0": Normal((0.0, 0.0, 9.0), 0.1)}, n=10**9)
     chunk = design.draw(first=5_000_000, count=100_000)        # {"mass": (100000,), "omega0": …}
 
 Bodies may be drawn in chunks of any size, in any order, by any number of processes, or one of them
 again years later: on one kind of CPU, with one NumPy and SciPy, the bits are the same. No draw is
-rejected and no generator has a state. A quantity takes a fixed number of uniforms a body; those of
-body b are at a fixed place in the stream of a counter-based generator, or in point b of a Sobol
+rejected and no generator has a state. A quantity takes a fixed number of uniforms per body; those
+of body b are at a fixed place in the stream of a counter-based generator, or in point b of a Sobol
 sequence. Inverse distribution functions make values of them.
 
 Units are the caller's, those of the quantity. Normal distributions and Sobol points need SciPy

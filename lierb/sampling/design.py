@@ -34,28 +34,50 @@ LONGEST = 10**40  # of a number in a message
 
 @dataclass(frozen=True, eq=False, init=False)
 class Design:
-    """Which values n bodies get.
+    """Plan of which values n bodies get.
 
-    quantities : a distribution, number or array for each name; numbers and arrays are constants.
-    n : how many bodies. A grid has as many as its levels make.
-    seed : from 0 to 2⁶⁴ − 1; a grid has no use for it.
-    method :
-        "random" : independent draws. Body b takes those of its quantity's stream, whose key is a
-            hash of seed and name: what other quantities there are does not matter, nor does n.
-        "sobol" : the points of one scrambled Sobol sequence, a coordinate for each uniform of each
-            quantity, in their order: they fill the cube more evenly, and means of smooth functions
-            converge almost like 1/n, not like 1/√n. Best with n a power of two; another n does no
-            harm. Draws depend on seed and on all quantities, not on n ≤ 2³².
-        "saltelli" : for Sobol's sensitivity indices (A. Saltelli et al., Comput. Phys. Commun. 181,
-            2010). Of q quantities that are drawn, each q + 2 bodies take one point of a Sobol
-            sequence of twice the coordinates, two independent draws A and B of everything: the
-            first body is A, the second B, and number 2 + j is A with B's quantity j. n is
-            (q + 2)·2ᵏ; of a vector all components are one quantity.
-        "grid" : every combination of the levels of `Values`, the last quantity's changing fastest;
-            other quantities must be constants.
+    Parameters
+    ----------
+    quantities : dict of Distribution or array_like
+        A distribution, number or array for each name; numbers and arrays are constants.
+    n : int, optional
+        Number of bodies. A grid has as many as its levels make.
+    seed : int, optional
+        Seed, 0 to 2⁶⁴ − 1; a grid does not use it.
+    method : {"random", "sobol", "saltelli", "grid"}, optional
+        Method of drawing, see Notes.
 
-    Raises ArgumentError for what makes no design, UnknownNameError for another method.
+    Raises
+    ------
+    ArgumentError
+        The quantities, n and the method do not go together.
+    UnknownNameError
+        The method does not exist.
 
+    Notes
+    -----
+    "random" makes independent draws. Body b takes those of its quantity's stream, whose key is a
+    hash of seed and name: they depend neither on the other quantities nor on n.
+
+    "sobol" takes the points of one scrambled Sobol sequence, a coordinate for each uniform of each
+    quantity, in their order: they fill the cube more evenly, and means of smooth functions converge
+    almost like 1/n, not like 1/√n. It is best with n a power of two; another n does no harm. Draws
+    depend on seed and on all quantities, not on n ≤ 2³².
+
+    "saltelli" is for Sobol's sensitivity indices. Of q quantities that are drawn, each q + 2 bodies
+    take one point of a Sobol sequence of twice the coordinates, two independent draws A and B of
+    everything: the first body is A, the second B, and number 2 + j is A with B's quantity j. n is
+    (q + 2)·2ᵏ; all components of a vector are one quantity.
+
+    "grid" takes every combination of the levels of `Values`, the last quantity's changing fastest;
+    other quantities must be constants.
+
+    References
+    ----------
+    A. Saltelli et al., Comput. Phys. Commun. 181 (2010).
+
+    Examples
+    --------
     >>> grid = Design({"mass": Values([1.0, 2.0]), "pitch": Values([0.1, 0.2, 0.3])}, method="grid")
     >>> grid.n, grid.draw()["pitch"].tolist()
     (6, [0.1, 0.2, 0.3, 0.1, 0.2, 0.3])
@@ -108,12 +130,12 @@ class Design:
 
     @property
     def dimension(self) -> int:
-        """Uniforms that a body takes."""
+        """Number of uniforms that a body takes."""
         return sum(quantity.dimension for quantity in self.quantities.values())
 
     @property
     def drawn(self) -> tuple[str, ...]:
-        """The names of the quantities that are not the same for all."""
+        """Names of the quantities that differ between bodies."""
         return tuple(name for name, q in self.quantities.items() if q.dimension)
 
     @property
@@ -127,11 +149,26 @@ class Design:
         return self.dimension * (2 if self.method == "saltelli" else 1)
 
     def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:
-        """The values of bodies first, first + 1, …, first + count − 1.
+        """Draw the values of bodies first, first + 1, …, first + count − 1.
 
-        count : all from `first` on if not given.   Returns arrays (count, *shape) by name.
-        Raises ArgumentError unless 0 ≤ first < n and 1 ≤ count ≤ n − first; MemoryLimitError for
-        more than is free.
+        Parameters
+        ----------
+        first : int, optional
+            Number of the first body.
+        count : int, optional
+            Number of bodies. Default: all from `first` on.
+
+        Returns
+        -------
+        dict of ndarray, shape (count, …)
+            Values by name.
+
+        Raises
+        ------
+        ArgumentError
+            Unless 0 ≤ first < n and 1 ≤ count ≤ n − first.
+        MemoryLimitError
+            The values are larger than the free memory.
         """
         start = _whole("first", first, 0, self.n - 1)
         left = self.n - start
@@ -298,16 +335,26 @@ def _between_0_and_1(numbers: NDArray[np.integer]) -> Array:
 
 
 def inertia_of(second_moments: ArrayLike) -> Array:
-    """Inertia matrices from ∫x² dm, ∫y² dm and ∫z² dm along the principal axes.
+    """Compute inertia matrices from ∫x² dm, ∫y² dm and ∫z² dm along the principal axes.
 
-    second_moments : (3,) or (n, 3), kg m², > 0.   Returns (3, 3) or (n, 3, 3), kg m²: diagonal,
-    with b + c, c + a, a + b. (As principal moments, those of three bodies would pass for a matrix.)
+    Draw these, not the principal moments: three positive numbers need not be a body's moments,
+    since each moment is at most the sum of the two others. Here J₁ + J₂ − J₃ = 2c > 0, and every a,
+    b, c > 0 belongs to a body: six points of a sixth of the mass m, on the axes at ±√(3a/m),
+    ±√(3b/m), ±√(3c/m). Conversely every body with an extent in all directions has such a, b, c.
 
-    Draw these, not the principal moments: three positive numbers need not be a body's, since each
-    moment is at most the sum of the two others. Here J₁ + J₂ − J₃ = 2c > 0, and every a, b, c > 0
-    is a body's: six points of a sixth of the mass m, on the axes at ±√(3a/m), ±√(3b/m), ±√(3c/m).
-    Conversely every body with an extent in all directions has such a, b, c.
+    Parameters
+    ----------
+    second_moments : array_like, shape (3,) or (n, 3)
+        Second moments (a, b, c), kg m², > 0.
 
+    Returns
+    -------
+    ndarray, shape (3, 3) or (n, 3, 3)
+        Inertia matrices, kg m²: diagonal, with b + c, c + a, a + b. (The principal moments of three
+        bodies would look like one matrix.)
+
+    Examples
+    --------
     >>> inertia_of((1.0, 2.0, 3.0)).diagonal().tolist()
     [5.0, 4.0, 3.0]
     """

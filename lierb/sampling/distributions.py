@@ -37,10 +37,14 @@ SHAPES = {
 
 
 class Distribution:
-    """What the value of one body is drawn from: the base of those below.
+    """Distribution that the value of one body is drawn from: the base of those below.
 
-    shape : of one draw, () or (d,) or (3, 3).
-    dimension : how many uniforms a draw takes.
+    Attributes
+    ----------
+    shape : tuple of int
+        Shape of one draw: (), (d,) or (3, 3).
+    dimension : int
+        Number of uniforms that a draw takes.
     """
 
     @property
@@ -52,10 +56,22 @@ class Distribution:
         return prod(self.shape)
 
     def draw(self, u: ArrayLike) -> Array:
-        """Values at points of the unit cube.
+        """Compute values at points of the unit cube.
 
-        u : (n, dimension), in (0, 1).   Returns (n, *shape); row i depends on u[i] alone.
-        Raises ArgumentError for another shape, or for numbers outside (0, 1).
+        Parameters
+        ----------
+        u : array_like, shape (n, dimension)
+            Points, in (0, 1).
+
+        Returns
+        -------
+        ndarray, shape (n, …)
+            Values of the distribution's shape; row i depends on u[i] alone.
+
+        Raises
+        ------
+        ArgumentError
+            u has another shape, or numbers outside (0, 1).
         """
         points = as_floats("u", u)
         if points.ndim != 2 or points.shape[1] != self.dimension:
@@ -89,10 +105,15 @@ class Distribution:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Constant(Distribution):
-    """The same for every body; what a number or an array stands for where a distribution may be.
+    """One value for every body; a number or an array in place of a distribution becomes one.
 
-    value : number, (d,) or a matrix.
+    Parameters
+    ----------
+    value : float or array_like, shape (d,) or (d, d)
+        The value.
 
+    Examples
+    --------
     >>> Constant((0.0, 0.0, -9.81)).draw(np.empty((2, 0))).tolist()
     [[0.0, 0.0, -9.81], [0.0, 0.0, -9.81]]
     """
@@ -116,10 +137,17 @@ class Constant(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Uniform(Distribution):
-    """Uniform between two bounds, independent in each component.
+    """Uniform distribution between two bounds, independent in each component.
 
-    low, high : number or (d,), low ≤ high.
+    Parameters
+    ----------
+    low : float or array_like, shape (d,)
+        Lower bound.
+    high : float or array_like, shape (d,)
+        Upper bound, high ≥ low.
 
+    Examples
+    --------
     >>> Uniform(1.0, (3.0, 5.0)).draw([[0.5, 0.25]]).tolist()
     [[2.0, 2.0]]
     """
@@ -144,14 +172,21 @@ class Uniform(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Normal(Distribution):
-    """Normal, with independent components or with correlated ones.
-
-    mean : number or (d,).
-    std : number or (d,), ≥ 0, standard deviations of independent components.   Or
-    covariance : (d, d), symmetric positive semi-definite.
+    """Normal distribution, with independent or correlated components.
 
     x = mean + L z with LLᵀ = covariance (Cholesky), z = Φ⁻¹(u).
 
+    Parameters
+    ----------
+    mean : float or array_like, shape (d,)
+        Mean.
+    std : float or array_like, shape (d,), optional
+        Standard deviations of independent components, ≥ 0.
+    covariance : array_like, shape (d, d), optional
+        Covariance matrix, symmetric positive semi-definite, in place of `std`.
+
+    Examples
+    --------
     >>> Normal((1.0, 2.0), 0.1).draw([[0.5, 0.5]]).tolist()
     [[1.0, 2.0]]
     >>> Normal(0.0, covariance=[[4.0, 2.0], [2.0, 1.0]]).dimension
@@ -235,15 +270,25 @@ def _cholesky(matrix: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class TruncatedNormal(Distribution):
-    """Normal under the condition that it is between two bounds, independent in each component.
-
-    mean : number or (d,).   std : number or (d,), > 0, both of the normal before it is cut.
-    low, high : number or (d,), low < high; may be −inf and inf.
+    """Normal distribution truncated to an interval, independent in each component.
 
     The quantiles are accurate to rounding for any ratio of std and high − low, and for a mean
     anywhere: their limits are the uniform distribution between the bounds, and the exponential one
     beyond a bound. Three equations, each solved where it is well conditioned.
 
+    Parameters
+    ----------
+    mean : float or array_like, shape (d,)
+        Mean of the normal distribution before truncation.
+    std : float or array_like, shape (d,)
+        Standard deviation of the normal distribution before truncation, > 0.
+    low : float or array_like, shape (d,), optional
+        Lower bound, may be −inf. The interval must reach to within 10⁶ std of the mean.
+    high : float or array_like, shape (d,), optional
+        Upper bound, high > low, may be inf.
+
+    Examples
+    --------
     >>> tail = TruncatedNormal(0.0, 1.0, low=8.0, high=np.inf)
     >>> tail.draw([[0.5]]).round(4).tolist()
     [8.0849]
@@ -357,11 +402,17 @@ def _cut(a: float, b: float, p: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class LogNormal(Distribution):
-    """exp of a normal: for what is positive, and off by a factor.
+    """Distribution of exp of a normal variable: for positive quantities known up to a factor.
 
-    median : number or (d,), > 0.
-    sigma : number or (d,), ≥ 0, the standard deviation of the natural logarithm.
+    Parameters
+    ----------
+    median : float or array_like, shape (d,)
+        Median, > 0.
+    sigma : float or array_like, shape (d,)
+        Standard deviation of the natural logarithm, ≥ 0.
 
+    Examples
+    --------
     >>> LogNormal(3.0, 0.2).draw([[0.5]]).tolist()
     [3.0]
     """
@@ -394,13 +445,18 @@ class LogNormal(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Direction(Distribution):
-    """Vectors that point anywhere with equal probability.
-
-    length : their norm: a number ≥ 0, or a distribution of numbers.
+    """Distribution of vectors that point anywhere with equal probability.
 
     z = 1 − 2u₀ is uniform in (−1, 1) and the azimuth 2πu₁ in (0, 2π), by Archimedes' theorem that a
     sphere and its cylinder have equal zones; the length takes further uniforms.
 
+    Parameters
+    ----------
+    length : float or Distribution, optional
+        Norm of the vectors, ≥ 0.
+
+    Examples
+    --------
     >>> Direction(2.0).draw([[0.5, 0.25]]).round(15).tolist()
     [[0.0, 2.0, 0.0]]
     """
@@ -432,12 +488,17 @@ class Direction(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Rotation(Distribution):
-    """Rotation matrices, uniform over SO(3): their law is the same after any fixed rotation.
+    """Uniform distribution of rotation matrices over SO(3), invariant under any fixed rotation.
 
     The quaternion (√u₀ (cos 2πu₂, sin 2πu₂), √(1 − u₀) (sin 2πu₁, cos 2πu₁)) is uniform over the
-    unit sphere (K. Shoemake, Uniform random rotations, Graphics Gems III, 1992, p. 124). RᵀR is I
-    to 1e-15 in every entry.
+    unit sphere. RᵀR is I to 1e-15 in every entry.
 
+    References
+    ----------
+    K. Shoemake, Uniform random rotations, Graphics Gems III (1992) 124.
+
+    Examples
+    --------
     >>> Rotation().draw([[0.5, 0.0625, 0.9375]]).shape
     (1, 3, 3)
     """
@@ -469,10 +530,15 @@ class Rotation(Distribution):
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Values(Distribution):
-    """One of a list, each with the same probability; in a grid, the levels of a factor.
+    """Distribution over a list, each value equally probable; in a grid, the levels of a factor.
 
-    values : (k,), (k, d) or (k, ·, ·): k numbers, vectors or matrices.
+    Parameters
+    ----------
+    values : array_like, shape (k,), (k, d) or (k, d, d)
+        k numbers, vectors or matrices.
 
+    Examples
+    --------
     >>> Values([1.0, 2.0, 5.0]).draw([[0.1], [0.5], [0.9]]).tolist()
     [1.0, 2.0, 5.0]
     """

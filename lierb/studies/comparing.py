@@ -101,28 +101,75 @@ def convergence(
 ) -> Comparison:
     """Compare methods, c-spaces and steps: orders, errors over work, drifts.
 
-    problem, twist0, pose0, t_end, t0, update, solver, stabilise, measure_every, seed : as
-        `integrate` takes them; a batch is integrated as one, each trajectory with the same noise in
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        As in `integrate`. A batch is integrated as one, each trajectory with the same noise in
         every run.
-    methods : names or tableaus.   cspaces : as `integrate` takes one. Default: its default.
-    dts : fixed steps, s, each a part of t_end − t0.   rtols : tolerances of adaptive steps, for the
-        methods with an embedded pair; atol goes with them, as in `integrate`. One of both at least.
-    reference : where the trajectories are at t_end: the `lierb.Result` of a run of your own, its
-        `end`, or a pair of poses and twists, as pose0 and twist0; taken to be exact. Default: the
-        same problem by DOP853, its step halved until that no longer helps, on "reduced" if the
-        joint has it. That one's error is estimated, by the step before and by another c-space, and
-        no error is believed that is less than ten times as large, or less than what rounding adds
-        up to in so many steps.
-    norm : of an error over the trajectories of a batch, "largest" or "median".
-    repeats : of each run, timed by the CPU time of its one thread after a run that compiles; the
-        best counts. 0 measures none.
-    name : for the figure's title.
-    progress : True, False or None as in `integrate`, or a function of (runs done, runs in all, the
-        next one's name).
+    methods : str, ButcherTableau or iterable of them, optional
+        Names or tableaus.
+    dts : array_like, shape (m,), optional
+        Fixed steps, s, of which a whole number fits between t0 and t_end. At least one of `dts` and
+        `rtols` must be given.
+    twist0 : array_like, shape (6,) or (n, 6), or dict of them
+        Body-fixed twist at t0, as in `integrate`.
+    t_end : float
+        Time of the end, s.
+    pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
+        Pose at t0, as in `integrate`.
+    t0 : float, optional
+        Time of the start, s.
+    rtols : array_like, shape (m,), optional
+        Tolerances of adaptive steps, for the methods with an embedded pair.
+    atol : float or dict, optional
+        Absolute tolerance that goes with `rtols`, as in `integrate`.
+    cspaces : str or iterable of str, optional
+        Configuration spaces, as `integrate` takes one. Default: its default.
+    update : {"local", "global"}, optional
+        As in `integrate`.
+    solver : {"auto", "saddle", "subgroup"}, optional
+        As in `integrate`.
+    stabilise : "project" or Stabilisation, optional
+        As in `integrate`.
+    measure_every : int, optional
+        Number of steps between samples of the drifts.
+    seed : int, optional
+        Seed of `lierb.noise`.
+    reference : Result, dict or pair of poses and twists, optional
+        Exact state at t_end: the `lierb.Result` of another run, its `end`, or a pair like pose0 and
+        twist0. Default: the same problem by DOP853, its step halved until that no longer helps, on
+        "reduced" if the joint has it. The error of this reference is estimated from the step before
+        and from another c-space, and an error counts only where it is ten times as large, and
+        larger than the rounding of so many steps.
+    norm : {"largest", "median"}, optional
+        Norm of an error over the trajectories of a batch.
+    repeats : int, optional
+        Number of timed repetitions of each run, after one that compiles. The least CPU time of the
+        one thread counts. 0 measures none.
+    name : str, optional
+        Title of the figure.
+    progress : bool or callable, optional
+        True, False or None as in `integrate`, or a function of (runs done, runs in all, name of the
+        next one).
 
-    Raises subclasses of `lierb.errors.LierbError`. Trajectories that fail in a
-    run are left out of its errors, counted in `failed`, and told in one FailedTrajectoryWarning.
+    Returns
+    -------
+    Comparison
+        A table of the runs, and the observed orders.
 
+    Raises
+    ------
+    LierbError
+        An argument is wrong. Subclasses say which.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed in a run. They are left out of its errors, and counted in
+        `failed`.
+
+    Examples
+    --------
     >>> import lierb
     >>> body = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
     >>> top = lierb.Problem(body, lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0)))

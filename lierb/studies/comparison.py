@@ -53,12 +53,26 @@ NAME = "comparison"  # of the files of one
 
 @dataclass(frozen=True)
 class Observed:
-    """The order of a quantity, of a method on a c-space.
+    """Observed order of a quantity, for a method on a c-space.
 
-    control : what its steps were chosen by, "dt" or "rtol".   quantity : "error.position" …
-    order : None where all is at rounding, or below what the reference can tell.
-    of_method : the order of the method, where it is known.   runs : that there are.
-    verdict : "exact", "order 4", "drifts" …; see `lierb.studies.convergence`.
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    cspace : str
+        Configuration space.
+    control : {"dt", "rtol"}
+        Setting that the steps follow.
+    quantity : str
+        A column of the comparison's table, such as "error.position".
+    order : Order or None
+        The order; None where all errors are rounding or below the reference's own.
+    of_method : int or None
+        Order of the method, where it is known.
+    runs : int
+        Number of runs.
+    verdict : str
+        "exact", "order 4", "drifts" …; see `lierb.studies.convergence`.
     """
 
     method: str
@@ -84,16 +98,24 @@ class Observed:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Shown):
-    """What `lierb.convergence` returns: a row of `table` for each method, c-space and step.
+    """Comparison of methods, c-spaces and steps, which `lierb.convergence` returns.
 
-    table : Arrow. method, cspace; dt, s, or rtol; step, s, the mean one; steps, rejected and
-        evaluations of right-hand sides, of a trajectory in the mean; cpu_time, s, of the batch;
-        trajectories, failed; error.rotation, error.position, error.omega and error.v at t_end, over
-        the trajectories the largest or the median; drift.position and drift.rotation, of the
-        joints, and drift.energy, largest of the run. After each of these its floor, such as
-        error.v.floor: an error up to that is rounding, or the reference's.
-    orders : the observed orders of all that falls with the step.
-    name : of figures.   notes : how it was measured, in sentences.
+    Attributes
+    ----------
+    table : pyarrow.Table
+        A row for each method, c-space and step: method, cspace; dt, s, or rtol; step, s, the mean
+        one; steps, rejected and evaluations of right-hand sides, means over trajectories; cpu_time
+        of the batch, s; trajectories, failed; error.rotation, error.position, error.omega and
+        error.v at t_end, the largest or the median over trajectories; drift.position and
+        drift.rotation of the joints, and drift.energy, the largest of the run. Each of these is
+        followed by its floor, such as error.v.floor: an error up to that is rounding, or the
+        reference's.
+    orders : tuple of Observed
+        Observed orders of all that falls with the step.
+    name : str
+        Title of figures.
+    notes : tuple of str
+        Sentences on how the comparison was measured.
     """
 
     table: pa.Table
@@ -104,13 +126,31 @@ class Comparison(Shown):
     # ---- tables ----
 
     def order(self, method: str, cspace: str | None = None, quantity: str | None = None) -> float:
-        """An observed order; NaN where there is none to be seen.
+        """Return an observed order; NaN where none can be observed.
 
-        cspace : may be left out where there is one.   Of a method with dts and rtols, over dt.
-        quantity : a column of `table`. Default: error.position, or error.rotation where nothing
-            leaves its place.
+        With both dts and rtols, a method's order is that over dt.
 
-        Raises UnknownNameError, ArgumentError where there is none to choose.
+        Parameters
+        ----------
+        method : str
+            Name of the method.
+        cspace : str, optional
+            Configuration space; it may be left out where there is one.
+        quantity : str, optional
+            A column of `table`. Default: error.position, or error.rotation where nothing moves away
+            from its place.
+
+        Returns
+        -------
+        float
+            The order.
+
+        Raises
+        ------
+        UnknownNameError
+            The comparison has no such method, c-space or quantity.
+        ArgumentError
+            There are several c-spaces and none is named.
         """
         if not self.orders:
             raise ArgumentError("each method was run with one step; give two and more for orders")
@@ -132,9 +172,17 @@ class Comparison(Shown):
         return math.nan if order is None else order.slope
 
     def to_markdown(self, columns: Iterable[str] | None = None) -> str:
-        """Tables of the runs and of the orders, and the notes, as Markdown.
+        """Write tables of the runs and of the orders, and the notes, as Markdown.
 
-        columns : of `table`. Default: all that have numbers, floors apart.
+        Parameters
+        ----------
+        columns : iterable of str, optional
+            Columns of `table`. Default: all that have numbers, except floors.
+
+        Returns
+        -------
+        str
+            The text.
         """
         parts = []
         for header, rows in self.told(columns):
@@ -145,9 +193,17 @@ class Comparison(Shown):
         return "\n\n".join(parts) + "\n"
 
     def to_latex(self, columns: Iterable[str] | None = None) -> str:
-        """The same as two LaTeX tables, the notes in a caption; they need the package booktabs.
+        """Write the tables of `to_markdown` in LaTeX, the notes in a caption; needs booktabs.
 
-        columns : of `table`. Default: all that have numbers, floors apart.
+        Parameters
+        ----------
+        columns : iterable of str, optional
+            Columns of `table`. Default: all that have numbers, except floors.
+
+        Returns
+        -------
+        str
+            The text.
         """
         captions = (" ".join(self.notes), ORDERS_NOTE)
         each = zip(self.told(columns), captions, strict=False)
@@ -202,12 +258,25 @@ class Comparison(Shown):
     # ---- pictures and files ----
 
     def figure(self, quantity: str | None = None) -> Figure:
-        """Errors over CPU time, over right-hand sides and over the step, and drifts, by Matplotlib.
+        """Draw errors over CPU time, right-hand sides and step, and drifts; needs `lierb[plot]`.
 
-        quantity : which error, "rotation", "position", "omega" or "v". Default: that of position
-            or, where there is none, of rotation. What is below its floor is drawn hollow.
+        Parameters
+        ----------
+        quantity : {"rotation", "position", "omega", "v"}, optional
+            Error to draw. Default: that of position or, where there is none, of rotation. Points
+            below their floor are drawn hollow.
 
-        Needs `lierb[plot]`. Raises UnknownNameError.
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        UnknownNameError
+            The comparison has no such error.
+        MissingExtraError
+            Matplotlib is not installed.
         """
         require("plot")
         from lierb.studies.comparison_figure import comparison_figure
@@ -219,8 +288,20 @@ class Comparison(Shown):
     def save(self, out: str | Path) -> list[Path]:
         """Write the table (Parquet), Markdown, LaTeX and, with Matplotlib, the figure to a folder.
 
-        Returns the files, each of which is whole or not there. Raises StudyError for no folder of
-        this machine.
+        Parameters
+        ----------
+        out : path
+            The folder.
+
+        Returns
+        -------
+        list of Path
+            The files; each is written whole or not at all.
+
+        Raises
+        ------
+        StudyError
+            `out` is no folder of this machine.
         """
         folder = folder_of(out)
         contents: dict[str, Callable[[], bytes]] = {

@@ -145,10 +145,20 @@ def part_named(file: str) -> str | None:
 
 
 class Dataset(Shown):
-    """The folder of one study's results.
+    """Folder with one study's results.
 
-    Raises StudyError for a folder that is none; its methods raise it for results that are not as
-    they were entered, and StudyFileError, an OSError as well, for what cannot be read or written.
+    Its methods raise StudyError for results that are not as they were entered, and StudyFileError,
+    an OSError as well, for files that cannot be read or written.
+
+    Parameters
+    ----------
+    folder : path
+        The folder.
+
+    Raises
+    ------
+    StudyError
+        The folder has no study's results.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -159,7 +169,7 @@ class Dataset(Shown):
 
     @property
     def parts(self) -> dict[str, Any]:
-        """The finished parts by name."""
+        """Finished parts, by name."""
         found: dict[str, Any] = self.manifest.get("parts", {})
         return found
 
@@ -191,7 +201,13 @@ class Dataset(Shown):
         return os.path.lexists(self.folder / MANIFEST)
 
     def read(self) -> None:
-        """Read the manifest. Raises StudyError where there is none, or no more of one."""
+        """Read the manifest again.
+
+        Raises
+        ------
+        StudyError
+            The folder has no manifest, or not any more.
+        """
         self.manifest = read_manifest(self.folder / MANIFEST)
 
     def _read_once(self) -> None:
@@ -201,7 +217,7 @@ class Dataset(Shown):
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What was changed of the study's file when it was run, by dotted keys."""
+        """Changes of the study's file with which it was run, by dotted keys."""
         found: dict[str, Any] = self.manifest.get("set", {})
         return found
 
@@ -425,10 +441,24 @@ class Dataset(Shown):
                 raise StudyError(f"{self.folder / name} is damaged or missing; {RESUME} it again")
 
     def table(self, name: str = "summary", *, check: bool = True) -> ds.Dataset:
-        """The finished parts of a table, as an Arrow dataset.
+        """Open the finished parts of a table, as an Arrow dataset.
 
-        check : whether each file is compared with its checksum, once; it is read for that.
-        Raises StudyError where there is none, or one is damaged.
+        Parameters
+        ----------
+        name : {"summary", "history", "events"}, optional
+            Name of the table.
+        check : bool, optional
+            Compare each file with its checksum, once; it is read for that.
+
+        Returns
+        -------
+        pyarrow.dataset.Dataset
+            The table.
+
+        Raises
+        ------
+        StudyError
+            The study has no such table, or a file is damaged.
         """
         self._read_once()
         chosen = [
@@ -449,7 +479,7 @@ class Dataset(Shown):
 
     @property
     def trajectories(self) -> int:
-        """How many rows the summary has, by the manifest."""
+        """Number of rows of the summary, by the manifest."""
         return sum(entry["rows"] for _, entry in self._summaries())
 
     def rest(self, remedy: str) -> str:
@@ -459,7 +489,13 @@ class Dataset(Shown):
         return "" if self.is_complete else f"; {remedy}"
 
     def failures(self) -> Failures | None:
-        """The trajectories that failed, by the manifest; None if all are ok."""
+        """Return the trajectories that failed, by the manifest.
+
+        Returns
+        -------
+        Failures or None
+            The failures; None if all are ok.
+        """
         failing = [
             (path, entry["failed"]) for path, entry in self._summaries() if "failed" in entry
         ]
@@ -476,15 +512,30 @@ class Dataset(Shown):
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
     def plot(self, name: str | None = None) -> Figure:
-        """A figure of the study's results, finished or not; needs `lierb[plot]`.
+        """Draw a figure of the study's results, finished or not; needs `lierb[plot]`.
 
-        name : "distribution", errors over the bodies; "time", over time; "recorded", what else the
-            history has, such as energy and observables; "events", when each first happened;
-            "quantities", what else the summary has; "order", errors over dt; "parameters", over
-            what was sampled. Default: "time" where there is a history, else "distribution".
+        `lierb plot FOLDER` writes all of them.
 
-        `lierb plot FOLDER` writes them all. Raises UnknownNameError for one that the study has
-        nothing for, MissingExtraError without Matplotlib.
+        Parameters
+        ----------
+        name : str, optional
+            "distribution": errors over the bodies. "time": errors over time. "recorded": other
+            columns of the history, such as energy and observables. "events": first times of each.
+            "quantities": other columns of the summary. "order": errors over dt. "parameters":
+            errors over sampled quantities. Default: "time" where there is a history, else
+            "distribution".
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        UnknownNameError
+            The study has no such figure.
+        MissingExtraError
+            Matplotlib is not installed.
         """
         require("plot")
         from lierb.studies.figures import figure

@@ -44,21 +44,41 @@ def study_of(
     initial: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> Study:
-    """The study of a problem whose numbers a design draws.
+    """Make the study of a problem whose numbers a design draws.
 
-    design : its quantities are named as in a study's file, without `sample.`: "initial.omega",
-        "body.mass", "forces.drag.linear", "observables.pointing_error.axis". Those of a mechanism's
-        links and loops have the names of one body's, and the link's before: "crank.body.mass",
-        "rod.joint.body_point", "crank.initial.velocities".
-    initial : how all bodies start, but for what is drawn: omega, twist, coordinates, … as the table
-        [initial] has them. Of a mechanism by link: {"crank": {"coordinates": 0.3}}; what that
-        leaves open is closed, to the nearest poses and twists, unless it has close="never".
-    settings : keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
+    Functions decorated with `@lierb.wrench` and the like must be at the top level of a file, from
+    which they can be loaded again.
+
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        The problem.
+    design : Design
+        Quantities, named as in a study's file without `sample.`: "initial.omega", "body.mass",
+        "forces.drag.linear", "observables.pointing_error.axis". Names of a mechanism's links and
+        loops come first: "crank.body.mass", "rod.joint.body_point", "crank.initial.velocities".
+    name : str, optional
+        Name of the study.
+    initial : dict, optional
+        Start of all bodies, except for what is drawn: omega, twist, coordinates, … as in the table
+        [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}; joints that stay open
+        are closed, to the nearest poses and twists, unless it has close="never".
+    **settings : object
+        Keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
         compression.
 
-    The functions with `@lierb.wrench` and the like must be at the top of a file, from which they
-    can be loaded again. Raises StudyError for what no file can say.
+    Returns
+    -------
+    Study
+        The study.
 
+    Raises
+    ------
+    StudyError
+        No file can describe the problem.
+
+    Examples
+    --------
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
     >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, 0.15))

@@ -98,29 +98,59 @@ def run(
 ) -> Dataset:
     """Run a study into a folder, part by part; memory does not grow with the study.
 
-    `run(study, out, …)` or `run(problem, design, out, …)`.
+    It is called as `run(study, out, …)` or `run(problem, design, out, …)`. After Ctrl-C the parts
+    under way are finished first; a second Ctrl-C loses them.
 
-    study : a Study, or the path of its TOML file.   out : a folder; made if need be; `~` is home.
-    problem, design : a lierb.Problem or lierb.Mechanism and the lierb.sampling.Design that draws
-        its numbers; with dt or rtol, t_end and other settings of `lierb.study_of`, which says
-        more. The files with the problem's own functions are copied into the folder.
-    changes : of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
-        folder's study.toml has the study as it was run, its manifest also what was changed.
-    resume : go on where an earlier run of the same study stopped: finished parts are kept, those
-        that are missing or damaged are done (again). The results are the same, bit for bit.
-    threads : as in `lierb.integrate`; with `client`, of each worker, its own number if None.
-    progress : as in `lierb.integrate`.
-    client : a dask.distributed.Client; its workers run the parts, one task a part, and write them
-        into `out`, which they must see under the same path. The files are the same, bit for bit.
-    gather : the workers send their parts back, and this process writes them.
+    Parameters
+    ----------
+    study : Study, path, Problem or Mechanism
+        A study, or the path of its TOML file; or a problem whose numbers a design draws. The files
+        with the problem's own functions are copied into the folder.
+    design : Design, optional
+        Design of a problem, see `lierb.study_of`. Of a study, `out` stands here.
+    out : path
+        Folder of the results, the second argument where there is no design; it is made if need be;
+        `~` is the home folder.
+    changes : dict, optional
+        Changes of the study, by dotted keys: {"sample.n": 1000, "integrate.dt": [1e-3, 1e-4]}. The
+        folder's study.toml has the study as it was run, its manifest also the changes.
+    resume : bool, optional
+        Continue an earlier run of the same study: finished parts are kept, missing or damaged ones
+        are run. The results are the same, bit for bit.
+    threads : int, optional
+        Number of threads, as in `lierb.integrate`; with `client`, of each worker (None: its own
+        number).
+    progress : bool or callable, optional
+        As in `lierb.integrate`.
+    client : dask.distributed.Client, optional
+        Cluster whose workers run the parts, one task a part, and write them into `out`, which they
+        must see under the same path. The files are the same, bit for bit.
+    gather : bool, optional
+        Let the workers send their parts back, and this process write them.
+    **settings : object
+        Settings of a problem: dt or rtol, t_end and others of `lierb.study_of`.
 
-    Raises StudyError for a study that is wrong, for a folder that has results already (without
-    `resume`), those of another study, or other Parquet in its tables' folders, for another run
-    that writes to it, and as StudyFileError, an OSError too, for what cannot be written; with
-    `client`, for a cluster without workers, one that is lost, or a part whose workers die again
-    and again. After Ctrl-C the parts under way are finished first; a second Ctrl-C loses them. One
-    FailedTrajectoryWarning says how many trajectories failed, if any did.
+    Returns
+    -------
+    Dataset
+        The results.
 
+    Raises
+    ------
+    StudyError
+        The study is wrong; or the folder has results already (without `resume`), those of another
+        study, other Parquet in its tables' folders, or another run that writes to it; or the
+        cluster has no workers, is lost, or has workers that die again and again at a part.
+    StudyFileError
+        A file cannot be written. It is a StudyError and an OSError.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed.
+
+    Examples
+    --------
     >>> import tempfile
     >>> import lierb
     >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
@@ -285,13 +315,30 @@ def _here(
 def integrate_batches(
     study: Study | str | Path, table: str = "summary", *, threads: int | None = None
 ) -> pa.RecordBatchReader:
-    """A study's results as a stream, for those who want no files.
+    """Stream a study's results, without files.
 
-    table : "summary", "history" if the study has `save_every` or `save_at`, or "events" if its
+    Parameters
+    ----------
+    study : Study or path
+        A study, or the path of its TOML file.
+    table : {"summary", "history", "events"}, optional
+        Table to stream: "history" if the study has `save_every` or `save_at`, "events" if its
         problem has events.
-    Returns a pyarrow.RecordBatchReader; each batch is integrated when it is asked for. At the end
-    one FailedTrajectoryWarning says how many trajectories failed, if any did.
+    threads : int, optional
+        Number of threads, as in `lierb.integrate`.
 
+    Returns
+    -------
+    pyarrow.RecordBatchReader
+        Reader; each batch is integrated when it is read.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed. The warning comes at the end.
+
+    Examples
+    --------
     >>> import lierb
     >>> study = lierb.Study.of({
     ...     "body": {"mass": 6.075, "inertia": [0.0126563, 0.0468281, 0.0569531]},

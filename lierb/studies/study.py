@@ -125,10 +125,15 @@ class Batch:
 
 
 class Study(Shown, Section):
-    """A study, checked when it is made; see the module for its tables.
+    """A study, checked when it is made by `of` or `load`.
 
-    Raises StudyError (a ValueError) that names what is wrong.
+    Raises
+    ------
+    StudyError
+        The study is wrong; the message names the key. It is a ValueError.
 
+    Examples
+    --------
     >>> import lierb
     >>> study = lierb.Study.of({
     ...     "body": {"solid": "box", "size": [0.1, 0.2, 0.3], "mass": 1.0},
@@ -172,11 +177,32 @@ class Study(Shown, Section):
         folder: str | Path | None = None,
         code: Code | None = None,
     ) -> Study:
-        """A study from the tables of its file; `source` and `text` are for messages.
+        """Make a study from the tables of its file.
 
-        changes : of the tables, by dotted keys (see `lierb.studies.changes`): {"sample.n": 1000}.
-        folder : where the Python files are that it names; or code : their texts, by name. Whatever
-            these files do is done here.
+        Parameters
+        ----------
+        tables : dict
+            Tables of the file, see the page on the study file.
+        source : str, optional
+            Name of the file, for messages.
+        text : str, optional
+            Text of the file, for messages.
+        changes : dict, optional
+            Changes of the tables, by dotted keys: {"sample.n": 1000}.
+        folder : path, optional
+            Folder of the Python files that the study names. They are executed here.
+        code : Code, optional
+            Texts of these files, by name, in place of the folder.
+
+        Returns
+        -------
+        Study
+            The study.
+
+        Raises
+        ------
+        StudyError
+            The study is wrong; the message names the key.
         """
         given = Given(source, text, {})
         try:
@@ -203,9 +229,28 @@ class Study(Shown, Section):
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Study:
-        """A study from its TOML file, with changes by dotted keys: {"sample.n": 1000}.
+        """Read a study from its TOML file.
 
-        Raises StudyError, ArgumentError for what is no path, OSError where there is no file.
+        Parameters
+        ----------
+        path : path
+            The file.
+        changes : dict, optional
+            Changes of its tables, by dotted keys: {"sample.n": 1000}.
+
+        Returns
+        -------
+        Study
+            The study.
+
+        Raises
+        ------
+        StudyError
+            The study is wrong; the message names line and key.
+        ArgumentError
+            The path is no path.
+        OSError
+            The file does not exist.
         """
         path = path_given(path)
         text = read(path)
@@ -363,11 +408,13 @@ class Study(Shown, Section):
 
     @property
     def design(self) -> Design:
+        """Design of the table [sample]."""
         quantities = self.sample.quantities() or {NOTHING: 0.0}
         return Design(quantities, n=self.sample.n, seed=self.sample.seed, method=self.sample.method)
 
     @property
     def settings(self) -> list[Setting]:
+        """Settings that are run, the product of its c-spaces, methods and steps: a list."""
         run = self.integrate
         each = product(run.cspace, run.method, run.steps)
         return [Setting(cspace, method, *step) for cspace, method, step in each]
@@ -438,7 +485,22 @@ class Study(Shown, Section):
         }
 
     def batch(self, first: int, count: int, design: Design | None = None) -> Batch:
-        """Bodies first … first + count, made and started."""
+        """Make and start the bodies first, first + 1, …, first + count − 1.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first body.
+        count : int
+            Number of bodies.
+        design : Design, optional
+            The study's `design`, which would be made again otherwise.
+
+        Returns
+        -------
+        Batch
+            `problem`, `pose0` and `twist0` of these bodies, for `lierb.integrate`.
+        """
         draws = (design or self.design).draw(first, count)
         draws.pop(NOTHING, None)
         own: Draws = {}
@@ -529,11 +591,33 @@ class Study(Shown, Section):
         return mechanism, twists, poses
 
     def changed(self, changes: Mapping[str, Any]) -> Study:
-        """The study with changes by dotted keys."""
+        """Return the study with changes of its tables.
+
+        Parameters
+        ----------
+        changes : dict
+            Changes by dotted keys: {"sample.n": 1000}.
+
+        Returns
+        -------
+        Study
+            The changed study.
+
+        Raises
+        ------
+        StudyError
+            The changed study is wrong.
+        """
         return Study.of(self._tables(), changes=changes, code=self._code) if changes else self
 
     def to_toml(self) -> str:
-        """The text of a file that says the same."""
+        """Write the text of a file of the same study.
+
+        Returns
+        -------
+        str
+            TOML.
+        """
         return tomli_w.dumps(self._tables())
 
     def _tables(self) -> dict[str, Any]:
@@ -553,7 +637,13 @@ class Study(Shown, Section):
         _require_shape(path, shape, SHAPES.get(key, (3,)), free=is_free)
 
     def digest(self) -> str:
-        """Of everything that the results depend on."""
+        """Compute a checksum of everything that the results depend on.
+
+        Returns
+        -------
+        str
+            Hexadecimal digits.
+        """
         tables = self.model_dump(exclude={"name"})
         for table, keys in _news(tables):
             for key in keys:

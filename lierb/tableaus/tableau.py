@@ -83,28 +83,49 @@ def _require_both(name: str, order: Any, of: str, given: Any) -> None:
 class ButcherTableau:
     """An explicit Runge–Kutta method: k_i = f(t + c_i h, y + h Σ_j A_ij k_j), y ← y + h Σ b_i k_i.
 
-    A : (s, s) or its strictly lower triangle, rows of 0, 1, …, s−1 numbers.   b : (s,).
-    c : (s,), optional; must be the row sums of A.   name, order, source : for people.
-
-    What follows is optional; each serves what its words say.
-
-    error : for adaptive steps, rows of s weights. One row: b − b̂ of an embedded method, the error
-        being h Σ (b_i − b̂_i) k_i. Two rows: the errors e₅ and e₃ of DOP853, taken together as
+    Parameters
+    ----------
+    A : sequence of rows, shape (s, s)
+        Matrix A, or its strictly lower triangle as rows of 0, 1, …, s−1 numbers.
+    b : sequence of float, shape (s,)
+        Weights.
+    c : sequence of float, shape (s,), optional
+        Nodes; they must be the row sums of A.
+    name : str, optional
+        Name of the method.
+    order : int, optional
+        Order of the method.
+    source : str, optional
+        Publication.
+    error : sequence of rows, shape (1, s) or (2, s), optional
+        Weights of the error estimate, for adaptive steps. One row: b − b̂ of an embedded method,
+        whose error is h Σ (b_i − b̂_i) k_i. Two rows: the errors e₅ and e₃ of DOP853, combined to
         e₅²/√(e₅² + 0.01 e₃²).
-    error_order : q, of the embedded method: the error falls with h^(q+1).
-    dense : for output between steps, y(t + θh) = y + h Σ b_i(θ) k_i with b_i(θ) = Σ_k dense[i][k]
-        θ^(k+1): rows of coefficients, for the s stages and then for those of `dense_A`.
-    dense_A : rows of s, s + 1, … numbers: further stages that `dense` needs, and steps do not.
-    dense_order : of `dense`.
-    exponentials : for Crouch–Grossman and commutator-free methods: for each stage, and then for the
-        end of the step, rows of weights w, with which a pose C, Ċ = C V, becomes C exp(h Σ_j w_1j
-        V_j) exp(h Σ_j w_2j V_j) …; they add up to the stage's row of A, and b. All that is no pose
-        is stepped by A and b.
+    error_order : int, optional
+        Order q of the embedded method: the error falls with h^(q+1).
+    dense : sequence of rows, optional
+        Coefficients of the continuous extension, y(t + θh) = y + h Σ b_i(θ) k_i with b_i(θ) = Σ_k
+        dense[i][k] θ^(k+1), for output between steps: a row for each stage, and then for each of
+        those of `dense_A`.
+    dense_A : sequence of rows, optional
+        Rows of s, s + 1, … numbers: further stages that `dense` needs and steps do not.
+    dense_order : int, optional
+        Order of the continuous extension.
+    exponentials : sequence of sequences of rows, optional
+        Weights of Crouch–Grossman and commutator-free methods: for each stage, and then for the end
+        of the step, rows w with which a pose C, Ċ = C V, becomes C exp(h Σ_j w_1j V_j) exp(h Σ_j
+        w_2j V_j) …. They add up to the stage's row of A, and to b. Everything except the pose is
+        stepped by A and b.
 
-    Raises ArgumentError unless A is strictly lower triangular, Σ_j A_ij = c_i and Σ b_i = 1, a row
-    of `error` adds up to 0, dense starts with k₁, ends with b and has Σ b_i(θ) = θ, and the rows of
-    `exponentials` add up to those of A and b.
+    Raises
+    ------
+    ArgumentError
+        A is not strictly lower triangular, Σ_j A_ij ≠ c_i, Σ b_i ≠ 1, a row of `error` does not add
+        up to 0, dense does not start with k₁, end with b or have Σ b_i(θ) = θ, or the rows of
+        `exponentials` do not add up to those of A and b.
 
+    Examples
+    --------
     >>> import lierb
     >>> lierb.ButcherTableau(A=[[], [2 / 3]], b=[1 / 4, 3 / 4], name="Ralston", order=2).stages
     2
@@ -253,9 +274,10 @@ class ButcherTableau:
 
     @cached_property
     def calibration(self) -> float:
-        """By how much less than a tolerance a step's estimated error must be, for the motion to be
-        off by the tolerance: after thirty turns of a uniform rotation. At least 10; 1 without
-        `error`.
+        """Ratio of the tolerance to the largest estimated error of a step.
+
+        It is such that the motion is off by the tolerance after thirty turns of a uniform rotation.
+        It is at least 10, and 1 without `error`.
         """
         if self.error is None or self.error_order is None:
             return 1.0

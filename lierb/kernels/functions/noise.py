@@ -55,18 +55,32 @@ def drawing(noise: Noise | None) -> Iterator[None]:
 
 
 def normal(name: str, size: int | tuple[()] = ()) -> Any:
-    """Standard normal numbers of a controller's tick: independent, mean 0, variance 1.
-
-    name : of the noise. Each has a stream of its own; one name gives the same numbers to all
-        controllers that draw it at the same tick number.
-    size : how many, an array of them; () is one number.
+    """Draw standard normal numbers at a controller's tick: independent, mean 0, variance 1.
 
     They depend on the run's `seed`, the trajectory's number, the name, the tick and the component
-    alone, and are the same bits on every machine. Inside functions of `@lierb.controller` only:
-    what is integrated between ticks must be smooth.
+    alone, and have the same bits on every machine. They are drawn inside functions of
+    `@lierb.controller` only: what is integrated between ticks must be smooth.
 
-    Raises TypeError anywhere else, and where a controller draws one name twice.
+    Parameters
+    ----------
+    name : str
+        Name of the noise. Each has a stream of its own; one name gives the same numbers to all
+        controllers that draw it at the same tick number.
+    size : int or (), optional
+        Number of components; () for a single number.
 
+    Returns
+    -------
+    float or ndarray, shape (size,)
+        The numbers.
+
+    Raises
+    ------
+    TypeError
+        The call is not in a controller, or a controller draws one name twice.
+
+    Examples
+    --------
     >>> import lierb
     >>> @lierb.controller(every=0.1, gain=0.5, sigma=1e-3)
     ... def damping(omega, params):

@@ -313,10 +313,26 @@ def _quotient(a: Any, b: Any) -> Any:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """`a` where the condition holds, `b` elsewhere: for functions given to lierb, instead of `if`.
+    """Choose `a` where the condition holds, `b` elsewhere, in functions given to lierb.
 
-    Numbers, or tuples and arrays of them. Both are computed.
+    It replaces `if` there. Both values are computed.
 
+    Parameters
+    ----------
+    condition : bool or array_like of bool
+        The condition.
+    a : float, array_like or tuple of them
+        Value where it holds.
+    b : float, array_like or tuple of them
+        Value elsewhere.
+
+    Returns
+    -------
+    float, ndarray or tuple of them
+        The chosen values.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.where(2.0 > 1.0, 10.0, 20.0)
     10.0

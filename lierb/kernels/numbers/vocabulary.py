@@ -33,8 +33,24 @@ class UnfitArgumentError(UnfitFunctionError, ValueError):
 
 
 def clip(x: Any, lower: Any, upper: Any) -> Any:
-    """x, but no less than `lower` and no more than `upper`; numbers and arrays, element by element.
+    """Limit x to the interval from `lower` to `upper`.
 
+    Parameters
+    ----------
+    x : float or array_like
+        Numbers, limited element by element.
+    lower : float or array_like
+        Lower bound.
+    upper : float or array_like
+        Upper bound.
+
+    Returns
+    -------
+    float or ndarray
+        The limited numbers.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.clip([-3.0, 0.5, 2.0], 0.0, 1.0).tolist()
     [0.0, 0.5, 1.0]
@@ -43,13 +59,32 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
 
 
 def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
-    """Linear between the points (xs, ys), constant beyond the first and the last.
+    """Interpolate linearly between the points (xs, ys); constant beyond the first and the last.
 
-    x : a number or an array of any shape.   xs : (n,), increasing.   ys : (n,).
+    In a kernel each point costs a comparison and three choices; of more than 32 constant points the
+    right interval is searched.
 
-    In a kernel each point costs a comparison and three choices; of more than 32 constant ones the
-    right one is searched. Raises ValueError for points that are no table.
+    Parameters
+    ----------
+    x : float or array_like
+        Where to interpolate, of any shape.
+    xs : array_like, shape (n,)
+        Increasing abscissas of the points.
+    ys : array_like, shape (n,)
+        Ordinates of the points.
 
+    Returns
+    -------
+    float or ndarray
+        Interpolated values, of the shape of x.
+
+    Raises
+    ------
+    ValueError
+        The points make no table.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.table([-1.0, 0.5, 9.0], (0.0, 1.0, 2.0), (0.0, 10.0, 40.0)).tolist()
     [0.0, 5.0, 40.0]
@@ -70,10 +105,20 @@ _clip, _interp = Spoken(np.clip), Spoken(np.interp)
 
 
 def quaternion(R: Any) -> Any:
-    """The unit quaternion (w, x, y, z) of a rotation matrix, with w ≥ 0.
+    """Convert a rotation matrix to a unit quaternion (w, x, y, z) with w ≥ 0.
 
-    R : (…, 3, 3).   Returns (…, 4).
+    Parameters
+    ----------
+    R : array_like, shape (…, 3, 3)
+        Rotation matrix.
 
+    Returns
+    -------
+    ndarray, shape (…, 4)
+        Unit quaternion.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.quaternion(lierb.lie.so3.exp((0.0, 0.0, 2.0))).round(4).tolist()
     [0.5403, 0.0, 0.0, 0.8415]
@@ -82,10 +127,20 @@ def quaternion(R: Any) -> Any:
 
 
 def log(R: Any) -> Any:
-    """The rotation vector of a rotation matrix: axis times angle, rad, of length π at most.
+    """Convert a rotation matrix to its rotation vector, axis times angle, of length π at most.
 
-    R : (…, 3, 3).   Returns (…, 3).
+    Parameters
+    ----------
+    R : array_like, shape (…, 3, 3)
+        Rotation matrix.
 
+    Returns
+    -------
+    ndarray, shape (…, 3)
+        Rotation vector, rad.
+
+    Examples
+    --------
     >>> import lierb
     >>> lierb.log(lierb.lie.so3.exp((0.1, -0.2, 0.3))).round(4).tolist()
     [0.1, -0.2, 0.3]
