@@ -35,6 +35,7 @@ extensions = [
     "sphinx_design",
     "joint_entries",
     "links",
+    "outputs",
     "study_file",
 ]
 exclude_patterns = ["_build", "_ext"]
