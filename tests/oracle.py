@@ -25,6 +25,7 @@ from typing import NamedTuple
 import mpmath
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 DIGITS = 80
 BITS = 320  # of the fractions in `_power_series`: 96 digits, so that even 1e-36 keeps 60
@@ -216,33 +217,119 @@ def coefficients(theta) -> dict[str, float]:
 
 # ---------------------------------------------------------------- constrained body, in space
 
-# Rows of each joint in the order of its multipliers. G is the joint frame on the ground, B the one
-# on the body, s the vector from G's origin to B's, g_i and b_i their axes, in ground coordinates:
-#   d_i: g_i·s = 0      slot_i: b_i·s = 0      turn_i: b_i·ω = 0      cross_ij: g_i·b_j = 0
+
+class RowKind(NamedTuple):
+    """A kind of row by its definition: h of D = G⁻¹ C B = (Q, d), zero where the joint is closed.
+
+    G is the joint frame on the ground, B the one on the body.   value : of Q, d, the row's axes
+    (0, 1, 2) and its size, in floats or mpmath's numbers.   size : what the joint needs for it.
+    """
+
+    value: Callable
+    size: str = ""
+
+
+def _slip(Q, d, axes, pitch):
+    """d₃ − pitch·φ, to the nearest turn."""
+    slip, turn = d[2] - pitch * mp.atan2(Q[1, 0], Q[0, 0]), 2 * mp.pi * pitch
+    return slip - turn * mp.nint(slip / turn) if pitch else slip
+
+
+def _kept(Q, d, axes, size):
+    """Entry of Q that is zero where all of a joint's rows of angular velocity hold."""
+    return Q[((1, 2), (0, 2), (1, 0))[axes[0]]]
+
+
+def _twist(Q, d, axes, size):
+    """2z of Q's quaternion: zero where two shafts have turned by the same."""
+    xi = _rotation_vector(Q)
+    angle = mp.norm(xi)
+    return 2 * mp.sin(angle / 2) * xi[2] / angle if angle else mp.zero
+
+
+ROW_KINDS = {
+    "d": RowKind(lambda Q, d, axes, size: d[axes[0]]),
+    "Qtd": RowKind(lambda Q, d, axes, size: sum(Q[k, axes[0]] * d[k] for k in range(3))),
+    "Q": RowKind(lambda Q, d, axes, size: Q[axes]),
+    "Omega": RowKind(_kept),
+    "screw": RowKind(_slip, "pitch"),
+    "rod": RowKind(lambda Q, d, axes, size: (sum(x * x for x in d) / size - size) / 2, "length"),
+    "cv": RowKind(_twist),
+}
+
+
+def row_parts(name: str) -> tuple[str, tuple[int, ...]]:
+    """Kind and axes of a row: Q32 is ("Q", (2, 1))."""
+    kind = name.rstrip("123")
+    return kind, tuple(int(i) - 1 for i in name[len(kind) :])
+
+
+def row_value(name: str, Q, d, pitch=0.0, length=0.0):
+    """h of a row on D = (Q, d)."""
+    kind, axes = row_parts(name)
+    definition = ROW_KINDS[kind]
+    return definition.value(Q, d, axes, {"pitch": pitch, "length": length}.get(definition.size))
+
+
+def row_values(joint: str, D, pitch=0.0, length=0.0) -> list:
+    """h of all rows of a joint on D, 4x4."""
+    Q, d = D[:3, :3], D[:3, 3]
+    return [row_value(name, Q, d, pitch, length) for name in JOINT_ROWS[joint].split()]
+
+
+def row_jacobian(joint: str, D, pitch=0.0, length=0.0) -> np.ndarray:
+    """Derivatives of `row_values` along D exp(t X), (rows, 6): differences in 80 digits."""
+    D, h, sides = mp.matrix(np.asarray(D).tolist()), mp.mpf("1e-30"), []
+    for sign in (1, -1):
+        moved = [D + sign * h * D * lie["se3"].hat(e) for e in np.eye(6)]
+        sides.append(np.array([row_values(joint, x, pitch, length) for x in moved], object))
+    return ((sides[0] - sides[1]) / (2 * h)).astype(float).T
+
+
+def relative_pose_on(joint: str, start, pitch=0.0, length=0.0) -> np.ndarray:
+    """D near `start`, 4x4, on all rows of a joint: Newton's method."""
+    D = np.asarray(start, float)
+    for _ in range(8):
+        values = np.array(row_values(joint, D, pitch, length), dtype=float)
+        J = row_jacobian(joint, D, pitch, length)
+        step = lie["se3"].hat(-np.linalg.lstsq(J, values, rcond=None)[0])
+        D = D @ expm(to_float(step))
+    return D
+
+
+def sizes_of(joint: str, **sizes: float) -> dict[str, float]:
+    """Those of pitch= and length= that a joint's rows need."""
+    needed = {ROW_KINDS[row_parts(name)[0]].size for name in JOINT_ROWS[joint].split()}
+    return {name: size for name, size in sizes.items() if name in needed}
+
+
+# Rows of each joint in the order of its multipliers. With s the vector from G's origin to B's and
+# g_i and b_i their axes, in ground coordinates:
+#   d_i: g_i·s = 0      Qtd_i: b_i·s = 0      Omega_i: b_i·ω = 0      Q_ij: g_i·b_j = 0
 #   screw: g_3·s − pitch·φ = 0, at velocity level g_3·ṡ − pitch b_3·ω = 0
 #   rod: (s·s − length²)/(2 length) = 0
-#   equal: n·ω = 0, n the unit bisector of g_3 and b_3: the same turn about both of them
+#   cv: n·ω = 0, n the unit bisector of g_3 and b_3: the same turn about both of them
 JOINT_ROWS: dict[str, str] = {
     "free": "",
     "spherical": "d1 d2 d3",
-    "revolute": "d1 d2 d3 turn1 turn2",
-    "cylindrical": "d1 d2 turn1 turn2",
-    "prismatic": "d1 d2 turn1 turn2 turn3",
-    "screw": "d1 d2 screw turn1 turn2",
-    "planar": "d3 turn1 turn2",
-    "universal": "d1 d2 d3 cross32",
-    "hook": "d1 d2 d3 cross23",
-    "pin_in_slot": "d2 d3 turn1 turn2",
-    "pin_in_slot_body": "slot2 slot3 turn1 turn2",
-    "planar_translation": "d3 turn1 turn2 turn3",
-    "translation": "turn1 turn2 turn3",
-    "helical_planar": "screw turn1 turn2",
-    "schoenflies": "turn1 turn2",
-    "fixed": "d1 d2 d3 turn1 turn2 turn3",
+    "revolute": "d1 d2 d3 Omega1 Omega2",
+    "cylindrical": "d1 d2 Omega1 Omega2",
+    "prismatic": "d1 d2 Omega1 Omega2 Omega3",
+    "screw": "d1 d2 screw Omega1 Omega2",
+    "planar": "d3 Omega1 Omega2",
+    "universal": "d1 d2 d3 Q32",
+    "hook": "d1 d2 d3 Q23",
+    "pin_in_slot": "d2 d3 Omega1 Omega2",
+    "pin_in_slot_body": "Qtd2 Qtd3 Omega1 Omega2",
+    "planar_translation": "d3 Omega1 Omega2 Omega3",
+    "translation": "Omega1 Omega2 Omega3",
+    "helical_planar": "screw Omega1 Omega2",
+    "schoenflies": "Omega1 Omega2",
+    "fixed": "d1 d2 d3 Omega1 Omega2 Omega3",
     "point_on_line": "d1 d2",
     "point_on_plane": "d3",
     "point_on_sphere": "rod",
-    "constant_velocity": "d1 d2 d3 equal",
+    "constant_velocity": "d1 d2 d3 cv",
 }
 
 
@@ -448,29 +535,30 @@ def _row(name: str, s, s_rate, arm, omega, g, b, pitch, length):
 
     The origin of B is at r + arm, so its acceleration is r̈ + ω̇×arm + ω×(ω×arm).
     """
-    kind, index = name.rstrip("123"), [int(i) - 1 for i in name if i.isdigit()]
+    kind, index = row_parts(name)
     zero = np.zeros(3)
     centripetal = _cross(omega, _cross(omega, arm))
-    if kind == "turn":  # (b·ω)˙ = b·ω̇ + (ω×b)·ω, the last is 0
+    if kind == "Omega":  # (b·ω)˙ = b·ω̇ + (ω×b)·ω, the last is 0
         return b[index[0]], zero, 0.0
-    if kind == "cross":
+    if kind == "Q":
         gi, bj = g[index[0]], b[index[1]]
         return _cross(bj, gi), zero, -gi @ _cross(omega, _cross(omega, bj))
-    if kind == "equal":  # ṅ·ω is along (ω×b_3)·ω, which is 0
+    if kind == "cv":  # ṅ·ω is along (ω×b_3)·ω, which is 0
         return (g[2] + b[2]) / np.linalg.norm(g[2] + b[2]), zero, 0.0
     if kind == "rod":
         along = s / length
         return _cross(arm, along), along, -(s_rate @ s_rate / length + along @ centripetal)
-    if kind == "slot":
+    if kind == "Qtd":
         bi = b[index[0]]
         bi_rate = _cross(omega, bi)
         rest = _cross(omega, bi_rate) @ s + 2 * bi_rate @ s_rate + bi @ centripetal
         return _cross(bi, s) + _cross(arm, bi), bi, -rest
-    gi = g[2 if kind == "screw" else index[0]]
-    angular = _cross(arm, gi)
     if kind == "screw":
-        angular = angular - pitch * b[2]
-    return angular, gi, -gi @ centripetal
+        return _cross(arm, g[2]) - pitch * b[2], g[2], -g[2] @ centripetal
+    if kind == "d":
+        gi = g[index[0]]
+        return _cross(arm, gi), gi, -gi @ centripetal
+    raise KeyError(name)
 
 
 def reference_trajectory(

@@ -1,4 +1,4 @@
-"""The diffs that CONTRIBUTING.md shows apply to the package, and what they add works."""
+"""The diffs that CONTRIBUTING.md shows apply, what they add works, and the tests know of it."""
 
 import os
 import re
@@ -9,10 +9,18 @@ from pathlib import Path
 
 import pytest
 
-import lierb
-
-PACKAGE = Path(lierb.__file__).parent
-PAGE = Path(__file__).parents[1] / "CONTRIBUTING.md"
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "CONTRIBUTING.md"
+IN_PACKAGE = (
+    "lierb/joints.py", "lierb/kernels/mechanics/rows.py", "lierb/forces.py",
+    "lierb/tableaus/classical.py", "lierb/kernels/stepping/measures.py",
+)  # fmt: skip
+CATALOGUES = (
+    "test_joints", "test_oracle", "test_initial_conditions", "test_prediction", "test_scale",
+    "test_site", "test_study", "test_tableaus", "test_tableaus_orders", "test_mechanism",
+    "test_mechanism_prediction", "test_multipliers", "test_animation", "kernels/test_every_formula",
+    "mechanisms/test_oracle",
+)  # fmt: skip
 
 SCRIPT = """
 import numpy as np
@@ -55,30 +63,64 @@ for cspace in ("SE3", "SO3xR3"):
 def hunks(page: str):
     """(file, text before, text after) of every hunk."""
     for diff in re.findall(r"^```diff\n(.*?)^```", page, re.MULTILINE | re.DOTALL):
-        head, *parts = re.split(r"^@@.*\n", diff, flags=re.MULTILINE)
-        file = re.search(r"^\+\+\+ b/(.*)$", head, re.MULTILINE)[1]
-        for part in parts:
-            lines = part.splitlines(keepends=True)
-            yield file, *("".join(x[1:] for x in lines if x[0] in side) for side in (" -", " +"))
+        for of_file in re.split(r"^--- a/.*\n", diff, flags=re.MULTILINE)[1:]:
+            head, *parts = re.split(r"^@@.*\n", of_file, flags=re.MULTILINE)
+            file = re.search(r"^\+\+\+ b/(.*)$", head, re.MULTILINE)[1]
+            for part in parts:
+                lines = part.splitlines(keepends=True)
+                yield (
+                    file,
+                    *("".join(x[1:] for x in lines if x[0] in side) for side in (" -", " +")),
+                )
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory):
+    """The checkout's lierb, tests and reference with all diffs applied."""
+    root = tmp_path_factory.mktemp("checkout")
+    left_out = shutil.ignore_patterns("__pycache__", "_build", "results")
+    for folder in ("lierb", "tests", "docs", "examples", "bench"):
+        shutil.copytree(ROOT / folder, root / folder, ignore=left_out)
+    shutil.copy(ROOT / "pyproject.toml", root)
+    for file, before, after in hunks(PAGE.read_text(encoding="utf-8")):
+        text = (root / file).read_text(encoding="utf-8")
+        assert text.count(before) == 1, f"{file} no longer has {before!r} once"
+        (root / file).write_text(text.replace(before, after), encoding="utf-8")
+    return root
+
+
+def run(copy: Path, *arguments: str) -> str:
+    """Output of Python in the copy; it must end well."""
+    paths = {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "cache")}
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=copy,
+        env=os.environ | paths,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr
+    return done.stdout
+
+
+def test_package_changes_by_one_file_each():
+    """Each of the five is added to the package by one file of it."""
+    changed = [file for file, _, _ in hunks(PAGE.read_text(encoding="utf-8"))]
+    assert sum(file.startswith("lierb/") for file in changed) == len({*IN_PACKAGE})
+    assert {file for file in changed if file.startswith("lierb/")} == {*IN_PACKAGE}
 
 
 @pytest.mark.slow  # compiles two kernels
-def test_diffs_add_what_they_say(tmp_path):
-    shutil.copytree(PACKAGE, tmp_path / "lierb", ignore=shutil.ignore_patterns("__pycache__"))
-    files = []
-    for file, before, after in hunks(PAGE.read_text(encoding="utf-8")):
-        text = (tmp_path / file).read_text(encoding="utf-8")
-        assert text.count(before) == 1, f"{file} no longer has {before!r} once"
-        (tmp_path / file).write_text(text.replace(before, after), encoding="utf-8")
-        files.append(file)
-    assert len(files) == len(set(files))  # what is added takes one file each
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
-        capture_output=True,
-        text=True,
-        timeout=180,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+def test_diffs_add_what_they_say(copy):
+    run(copy, "-c", SCRIPT)
+
+
+@pytest.mark.slow  # collects the tests over the catalogues
+def test_tests_over_the_catalogues_take_what_the_diffs_add(copy):
+    """Those that compile no kernel, of what is added and of the catalogues as a whole."""
+    files = [f"tests/{name}.py" for name in CATALOGUES]
+    added = "tube or loosely or attraction or Heun3 or spin or catalogue or page_of_methods"
+    out = run(copy, "-m", "pytest", "-n", "0", "-q", "-m", "not slow", "-k", added, *files)
+    assert " passed" in out

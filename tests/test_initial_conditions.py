@@ -1,6 +1,7 @@
 """Coordinates of a joint, and poses closed by Newton's method, against matrices and definitions."""
 
 import numpy as np
+import oracle
 import pytest
 from cases import PITCH, SUBGROUP_JOINTS, column, frame, integrate, joint
 from scipy.linalg import expm, logm
@@ -332,24 +333,8 @@ def off_the_joint(held, seed, size):
 def violation(name, held, pose):
     """How far D is off the joint, from its definition."""
     D = relative(held, pose)
-    Q, d = D[:3, :3], D[:3, 3]
-    slip, whole_turn = d[2] - PITCH * np.arctan2(Q[1, 0], Q[0, 0]), 2 * np.pi * PITCH
-    rows = {
-        **{f"d{i + 1}": d[i] for i in range(3)},
-        **{f"Qtd{i + 1}": (Q.T @ d)[i] for i in range(3)},
-        "Q32": Q[2, 1],
-        "Q23": Q[1, 2],
-        "screw": slip - whole_turn * np.round(slip / whole_turn),
-        "rod": np.linalg.norm(d) - held.length,
-        "cv": Rotation.from_matrix(Q).as_rotvec()[2],
-    }
-    names = [str(row) for row in held.rows]
-    errors = [rows[n] for n in names if not n.startswith("Omega")]
-    if names.count("Omega3"):
-        errors += list(np.real(logm(Q)).ravel())
-    elif names.count("Omega1"):
-        errors += list(Q[2, :2])
-    return np.abs(errors).max(initial=0.0)
+    sizes = oracle.sizes_of(name, pitch=float(held.pitch), length=float(held.length))
+    return max((abs(float(h)) for h in oracle.row_values(name, D, **sizes)), default=0.0)
 
 
 @EVERY_JOINT

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from oracle import JOINT_ROWS
 
 from mechanisms.extrapolation import integrated
 
@@ -235,39 +236,30 @@ def _rise(s):
     return found._replace(value=found.value - lost)
 
 
-def _apart(s):  # (‖arm‖² − length²)/(2 length)
-    square = dot(s.arm, s.arm)
-    zero = np.zeros_like(square.jacobian)
-    level = Moving(s.length**2, 0.0 * s.length, zero, 0.0 * s.length)
-    return (square - level).times(0.5 / s.length)
+def _at_length(square: Moving, length: np.ndarray) -> Moving:
+    """(square − length²)/(2 length)."""
+    level = Moving(length**2, 0.0 * length, np.zeros_like(square.jacobian), 0.0 * length)
+    return (square - level).times(0.5 / length)
 
 
-_POINT = [_held(1), _held(2), _held(3)]
-_AXIS = [_across(1, 3), _across(2, 3)]  # f₃ along g₃
-_LOCKED = [*_AXIS, _across(1, 2)]
+def _apart(s):  # a distance between two points
+    return _at_length(dot(s.arm, s.arm), s.length)
 
-CONDITIONS = {
-    "free": [],
-    "spherical": _POINT,
-    "revolute": _POINT + _AXIS,
-    "cylindrical": _POINT[:2] + _AXIS,
-    "prismatic": _POINT[:2] + _LOCKED,
-    "screw": [*_POINT[:2], _rise, *_AXIS],
-    "planar": [_held(3), *_AXIS],
-    "universal": [*_POINT, _across(3, 2)],
-    "hook": [*_POINT, _across(2, 3)],
-    "fixed": _POINT + _LOCKED,
-    "planar_translation": [_held(3), *_LOCKED],
-    "translation": _LOCKED,
-    "helical_planar": [_rise, *_AXIS],
-    "schoenflies": _AXIS,
-    "pin_in_slot": [_held(2), _held(3), *_AXIS],
-    "pin_in_slot_body": [_slotted(2), _slotted(3), *_AXIS],
-    "point_on_line": _POINT[:2],
-    "point_on_plane": [_held(3)],
-    "point_on_sphere": [_apart],
-    "constant_velocity": [*_POINT, _equal_turn],
+
+# By the names that rows have in the oracle of one body; f₃ is along g₃ by Omega1 and Omega2.
+ROWS = {
+    **{f"d{i}": _held(i) for i in (1, 2, 3)},
+    **{f"Qtd{i}": _slotted(i) for i in (1, 2, 3)},
+    "Q32": _across(3, 2),
+    "Q23": _across(2, 3),
+    "Omega1": _across(1, 3),
+    "Omega2": _across(2, 3),
+    "Omega3": _across(1, 2),
+    "screw": _rise,
+    "rod": _apart,
+    "cv": _equal_turn,
 }
+CONDITIONS = {joint: [ROWS[n] for n in names.split()] for joint, names in JOINT_ROWS.items()}
 
 
 # ---- rotations ---------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from oracle import JOINT_ROWS, sizes_of
 
 import lierb
 from mechanisms import oracle
@@ -52,7 +53,10 @@ SHAPES = {
 }  # fmt: skip
 TREES = ("chain", "star", "branched", "sliding", "loosely")
 LOOPS = tuple(name for name in SHAPES if name not in TREES)
-WITH_PITCH, WITH_LENGTH = ("screw", "helical_planar"), ("point_on_sphere",)
+WITH_PITCH, WITH_LENGTH = (
+    tuple(name for name in JOINT_ROWS if sizes_of(name, **{size: 1.0}))
+    for size in ("pitch", "length")
+)
 
 
 # ---- random numbers ----------------------------------------------------------------------------
@@ -104,30 +108,25 @@ def displacement(
     about = lambda *xi: rotation(np.stack(xi, -1))
     angle, turn = some(), rotation(0.5 * rng.normal(size=(n, 3)))
     slide = 0.3 * rng.normal(size=(n, 3))
+    rows = JOINT_ROWS[kind].split()
     turns = {
-        **dict.fromkeys(("prismatic", "fixed", "planar_translation", "translation"), np.eye(3)),
         "universal": about(zero, zero, angle) @ about(zero, some(), zero),
         "hook": about(zero, angle, zero) @ about(zero, zero, some()),
         "constant_velocity": about(angle, some(), zero),
-        **dict.fromkeys(
-            ("free", "spherical", "point_on_line", "point_on_plane", "point_on_sphere"), turn
-        ),
     }
-    Q = np.broadcast_to(turns.get(kind, about(zero, zero, angle)), (n, 3, 3))
-    slides = {
-        **dict.fromkeys(("free", "translation", "schoenflies"), (1, 1, 1)),
-        **dict.fromkeys(("planar", "planar_translation", "point_on_plane"), (1, 1, 0)),
-        "helical_planar": (1, 1, 0),
-        **dict.fromkeys(("cylindrical", "prismatic", "point_on_line"), (0, 0, 1)),
-        **dict.fromkeys(("pin_in_slot", "pin_in_slot_body"), (1, 0, 0)),
-    }
-    d = slide * np.array(slides.get(kind, (0, 0, 0)))
-    if kind in WITH_PITCH:
+    if "Omega3" in rows:
+        Q = np.broadcast_to(np.eye(3), (n, 3, 3))
+    elif "Omega1" in rows:
+        Q = about(zero, zero, angle)
+    else:
+        Q = turns.get(kind, turn)
+    d = slide * [f"d{i}" not in rows and f"Qtd{i}" not in rows for i in (1, 2, 3)]
+    if "screw" in rows:
         d[:, 2] = pitch * angle
-    if kind == "pin_in_slot_body":
-        d = np.einsum("nij,nj->ni", Q, d)
-    if kind in WITH_LENGTH:
+    if "rod" in rows:
         d = length[:, None] * slide / np.linalg.norm(slide, axis=-1, keepdims=True)
+    if "Qtd3" in rows:
+        d = np.einsum("nij,nj->ni", Q, d)
     return frame(Q, d)
 
 
