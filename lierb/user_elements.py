@@ -264,8 +264,8 @@ class Wrench(Decorated):
         defaults: dict[str, Any],
         discontinuities: str | Iterable[str],
     ) -> None:
-        is_one = isinstance(discontinuities, str)
-        names = (discontinuities,) if is_one else tuple(discontinuities)
+        given = discontinuities
+        names = (given,) if isinstance(given, str) else tuple(given)
         for name in names:
             if name not in defaults:
                 raise unknown_name("discontinuities", name, defaults)

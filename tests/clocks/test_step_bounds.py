@@ -269,7 +269,7 @@ def test_discontinuities_break_nothing_that_goes_on():
     options = {"rtol": 1e-6, "discontinuities": [1.0, 4.0]}
     whole = lierb.integrate(problem, twist0=turning(1.0), t_end=5.0, **options)
     first = lierb.integrate(problem, twist0=turning(1.0), t_end=3.5, **options)
-    rest = lierb.integrate(problem, **first.end, t0=3.5, t_end=5.0, **options)
+    rest = lierb.integrate(problem, **first.end, t_end=5.0, **options)
     assert gained(rest)[0] == pytest.approx(gained(whole)[0], rel=1e-14)
 
 
