@@ -234,6 +234,21 @@ def test_every_joint_follows_the_world_frame_formulation(name, cspace):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
+@pytest.mark.parametrize(("name", "axis"), [("free", 2), ("cylindrical", 2), ("planar", 0)])
+def test_a_fast_body_turns_to_the_bits_of_a_slow_one(name, axis, cspace):
+    """By Galilei's principle. The joint's point is off the centre of mass.   axis : a free one."""
+    problem, twist0 = tilted(name)
+    fast = twist0 + np.concatenate([np.zeros(3), 7500.0 * problem.joint.body_frame[:3, axis]])
+    slow, swift = (
+        integrate(problem, twist0=twist, dt=1e-3, t_end=0.2, cspace=cspace)
+        for twist in (twist0, fast)
+    )
+    np.testing.assert_array_equal(swift.rotation, slow.rotation)
+    np.testing.assert_array_equal(swift.omega, slow.omega)
+
+
+@pytest.mark.slow
 def test_far_frames_change_nothing():
     """Moving both frames' origins along a cylindrical joint's axis is the same joint."""
     problem, twist0 = tilted("cylindrical")

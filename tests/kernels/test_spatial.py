@@ -72,12 +72,14 @@ def test_inertias_are_carried_by_adjoints(frame, rigid):
     np.testing.assert_allclose(blocks(twice), back.T @ blocks(bent) @ back, atol=1e-12)
 
 
-def test_what_a_motion_needs_is_its_momentum_s_rate(rigid):
-    rate, twist = RNG.normal(size=(2, 6))
+def test_needed_wrench_is_the_rate_of_momentum(rigid):
+    """M V̇ − ad_Vᵀ M V by 6×6 matrices, with V̇ from the acceleration of the origin, v̇ + ω × v."""
+    acceleration, twist = RNG.normal(size=(2, 6))
     M, w, v = matrix_of(rigid), hat(twist[:3]), hat(twist[3:])
-    bias = np.block([[w, v], [np.zeros((3, 3)), w]]) @ M @ twist  # −ad_Vᵀ M V
-    np.testing.assert_allclose(rigid.bias(tuple(twist)), bias, atol=1e-13)
-    np.testing.assert_allclose(rigid.needed(tuple(rate), tuple(twist)), M @ rate + bias, atol=1e-12)
+    rate = acceleration - np.concatenate([np.zeros(3), w @ twist[3:]])
+    wanted = M @ rate + np.block([[w, v], [np.zeros((3, 3)), w]]) @ M @ twist
+    needed = rigid.needed(tuple(acceleration), tuple(twist[:3]))
+    np.testing.assert_allclose(needed, wanted, atol=1e-12)  # of numbers of up to 10
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from lierb.kernels.numbers.vec import (
+    ZERO6,
     Mat,
     Vec,
     add,
@@ -21,8 +22,8 @@ from lierb.kernels.numbers.vec import (
     mat_mat_t,
     mat_t_vec,
     mat_vec,
+    mat_vec_add,
     row,
-    scale,
     skew,
 )
 
@@ -49,29 +50,23 @@ class Rigid(NamedTuple):
     moment: Vec
     inertia: Mat
 
-    def momentum(self, twist: Vec) -> Vec:
-        """M V."""
+    def momentum(self, twist: Vec, start: Vec = ZERO6) -> Vec:
+        """start + M V; with accelerations for V, the wrench that they take beside `bias`."""
         omega, v = twist[:3], twist[3:]
-        angular = cross_add(self.moment, v, mat_vec(self.inertia, omega))
-        return angular + cross_add(omega, self.moment, scale(self.mass, v))
+        angular = cross_add(self.moment, v, mat_vec_add(self.inertia, omega, start[:3]))
+        return angular + cross_add(omega, self.moment, axpy(self.mass, v, start[3:]))
 
-    def bias(self, twist: Vec) -> Vec:
-        """−ad_Vᵀ M V, the wrench under which V does not change."""
-        omega, v = twist[:3], twist[3:]
-        momentum = self.momentum(twist)
-        torque = cross_add(v, momentum[3:], cross(omega, momentum[:3]))
-        return torque + cross(omega, momentum[3:])
+    def bias(self, omega: Vec) -> Vec:
+        """The wrench under which the body turns at ω while the frame's origin does not accelerate.
 
-    def needed(self, rate: Vec, twist: Vec) -> Vec:
-        """M V̇ − ad_Vᵀ M V, the wrench under which V has this rate.
-
-        By the acceleration of the origin, v̇ + ω × v: fewer products than `momentum` and `bias`.
+        (ω × J ω, ω × (ω × m c)). No velocity of the origin is in it: in −ad_Vᵀ M V, which is the
+        same where V̇ is zero, rounding of v × m v would be a torque.
         """
-        alpha, omega = rate[:3], twist[:3]
-        moving = cross_add(omega, twist[3:], rate[3:])
-        spin = cross_add(omega, mat_vec(self.inertia, omega), mat_vec(self.inertia, alpha))
-        swing = cross_add(alpha, self.moment, cross(omega, cross(omega, self.moment)))
-        return cross_add(self.moment, moving, spin) + axpy(self.mass, moving, swing)
+        return cross(omega, mat_vec(self.inertia, omega)) + cross(omega, cross(omega, self.moment))
+
+    def needed(self, acceleration: Vec, omega: Vec) -> Vec:
+        """The wrench under which the frame has this acceleration (ω̇, that of its origin) at ω."""
+        return self.momentum(acceleration, self.bias(omega))
 
     def from_frame(self, frame: Pose) -> Articulated:
         """Seen from outside the frame."""

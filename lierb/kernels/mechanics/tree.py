@@ -4,18 +4,23 @@ A *node* is a link, or a massless piece between two motions that make up one joi
 node before it, or on the ground, by D = (Q, d): its frame, seen from the joint's frame there. In
 joint axes its own frame is the joint's, so that
 
-    T = A D,   V = Ad(T⁻¹) V′ + V_rel,   V̇ = Ad(T⁻¹) V̇′ + b + S ν̇,
+    T = H D,   V = Ad(T⁻¹) V′ + V_rel,   A = Ad(T⁻¹) A′ + b + S ν̇,
 
-with A constant, V′ of the node before it, S the joint's free directions, and b all that V̇ has
-without ν̇. *Reduced*: D and V_rel = S ν are the state, S is constant, and b = [Ad(T⁻¹)V′, V_rel].
-*Absolute*: C and V of every node are the state; S spans what the joint's rows leave free where the
-node is, on its joint or off it, and b satisfies the rows: the saddle point of M and these rows,
-solved on their null space. `lierb.kernels.mechanics.tree_dynamics` has ν̇.
+with H constant, V′ of the node before it, S the joint's free directions. A = (ω̇, v̇ + ω × v) is the
+acceleration of the frame and of its origin, in its axes, S ν̇ = (ω̇_rel, Qᵀd̈) that on the joint, and
+b what the node before gives it by turning: (ω′ × ω_rel, ω′ × (ω′ × p) + 2 ω′ × v_rel), in the
+node's axes, p the node's place on it. No absolute velocity v is in these: a mechanism moves as one
+at rest does, however fast it goes, and no rounding of v × m v is taken for a torque.
+
+*Reduced*: D and V_rel = S ν are the state, S is constant. *Absolute*: C and V of every node are the
+state; S spans what the joint's rows leave free where the node is, on its joint or off it: the
+saddle point of M and these rows, solved on their null space.
+`lierb.kernels.mechanics.tree_dynamics` has ν̇.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
@@ -49,7 +54,7 @@ from lierb.kernels.numbers.vec import (
     row,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 
 GROUND = -1  # in place of a node's number
 MASSLESS = -1  # in place of a link's number
@@ -114,7 +119,7 @@ class NodeConstants(NamedTuple):
     """Of a node, in joint axes.
 
     rigid : about its joint's point.   inertia, com : about, and of, the centre of mass.
-    hang : A, the joint's frame on the node before it, or on the ground.
+    hang : H, the joint's frame on the node before it, or on the ground.
     gravity : of a node on the ground, in the joint's axes there; else nothing.
     frame : its own frame, seen from the user's body frame.
     """
@@ -165,13 +170,14 @@ class Relative(NamedTuple):
     """How a connection's inner frame moves, seen from the outer one.
 
     seat : the inner frame seen from the other node, or from the ground.
-    carried : twist of the inner frame, did it rest on the other node.
+    bias : A of one less A of the other, both at the inner frame and by ω̇ and the acceleration of
+        the nodes' origins alone, where (ω̇_rel, Qᵀd̈) is zero.
     fall : acceleration of the ground, if that is the other, seen from where `seat` is; else None.
     """
 
     x: Kinematics
     seat: Pose
-    carried: Vec
+    bias: Vec
     fall: Vec | None
 
 
@@ -202,6 +208,8 @@ class TreeMotion:
         self._columns: dict[int, dict[int, Vec]] = {}
         self._above: dict[int, dict[int, Vec]] = {}
         self._rates: dict[int, Any] = {}  # ν
+        self._biases: dict[int, Vec] = {}
+        self._paths: dict[tuple[int, int], tuple[Pose, Vec]] = {}
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
             first = self.own[-1].stop if self.own else 0
             self.own.append(range(first, first + len(node.free)))
@@ -271,7 +279,7 @@ class TreeMotion:
     def carry(self, i: int, twist: Vec, is_constant: bool = False) -> Vec:
         """What a node would have of a twist of the node before it, did it rest there: Ad(T⁻¹) V.
 
-        is_constant : whether the twist is: then Ad(A⁻¹) V is, and found once.
+        is_constant : whether the twist is: then Ad(H⁻¹) V is, and found once.
         """
         node = self.nodes[i]
         if node.is_reduced and node.parent != GROUND:
@@ -305,27 +313,60 @@ class TreeMotion:
     def between(self, connection: Connection, ends: Ends) -> Relative:
         i, other = connection.node, connection.other
         if connection.hangs:
-            seat, carried, d = self.steps[i], self.carried[i], self.hung(i)
             fall = neg(self.body.nodes[i].gravity) if other == GROUND else None
-            return Relative(self.kinematics(d, self.relative[i]), seat, carried, fall)
-        seat = se3.compose(self._seen_from(other, i), ends.inner)
-        carried = ZERO6 if other == GROUND else twist_at(seat, self.twists[other])
-        velocity = sub(twist_at(ends.inner, self.twists[i]), carried)
-        d = se3.compose(se3.inverse(ends.outer), seat)
+            x = self.kinematics(self.hung(i), self.relative[i])
+            return Relative(x, self.steps[i], self.bias(i), fall)
+        fork = self._fork(i, other)
+        is_one_tree = other != GROUND and self.root(i) == self.root(other)
+        of_ground = self.place if is_one_tree else self.pose
+        place, twist = self._seen_from(fork, i, of_ground)
+        around, carrying = self._seen_from(fork, other, of_ground)
+        seat = se3.compose(place, ends.inner)
+        if other != fork:
+            seat = se3.compose(se3.inverse(around), seat)
+        velocity = sub(twist_at(ends.inner, twist), twist_at(seat, carrying))
+        x = self.kinematics(se3.compose(se3.inverse(ends.outer), seat), velocity)
+        turning = ZERO3 if other == GROUND else self.twists[other][:3]
+        carried, own = (
+            twist_at(frame, omega + ZERO3)
+            for frame, omega in ((seat, turning), (ends.inner, self.twists[i][:3]))
+        )
+        bias = carried_bias(carried[:3], carried[3:], velocity)
         fall = neg(self.body.gravity) if other == GROUND else None
-        return Relative(self.kinematics(d, velocity), seat, carried, fall)
+        return Relative(x, seat, bias[:3] + sub(bias[3:], cross(own[:3], own[3:])), fall)
 
     def kinematics(self, d: Pose, velocity: Vec) -> Kinematics:
+        """What rows are made of, where they act on ω̇ and on Qᵀd̈."""
         omega, v = velocity[:3], velocity[3:]
-        return Kinematics(d[0], d[1], omega, ZERO3, v, cross(omega, v), True, self.time)
+        return Kinematics(d[0], d[1], omega, ZERO3, v, ZERO3, True, self.time)
 
-    def _seen_from(self, other: int, i: int) -> Pose:
-        """A node's frame, seen from another node's, or from the ground."""
-        if other == GROUND:
-            return self.pose(i)
-        if self.root(other) == self.root(i):
-            return se3.compose(se3.inverse(self.place(other)), self.place(i))
-        return se3.compose(se3.inverse(self.pose(other)), self.pose(i))
+    def _fork(self, i: int, other: int) -> int:
+        """The last node that both hang on, or that one of them is; of absolute nodes the ground."""
+        above = [GROUND]
+        while other != GROUND and self.nodes[i].is_reduced:
+            above.append(other)
+            other = self.nodes[other].parent
+        while i not in above:
+            i = self.nodes[i].parent
+        return i
+
+    def _seen_from(self, fork: int, i: int, of_ground: Callable[[int], Pose]) -> tuple[Pose, Vec]:
+        """A node's frame and twist, seen from a node that it hangs on, or from the ground.
+
+        Along the tree: how far and fast both have gone together rounds nothing.
+        """
+        if i == fork:
+            return HERE, ZERO6
+        if fork == GROUND:
+            return of_ground(i), self.twists[i]
+        if (fork, i) not in self._paths:
+            parent = self.nodes[i].parent
+            step, twist = self.steps[i], self.relative[i]
+            if parent != fork:
+                place, moving = self._seen_from(fork, parent, of_ground)
+                step, twist = se3.compose(place, step), add(self.carry(i, moving), twist)
+            self._paths[fork, i] = step, twist
+        return self._paths[fork, i]
 
     def free(self, i: int) -> list[Vec]:
         """S, the directions in which a node can move on its joint."""
@@ -351,14 +392,23 @@ class TreeMotion:
             total = axpy(dot(row(q, j), v), row(q, j), total)
         return total
 
-    def biases(self) -> list[Vec]:
-        """b of every node."""
-        found = []
-        for i, (carried, relative) in enumerate(zip(self.carried, self.relative, strict=True)):
-            bend = cross(relative[:3], relative[3:])
-            b = se3.ad(carried, relative)
-            found.append(b[:3] + sub(b[3:], self.held(i, bend)))
-        return found
+    def bias(self, i: int) -> Vec:
+        """b of a node."""
+        if i not in self._biases:
+            parent, carried = self.nodes[i].parent, self.carried[i]
+            swept = carried[3:]
+            if parent != GROUND and not is_zero(*self.twists[parent][3:]):
+                swept = self.carry(i, self.twists[parent][:3] + ZERO3)[3:]
+            self._biases[i] = carried_bias(carried[:3], swept, self.relative[i])
+        return self._biases[i]
+
+
+def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
+    """b of a frame that moves at `relative` on one that turns: centripetal and Coriolis's.
+
+    turning : ω′.   swept : ω′ × p.   All in the frame's axes.
+    """
+    return cross(turning, relative[:3]) + cross(turning, axpy(2.0, relative[3:], swept))
 
 
 def root_of(nodes: Sequence[Node], i: int) -> int:

@@ -1,6 +1,6 @@
 """Accelerations of a tree of links under loads, and under rows that the tree does not keep.
 
-V̇ = Ad(T⁻¹) V̇′ + b + S ν̇ of every node (`lierb.kernels.mechanics.tree`), with ν̇ by articulated
+A = Ad(T⁻¹) A′ + b + S ν̇ of every node (`lierb.kernels.mechanics.tree`), with ν̇ by articulated
 bodies, in as many operations as there are nodes (Featherstone, Rigid Body Dynamics Algorithms,
 2008, ch. 7), or by the mass matrix of all ν (Kane), which is less for a few.
 
@@ -91,7 +91,7 @@ class ArticulatedBodies:
         if fall is not None:
             for i, node in enumerate(nodes):
                 if node.link != MASSLESS:
-                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i])
+                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i][:3])
                     totals[i] = sub(totals[i], bias)
         forced: list[Vec] = [()] * len(nodes)
         for i in reversed(range(len(nodes))):
@@ -162,7 +162,7 @@ class JointSpace:
             lacking = loads.get(i, ZERO6)
             rigid = motion.body.nodes[i].rigid
             if node.link != MASSLESS and fall is not None:
-                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i]))
+                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i][:3]))
             elif node.link != MASSLESS and biases:
                 lacking = sub(lacking, rigid.momentum(start[i]))
             if not is_zero(*lacking):
@@ -178,7 +178,7 @@ class JointSpace:
         if fall is not None:
             for i, node in enumerate(motion.nodes):
                 if node.link != MASSLESS:
-                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i])
+                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i][:3])
                     totals[i] = sub(totals[i], bias)
         return Response(tuple(moved), tuple(relative), tuple(totals))
 
@@ -236,7 +236,7 @@ def bodies_of(motion: TreeMotion) -> Bodies:
 
 
 class Response(NamedTuple):
-    """moved : each node's V̇, or what stands for it.   rates : S ν̇.   totals : loads, passed on."""
+    """moved : each node's A, or what stands for it.   rates : S ν̇.   totals : loads, passed on."""
 
     moved: tuple[Vec, ...]
     rates: tuple[Vec, ...]
@@ -370,8 +370,12 @@ class _TreeScales:
         heavy = sum((sqrt(c.rigid.mass) for c in self.motion.body.nodes), start=ZERO)
         for fall in self.fall.values():
             total = total + norm(fall[3:]) * heavy
-        for i, twist in enumerate(self.motion.twists):
-            if self.motion.nodes[i].link != MASSLESS:
+        for i, node in enumerate(self.motion.nodes):
+            if node.link != MASSLESS:
+                omega = self.motion.twists[i][:3]
+                # How fast a whole mechanism drifts brings no acceleration about.
+                drifts = node.parent == GROUND and not node.rows
+                twist = omega + (ZERO3 if drifts else self.motion.relative[i][3:])
                 momentum = self.motion.body.nodes[i].rigid.momentum(twist)
-                total = total + norm(twist[:3]) * sqrt(dot(momentum, twist))
+                total = total + norm(omega) * sqrt(dot(momentum, twist))
         return total

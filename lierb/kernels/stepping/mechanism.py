@@ -528,7 +528,7 @@ class TreeFormulation(Watching):
             for i, node in enumerate(plan.tree)
             if node.parent == GROUND
         }
-        biases = [add(b, self._damped(i, motion)) for i, b in enumerate(motion.biases())]
+        biases = [add(motion.bias(i), self._damped(i, motion)) for i in range(len(plan.tree))]
         bodies = bodies_of(motion)
         rows = [
             relatives.asked(number, row, value)
@@ -561,15 +561,14 @@ class TreeFormulation(Watching):
         return loads, power
 
     def _acceleration(self, number: int, row: Row, relatives: _Relatives) -> Any:
-        """What J has to be of V̇_a − Ad V̇_b."""
+        """What J has to be of A_a − Ad A_b."""
         relative, ends = relatives[number], relatives.ends[number]
         x, kept = relative.x, self.plan.stabilisation
         jacobian = row.jacobian(x, ends)
-        velocity = x.omega + x.point_rate
-        wanted = row.acceleration(x, ends) - dot(jacobian, se3.ad(velocity, relative.carried))
+        wanted = row.acceleration(x, ends) + dot(jacobian, relative.bias)
         if kept.kind != "baumgarte":
             return wanted
-        off = dot(jacobian, velocity) - row.prescribed_rate(x, ends)
+        off = dot(jacobian, x.omega + x.point_rate) - row.prescribed_rate(x, ends)
         wanted = fma(-2.0 * kept.alpha, off, wanted)
         return fma(-kept.beta * kept.beta, relatives.residual(number, row), wanted)
 
@@ -588,7 +587,7 @@ class TreeFormulation(Watching):
             return ZERO6
         held, fixed, _ = kinds_of(node.rows)
         own = (*held.values(), *fixed.values())
-        x = Relative(motion.kinematics(motion.hung(i), ZERO6), HERE, ZERO6, None).x
+        x = motion.kinematics(motion.hung(i), ZERO6)
         values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
         turn = tuple(values[fixed[k]] if k in fixed else ZERO for k in range(3))
         d = tuple(x.d[j] if j in held else ZERO for j in range(3))
@@ -599,17 +598,19 @@ class TreeFormulation(Watching):
         rates: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             if node.is_reduced:
-                rates += found.response.rates[i]
+                relative, rate = motion.relative[i], found.response.rates[i]
+                rates += rate[:3] + cross_add(relative[3:], relative[:3], rate[3:])
                 continue
             falling = motion.body.nodes[root_of(self.plan.tree, i)].gravity
             moved, q = found.response.moved[i], motion.place(i)[0]
+            twist, com = motion.twists[i], motion.body.nodes[i].com
             if node.cspace == "SE3":
-                rates += moved[:3] + add(moved[3:], mat_t_vec(q, falling))
+                moving = cross_add(twist[3:], twist[:3], moved[3:])
+                rates += moved[:3] + add(moving, mat_t_vec(q, falling))
                 continue
-            turning, twist, com = moved[:3], motion.twists[i], motion.body.nodes[i].com
+            turning = moved[:3]
             swing = cross_add(twist[:3], cross(twist[:3], com), cross_add(turning, com, moved[3:]))
-            bent = cross_add(twist[:3], twist[3:], swing)
-            rates += turning + mat_vec_add(q, bent, falling)
+            rates += turning + mat_vec_add(q, swing, falling)
         return tuple(rates)
 
     # ---- stabilisation ----
