@@ -87,7 +87,7 @@ class Node:
     @cached_property
     def free(self) -> tuple[int, ...]:
         """Of the six directions of its joint those in which it is free; see `TreeMotion.free`."""
-        if self.is_reduced:
+        if not self.rows:
             return tuple(i for i, slot in enumerate(self.slots) if slot >= 0)
         held, fixed, _ = kinds_of(self.rows)
         turns = tuple(k for k in range(3) if k not in fixed)
@@ -96,7 +96,7 @@ class Node:
     @cached_property
     def others(self) -> Rows:
         """The rows that are not kept by the null space of rows on which the tree is solved."""
-        return self.rows if self.is_reduced else tuple(kinds_of(self.rows)[2])
+        return tuple(kinds_of(self.rows)[2])
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ class TreeMotion:
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
         self._above: dict[int, dict[int, Vec]] = {}
-        self._rates: dict[int, Any] = {}  # ν
+        self._rates: dict[int, Any] = {}  # ν, where V_rel is S ν exactly
         self._biases: dict[int, Vec] = {}
         self._paths: dict[tuple[int, int], tuple[Pose, Vec]] = {}
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
@@ -224,11 +224,12 @@ class TreeMotion:
     ) -> None:
         is_root = node.parent == GROUND
         self.steps.append(d if is_root else se3.compose(constants.hang, d))
-        self._rates |= zip(self.own[i], (velocity[k] for k in node.free), strict=True)
+        if not node.rows:
+            self._rates |= zip(self.own[i], (velocity[k] for k in node.free), strict=True)
         carried = ZERO6
         if not is_root:
             columns = self._from_above(i) if joint_space_pays(self.nodes) else {}
-            if 0 < len(columns) <= FEW:
+            if 0 < len(columns) <= FEW and columns.keys() <= self._rates.keys():
                 carried = combined([self._rates[j] for j in columns], [*columns.values()])
             else:
                 carried = self.carry(i, self.twists[node.parent])
@@ -371,7 +372,7 @@ class TreeMotion:
     def free(self, i: int) -> list[Vec]:
         """S, the directions in which a node can move on its joint."""
         node, pitch = self.nodes[i], self.body.nodes[i].pitch
-        if node.is_reduced:
+        if not node.rows:
             return free_directions(node.slots, pitch)
         held, fixed, _ = kinds_of(node.rows)
         turns = [UNIT[k] + ZERO3 for k in range(3) if k not in fixed]
@@ -383,7 +384,7 @@ class TreeMotion:
     def held(self, i: int, v: Vec) -> Vec:
         """Of a vector in a node's axes, the part along which its joint's rows hold the point."""
         held, _, _ = kinds_of(self.nodes[i].rows)
-        if self.nodes[i].is_reduced or not held:
+        if not held:
             return ZERO3
         if len(held) == 3:
             return v

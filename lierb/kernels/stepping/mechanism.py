@@ -528,7 +528,8 @@ class TreeFormulation(Watching):
             for i, node in enumerate(plan.tree)
             if node.parent == GROUND
         }
-        biases = [add(motion.bias(i), self._damped(i, motion)) for i in range(len(plan.tree))]
+        damped = [self._damped(i, motion) for i in range(len(plan.tree))]
+        biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
         bodies = bodies_of(motion)
         rows = [
             relatives.asked(number, row, value)
@@ -538,7 +539,7 @@ class TreeFormulation(Watching):
         for (number, r), multiplier in zip(self.rows, found.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
-        rates = self._state_rates(motion, found)
+        rates = self._state_rates(motion, found, damped)
         return TreeAcceleration(
             rates, power, found.singular, found.dropped, bodies, found, relatives
         )
@@ -575,17 +576,14 @@ class TreeFormulation(Watching):
     def _damped(self, i: int, motion: TreeMotion) -> Vec:
         """What Baumgarte's method adds to a node's acceleration on its joint."""
         kept = self.plan.stabilisation
-        if kept.kind != "baumgarte" or self.plan.tree[i].is_reduced:
+        if kept.kind != "baumgarte":
             return ZERO6
         off, moving = self._off(i, motion), _bound(motion, i, motion.relative[i])
         return axpy(-2.0 * kept.alpha, moving, scale(-kept.beta * kept.beta, off))
 
     def _off(self, i: int, motion: TreeMotion) -> Vec:
-        """How far a node on its own pose is off the rows on whose null space it is solved."""
-        node = self.plan.tree[i]
-        if node.is_reduced:  # whose rows are among those that are solved for
-            return ZERO6
-        held, fixed, _ = kinds_of(node.rows)
+        """How far a node is off the rows on whose null space it is solved."""
+        held, fixed, _ = kinds_of(self.plan.tree[i].rows)
         own = (*held.values(), *fixed.values())
         x = motion.kinematics(motion.hung(i), ZERO6)
         values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
@@ -593,12 +591,12 @@ class TreeFormulation(Watching):
         d = tuple(x.d[j] if j in held else ZERO for j in range(3))
         return turn + mat_t_vec(x.q, d)
 
-    def _state_rates(self, motion: TreeMotion, found: Solved) -> Vec:
+    def _state_rates(self, motion: TreeMotion, found: Solved, damped: list[Vec]) -> Vec:
         """V̇_rel, or V̇ as the node's c-space has it."""
         rates: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             if node.is_reduced:
-                relative, rate = motion.relative[i], found.response.rates[i]
+                relative, rate = motion.relative[i], add(found.response.rates[i], damped[i])
                 rates += rate[:3] + cross_add(relative[3:], relative[:3], rate[3:])
                 continue
             falling = motion.body.nodes[root_of(self.plan.tree, i)].gravity
@@ -685,7 +683,7 @@ class TreeFormulation(Watching):
         for i, node in enumerate(self.plan.tree):
             twist = found.response.moved[i]
             if node.is_reduced:
-                moved += found.response.rates[i]
+                moved += add(found.response.rates[i], biases[i])
             elif node.cspace == "SE3":
                 moved += twist
             else:
@@ -746,10 +744,7 @@ class _Relatives:
 
 def _bound(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
     """Of V_rel, what a node's rows forbid that its null space keeps."""
-    node = motion.nodes[i]
-    if node.is_reduced:
-        return ZERO6
-    fixed = kinds_of(node.rows)[1]
+    fixed = kinds_of(motion.nodes[i].rows)[1]
     turning = tuple(velocity[k] if k in fixed else ZERO for k in range(3))
     return turning + motion.held(i, velocity[3:])
 
