@@ -44,6 +44,7 @@ from lierb.kernels.numbers.vec import (
     sub,
 )
 from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.stepping.state import Stabilised
 
 if TYPE_CHECKING:
     from lierb.kernels.stepping.plan import Plan
@@ -102,9 +103,11 @@ class OnOneChart:
         """Where the body is."""
         return chart[1]
 
-    def stabilised(self, body: BodyConstants, state: Any, time: Any) -> tuple[Any, Any]:
-        """The state, put back on its constraints, and the mark of one that cannot be."""
-        return state, ZERO
+    def stabilised(
+        self, body: BodyConstants, before: Any, state: Any, time: Any, h: Any
+    ) -> Stabilised:
+        """The state put back on its constraints; see `TreeFormulation.stabilised`."""
+        return Stabilised(state)
 
     def tidied(self, body: BodyConstants, chart: Chart) -> Chart:
         """C₀ put back where rounding has taken it from: p to unit length, a screw on H.

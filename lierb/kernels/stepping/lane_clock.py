@@ -181,6 +181,7 @@ def judged(
 ) -> Verdict:
     """fine : a mask, of what is finite and no singular configuration.   square : of the error.
     longest : step that elements allow, s, by the velocity at its end; None for any.
+    singular : 1 where a step that cannot be shortened ends as such.
     """
     going = active > 0.5
     worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
@@ -222,7 +223,8 @@ def judged(
         too_small = refused & (trial.h <= least)
         too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
         failed = where(too_many, float(MAX_STEPS), float(OK))
-        failed = where(too_small, where(fine, float(DT_MIN), worse), failed)
+        short = where(fine & (singular <= 0.5), float(DT_MIN), worse)
+        failed = where(too_small, short, failed)
         again = clock._replace(
             h=where(refused, within(grown, limits), within(clock.h, limits)),
             before=where(refused, 0.0, clock.before),

@@ -226,7 +226,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 stop = sooner(clock, stop, jumps[0, i])
             trial = next_trial(plan, body, state, clock, held, stop, active)
             seen = with_signals(plan, body, state, held)
-            made = attempted(plan, seen, state, record, trial, limits)
+            made = attempted(plan, seen, state, record, clock, trial, limits)
             accepted, failed, clock = verdict_on(
                 plan, body, state, made, clock, trial, limits, active
             )

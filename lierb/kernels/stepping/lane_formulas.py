@@ -26,7 +26,7 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.vec import Vec
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.desk import (
     DUE,
     LAST,
@@ -84,6 +84,7 @@ from lierb.kernels.stepping.step_size import (
     Tolerances,
     longest_step,
     parts_to_watch,
+    squared_correction,
     squared_error,
 )
 from lierb.kernels.stepping.stepper import between, extended, trial_step
@@ -460,26 +461,37 @@ def inside(plan: AnyPlan, trial: Trial) -> tuple[Any, Any]:
 
 class Made(NamedTuple):
     """Of a trial: the state, the slopes of its stages where somebody looks between, the mark of a
-    singular configuration, and the square of the error.
+    singular configuration, and the squares of the error and of the stabilisation's correction.
     """
 
     state: State
     slopes: Any
     singular: Any
     square: Any
+    correction: Any
 
 
 def attempted(
-    plan: AnyPlan, body: Any, state: State, record: Record, trial: Trial, limits: Tolerances
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    record: Record,
+    clock: LaneClock,
+    trial: Trial,
+    limits: Tolerances,
 ) -> Made:
     body = body._replace(dropped=record.dropped)
     is_continuous = plan.looks and plan.extension is not None
     all_stages = is_continuous or plan.embedded is not None
     made = trial_step(plan, body, state, *inside(plan, trial), trial.h, all_stages)
     square: Any = ZERO
+    correction: Any = ZERO
     if plan.embedded is not None:
         square = squared_error(plan, body, state, made.state, made.slopes, trial.h, limits)
-    return Made(made.state, made.slopes if is_continuous else (), made.singular, square)
+        is_first = clock.steps + clock.ahead < 0.5
+        correction = squared_correction(plan, body, state, made.kept, trial.h, limits, is_first)
+    slopes = made.slopes if is_continuous else ()
+    return Made(made.state, slopes, made.singular, square, correction)
 
 
 def verdict_on(
@@ -492,14 +504,17 @@ def verdict_on(
     limits: Tolerances,
     active: Any,
 ) -> Verdict:
-    moved = made.state
+    moved, square, singular = made.state, made.square, made.singular
     turns, places = system_of(plan).told_by(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
-    fine = are_finite(*numbers)
+    fine = are_finite(*numbers) & (singular <= 0.5)
+    if not is_zero(made.correction):
+        square = where(made.correction <= square, square, made.correction)  # NaN stays
+        singular = where(made.correction > 1.0, 1.0, singular)
     longest = None
     if plan.embedded is not None:
         longest = longest_step(plan, body, state, moved, clock.t, clock.h)
-    return judged(plan, clock, trial, fine, made.singular, made.square, longest, limits, active)
+    return judged(plan, clock, trial, fine, singular, square, longest, limits, active)
 
 
 def with_failures(record: Record, clock: LaneClock, failed: Any, fate: Any) -> tuple[Record, Any]:

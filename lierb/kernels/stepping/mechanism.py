@@ -86,11 +86,14 @@ from lierb.kernels.stepping.mechanism_inputs import (
 )
 from lierb.kernels.stepping.plan import AnyPlan, Embedded, Extension, Stages
 from lierb.kernels.stepping.signals import Watching, lane_end, states_of
-from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.state import Stabilised, State
 
 GENTLE = 8  # nodes times stages
 CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
-OPEN = 1e-2  # in the same: where two of its steps have not led nearer, none will
+OPEN = 1e-2  # in the same: where two of its steps have not halved what is open, none will
+# In the same: how far it may move a mechanism at rest, whose start may be open by 1e-9 and whose
+# rows may be near a singular pose.
+UNMOVED = 1e-6
 
 
 @dataclass(frozen=True)
@@ -613,25 +616,41 @@ class TreeFormulation(Watching):
 
     # ---- stabilisation ----
 
-    def stabilised(self, body: TreeConstants, state: State, time: Any) -> tuple[State, Any]:
-        """Pose and velocity put back on all rows, by the least kinetic energy; and a mark where
-        that leads away from them, as where a step was too long for what the rows hold.
+    def stabilised(
+        self, body: TreeConstants, before: State, state: State, time: Any, h: Any
+    ) -> Stabilised:
+        """Pose and velocity put back on all rows, by the least kinetic energy.
+
+        before : the state at the start of the step, h seconds earlier.
+
+        The step is marked as singular where Newton's method leads away from the rows, and where it
+        moves the pose farther than the step itself, h ‖V‖, can have: a step's drift is a part of
+        its motion, so a longer way is that to another branch of the rows, or across a jump in them.
         """
         if self.plan.stabilisation.kind != "project":
-            return state, ZERO
-        first = self._closer(body, state.chart, time)
-        off = self._openness(body, first, time)
+            return Stabilised(state)
+        length = _length(body)
+        nearer = self._closing(body, state.chart, time)
+        first = self.moved(state.chart, scale(0.5, nearer))
+        off, way = self._openness(body, first, time), _size(length, nearer)
 
         def again() -> Any:
-            second = where(off > CLOSED * CLOSED, self._closer(body, first, time), first)
-            left, before = (self._openness(body, x, time) for x in (second, state.chart))
-            return second, where((left > OPEN * OPEN) & (left >= before), 1.0, 0.0)
+            further = self._closing(body, first, time)
+            second = self.moved(first, scale(0.5, further)), add(nearer, further)
+            is_open = off > CLOSED * CLOSED
+            second, x = where(is_open, second, (first, nearer))
+            left, opened = (self._openness(body, chart, time) for chart in (second, state.chart))
+            mark = where((left > OPEN * OPEN) & (left >= 0.25 * opened), 1.0, 0.0)
+            return second, x, where(is_open, way + _size(length, further), way), mark
 
-        chart, mark = branch(
-            any_lanes(off > CLOSED * CLOSED), again, lambda: (first, 0.0), likely=False
+        chart, x, way, mark = branch(
+            any_lanes(off > CLOSED * CLOSED), again, lambda: (first, nearer, way, 0.0), likely=False
         )
-        velocity = self._on_rows(body, chart, state.v_or_mu, time)
-        return state._replace(chart=chart, v_or_mu=velocity), mark
+        speed = maximum(*(_size(length, each.v_or_mu) for each in (before, state)))
+        mark = where(way > fma(h, speed, UNMOVED * length), 1.0, mark)
+        change = self._onto_rows(body, chart, state.v_or_mu, time)
+        kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
+        return Stabilised(kept, mark, x, change)
 
     def _openness(self, body: TreeConstants, chart: tuple[Chart, ...], time: Any) -> Any:
         """The sum of the squares of all rows' values, lengths in units of the mechanism's own."""
@@ -645,21 +664,18 @@ class TreeFormulation(Watching):
                 total = fma(part, part, total)
         return total
 
-    def _closer(
-        self, body: TreeConstants, chart: tuple[Chart, ...], time: Any
-    ) -> tuple[Chart, ...]:
-        """A step of Newton's method onto all rows."""
+    def _closing(self, body: TreeConstants, chart: tuple[Chart, ...], time: Any) -> Vec:
+        """A step of Newton's method onto all rows, in the algebra."""
         motion = self.motion(body, chart, (ZERO,) * (6 * len(chart)), time)
         relatives = _Relatives(self.plan.connections, body.ends, motion)
         wanted = [-relatives.residual(number, row) for number, row in self.rows]
         biases = [neg(self._off(i, motion)) for i in range(len(self.plan.tree))]
-        moved = self._displaced(motion, relatives, wanted, biases)
-        return self.moved(chart, scale(0.5, moved))
+        return self._displaced(motion, relatives, wanted, biases)
 
-    def _on_rows(
+    def _onto_rows(
         self, body: TreeConstants, chart: tuple[Chart, ...], velocity: Vec, time: Any
     ) -> Vec:
-        """The nearest velocity that satisfies all rows."""
+        """The least change of the velocity with which it satisfies all rows."""
         motion = self.motion(body, chart, velocity, time)
         relatives = _Relatives(self.plan.connections, body.ends, motion)
         wanted = []
@@ -668,7 +684,7 @@ class TreeFormulation(Watching):
             rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
             wanted.append(r.prescribed_rate(x, ends) - rate)
         biases = [neg(_bound(motion, i, relative)) for i, relative in enumerate(motion.relative)]
-        return add(velocity, self._displaced(motion, relatives, wanted, biases))
+        return self._displaced(motion, relatives, wanted, biases)
 
     def _displaced(
         self, motion: TreeMotion, relatives: _Relatives, wanted: list[Any], biases: list[Vec]
@@ -777,6 +793,15 @@ def _held_multipliers(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dic
     jacobians = [r.jacobian(x, ends) for r in rows]  # of a joint whose rows are not at right angles
     gram = Factored([[dot(j, k) for k in jacobians[: i + 1]] for i, j in enumerate(jacobians)])
     return dict(zip(rows, gram.solve([-dot(j, wrench) for j in jacobians]), strict=True))
+
+
+def _size(length: Any, motion: Vec) -> Any:
+    """Norm of a motion or velocity of all nodes, m or m/s: turns count by the length."""
+    total: Any = ZERO
+    for each in sixes(motion):
+        turn = scale(length, each[:3])
+        total = total + (dot(turn, turn) + dot(each[3:], each[3:]))
+    return sqrt(total)
 
 
 def _length(body: TreeConstants) -> Any:

@@ -14,3 +14,15 @@ class State(NamedTuple):
     v_or_mu: Vec  # V; on a subgroup its momentum μ; of a mechanism all nodes', side by side
     work: Any = ZERO  # J, of what has no potential; structurally zero where nothing does any
     states: Vec = ()  # the user's own, side by side
+
+
+class Stabilised(NamedTuple):
+    """A state put back on its constraints; empty corrections where nothing stabilises it.
+
+    singular : 1 where that fails.   x, v_or_mu : the corrections of the pose, X, and of V.
+    """
+
+    state: State
+    singular: Any = ZERO
+    x: Vec = ()
+    v_or_mu: Vec = ()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from lierb.kernels.mechanics.scale import START_TOLERANCE
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     floor,
@@ -25,7 +26,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import in_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import events_of
-from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.state import Stabilised, State
 from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
 from lierb.kernels.stepping.systems import system_of
 
@@ -39,6 +40,8 @@ LEAST_ULPS = 16.0  # of the time, in a step
 # What rounding may leave of what gravity does to v and to a position in a step: high orders have
 # weights of up to 50 and more.
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
+# Of a start's twist and pose, relative: its tolerance times what the rows may make of it.
+ADMITTED = 1e3 * START_TOLERANCE
 LEAST_OF_STEP = 1e-6  # of a step: no bound is shorter, so that the next one leads past a kink
 # A step is too rough to be judged by its error estimate where the rate of one stage, taken for the
 # whole step, changes a velocity by ROUGH of itself and moves the pose by THROW, in rad or in radii
@@ -157,6 +160,26 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
                 is_fast = square > ROUGH * ROUGH * speed
                 rough = rough | (is_fast & (h * h * square > throw))
     return rough
+
+
+def squared_correction(
+    plan: AnyPlan, body: Any, state: State, kept: Stabilised, h: Any, limits: Any, is_first: Any
+) -> Any:
+    """The square of what a stabilisation has moved pose and V by, against 1; structurally zero
+    where nothing does.
+
+    The exact motion stays on the rows, and what is nearest to it there is no farther than it is: so
+    the correction is a part of the step's error, one that the embedded method does not see. Near a
+    singular pose the rows divide it by a small singular value, and it is all of the error.
+
+    is_first : a mask. The first step also corrects what a start is allowed to be off.
+    """
+    if not kept.x:
+        return ZERO
+    rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
+    scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
+    still = (ZERO,) * len(state.states)
+    return _largest(plan, body, _Defect(kept.x, kept.v_or_mu, still), scales)
 
 
 class _Defect(NamedTuple):

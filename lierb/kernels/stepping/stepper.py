@@ -19,7 +19,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.held import rates_of_states, with_states
 from lierb.kernels.stepping.plan import AnyPlan
 from lierb.kernels.stepping.signals import states_of
-from lierb.kernels.stepping.state import State
+from lierb.kernels.stepping.state import Stabilised, State
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -34,11 +34,15 @@ class Slopes(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step comes to.   singular : the mark of a singular configuration on the way."""
+    """What a step comes to.   singular : the mark of a singular configuration on the way.
+
+    kept : what the stabilisation has made of the state.
+    """
 
     state: State
     slopes: Slopes
     singular: Any
+    kept: Stabilised
 
 
 def step(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[State, Any]:
@@ -76,8 +80,10 @@ def trial_step(
     )
     end = plan.exponentials[-1] if plan.exponentials else None
     stepped = _combined(plan, body, state, h, slopes, plan.weights, end)
-    kept, off = plan.formulation.stabilised(body, stepped, time + span)
-    return Step(kept, slopes, singular if is_zero(off) else maximum(singular, off))
+    kept = plan.formulation.stabilised(body, state, stepped, time + span, h)
+    if not is_zero(kept.singular):
+        singular = maximum(singular, kept.singular)
+    return Step(kept.state, slopes, singular, kept)
 
 
 def extended(
@@ -111,7 +117,8 @@ def between(
         return trial_step(plan, body, state, time, theta * span, theta * h).state
     weights = tuple(_polynomial(theta, terms) for terms in extension.weights)
     found = _combined(plan, body, state, h, slopes, weights, None)
-    kept: State = plan.formulation.stabilised(body, found, fma(theta, span, time))[0]
+    time, h = fma(theta, span, time), theta * h
+    kept: State = plan.formulation.stabilised(body, state, found, time, h).state
     return kept
 
 
