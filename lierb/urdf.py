@@ -18,7 +18,7 @@ import numpy as np
 from lierb.arrays import Array
 from lierb.errors import ArgumentError, told
 
-ElementXML = ElementTree.Element
+Element = ElementTree.Element  # of XML
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
 SHORT = 1e-10  # of an axis, as MuJoCo has it
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
@@ -76,8 +76,8 @@ def read(path: str | PathLike[str]) -> Robot:
 # ---- the tree ----------------------------------------------------------------------------------
 
 
-def _by_name(root: ElementXML, tag: str) -> dict[str, ElementXML]:
-    named: dict[str, ElementXML] = {}
+def _by_name(root: Element, tag: str) -> dict[str, Element]:
+    named: dict[str, Element] = {}
     for number, element in enumerate(root.findall(tag), 1):
         name = element.get("name")
         if not name:
@@ -89,7 +89,7 @@ def _by_name(root: ElementXML, tag: str) -> dict[str, ElementXML]:
 
 
 def _in_order(
-    links: dict[str, ElementXML], joints: dict[str, ElementXML]
+    links: dict[str, Element], joints: dict[str, Element]
 ) -> Iterator[tuple[str, str | None]]:
     """Each link after its parent, with the joint that it hangs on; the root's joint is None.
 
@@ -124,7 +124,7 @@ def _in_order(
     return ((link, held.get(link)) for link in order)
 
 
-def _end(joint: ElementXML, end: str, name: str, links: dict[str, ElementXML]) -> str:
+def _end(joint: Element, end: str, name: str, links: dict[str, Element]) -> str:
     """The parent or the child of a joint."""
     element = _only(joint, end, f"joint {name}")
     link = None if element is None else element.get("link")
@@ -138,7 +138,7 @@ def _end(joint: ElementXML, end: str, name: str, links: dict[str, ElementXML]) -
 # ---- links and joints --------------------------------------------------------------------------
 
 
-def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: ElementXML) -> Any:
+def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: Element) -> Any:
     """The body of a link in MuJoCo's specification, with its joints."""
     import mujoco
 
@@ -157,9 +157,9 @@ def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: Element
     if kind == "floating" and (damping or friction):
         robot.left_out.append(f"{label}: damping {damping:.6g} and friction {friction:.6g}")
         damping = friction = 0.0
-    for ending, name, direction in _motions(kind, axis):
-        kind_there = getattr(mujoco.mjtJoint, f"mjJNT_{name}")
-        added = body.add_joint(name=joint + ending, type=kind_there, axis=direction)
+    for ending, motion, along in _motions(kind, axis):
+        motion = getattr(mujoco.mjtJoint, f"mjJNT_{motion}")
+        added = body.add_joint(name=joint + ending, type=motion, axis=along)
         # a polynomial's coefficients in newer releases, a number in older ones
         added.damping = (damping, 0.0, 0.0) if np.ndim(added.damping) else damping
         added.frictionloss = friction
@@ -188,7 +188,7 @@ def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:
     return []
 
 
-def _read_limit(robot: Robot, joint: str, kind: str, element: ElementXML | None) -> None:
+def _read_limit(robot: Robot, joint: str, kind: str, element: Element | None) -> None:
     label = f"joint {joint}"
     lower, upper = (_number(element, end, label, 0.0) for end in ("lower", "upper"))
     if element is None or kind == "fixed":
@@ -201,7 +201,7 @@ def _read_limit(robot: Robot, joint: str, kind: str, element: ElementXML | None)
         )
 
 
-def _inertial(label: str, link: ElementXML) -> dict[str, Any]:
+def _inertial(label: str, link: Element) -> dict[str, Any]:
     """Fields of MuJoCo's body for the mass, the centre and the inertia of a link."""
     from mujoco import mju_quat2Mat
 
@@ -226,7 +226,7 @@ def _inertial(label: str, link: ElementXML) -> dict[str, Any]:
     }
 
 
-def _origin(element: ElementXML, label: str) -> tuple[Array, Array]:
+def _origin(element: Element, label: str) -> tuple[Array, Array]:
     """Position and quaternion of an element's <origin>; rpy turns about fixed axes x, y, z."""
     from mujoco import mju_euler2Quat
 
@@ -249,7 +249,7 @@ def _across(axis: Array) -> tuple[Array, Array]:
 # ---- elements and numbers ----------------------------------------------------------------------
 
 
-def _only(element: ElementXML, tag: str, label: str) -> ElementXML | None:
+def _only(element: Element, tag: str, label: str) -> Element | None:
     inside = element.findall(tag)
     if len(inside) > 1:
         raise ArgumentError(f"{label} has {len(inside)} elements <{tag}>; expected one")
@@ -257,7 +257,7 @@ def _only(element: ElementXML, tag: str, label: str) -> ElementXML | None:
 
 
 def _numbers(
-    element: ElementXML | None,
+    element: Element | None,
     attribute: str,
     count: int,
     label: str,
@@ -280,7 +280,7 @@ def _numbers(
 
 
 def _number(
-    element: ElementXML | None, attribute: str, label: str, default: float | None = None
+    element: Element | None, attribute: str, label: str, default: float | None = None
 ) -> float:
     values = None if default is None else (default,)
     return float(_numbers(element, attribute, 1, label, values)[0])
@@ -293,9 +293,7 @@ def _listed(numbers: Array) -> str:
 # ---- what is left out --------------------------------------------------------------------------
 
 
-def _others(
-    root: ElementXML, links: dict[str, ElementXML], joints: dict[str, ElementXML]
-) -> Iterator[str]:
+def _others(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:
     """Each kind once, with its number."""
     collisions = sum(len(link.findall("collision")) for link in links.values())
     if collisions:

@@ -240,6 +240,14 @@ def test_further_coefficients_of_springs_are_left_out(tmp_path, further):
     assert left_out == ("joint stiff: stiffness and damping beyond their first coefficients",)
 
 
+@pytest.mark.skipif(
+    not hasattr(mujoco.MjModel, "jnt_springyield"), reason="no springs that yield in this release"
+)
+def test_springs_that_yield_are_said(tmp_path):
+    path = one_body(tmp_path, '<joint name="wire" stiffness="1" springyield="0.5"/>')
+    assert read(path)[1] == ("joint wire: springyield",)
+
+
 def test_limits_that_lierb_has_no_stops_for_are_told_as_they_are(tmp_path):
     ball = '<joint name="hip" type="ball" range="0 0.5" limited="true"/>'
     _, left_out = read(one_body(tmp_path, ball), limit_stiffness=10.0)
