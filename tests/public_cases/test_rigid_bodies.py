@@ -145,3 +145,30 @@ def test_c21_attitude_stays_a_rotation():
     # rounding of one product of matrices
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), [np.eye(3)] * 2, rtol=0, atol=1e-15)
     assert np.all(summed(result, "orthogonality_error_max") < 1e-14)
+
+
+# ---- c58: a moving frame -----------------------------------------------------------------------
+
+VELOCITIES = np.array(
+    [(0.0, 0.0, 0.0), (7500.0, 0.0, 0.0), (0.0, -7500.0, 0.0), (4330.0, 4330.0, 4330.0)]
+)
+
+
+def test_c58_a_free_body_turns_as_at_rest_at_orbital_speed():
+    """newton#3868. Its frame is off its centre of mass, where ω × v and m v of the frame differ."""
+    com = np.array([0.1, -0.05, 0.2])
+    about = np.diag((30.0, 50.0, 70.0)) + 200.0 * (com @ com * np.eye(3) - np.outer(com, com))
+    body = lierb.Body(200.0, about, com)
+    problem = lierb.Problem(body, lierb.joints.free())
+    twist0 = np.zeros((4, 6))
+    twist0[:, :3], twist0[:, 3:] = (0.05, 0.3, -0.02), VELOCITIES
+    result = lierb.integrate(problem, twist0=twist0, t_end=30.0, rtol=1e-9, max_steps=2000)
+    assert result.summary["status"].to_pylist() == ["ok"] * 4
+    steps, R = summed(result, "steps"), summed(result, "rotation").reshape(-1, 3, 3)
+    # steps are chosen by relative errors, of v too, which is 1e4 times as large: no more of them
+    assert np.all(steps <= 1.2 * steps[0] + 5)
+    # 30 times rtol, of a rotation by 9 rad
+    np.testing.assert_allclose(R, np.broadcast_to(R[0], R.shape), rtol=0, atol=30e-9 * 9)
+    np.testing.assert_allclose(
+        summed(result, "omega"), np.broadcast_to(summed(result, "omega")[0], (4, 3)), atol=30e-9
+    )

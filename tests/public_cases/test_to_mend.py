@@ -31,6 +31,7 @@ from public_cases.shared import (
     wheels,
 )
 from public_cases.test_linkages import slider_at
+from public_cases.test_rigid_bodies import VELOCITIES
 
 # ---- c49, c49b: stops of joints ----------------------------------------------------------------
 # RobotLocomotion/drake#2516, google-deepmind/mujoco#169, bulletphysics/bullet3#2863: joints pass
@@ -81,7 +82,9 @@ def test_c49b_wheel_bounces_for_ever():
 @pytest.mark.parametrize("rtol", [1e-6, 1e-7, 1e-8, 1e-9, 1e-10])
 def test_c49_hard_stops_give_back_what_they_took(rtol):
     """drake#2516, bullet3#2863. Stops at −1 and 1.5 rad, harder by a factor of up to 1000."""
-    speeds, stiffness = (x.ravel() for x in np.meshgrid(SPEEDS[::2], [200.0, 2e3, 2e4, 2e5]))
+    speeds, stiffness = (
+        x.ravel() for x in np.meshgrid(np.linspace(1.0, 20.0, 96), [2e2, 2e3, 2e4, 2e5])
+    )
     lower, upper = np.full_like(speeds, -1.0), np.full_like(speeds, 1.5)
     problem, twist0 = wheels(speeds, lower, upper, stiffness)
     t = np.linspace(0.0, 5.0, 401)
@@ -362,30 +365,6 @@ def test_c52_the_link_at_fault_is_named(tmp_path, depth):
 
 # ---- c58: a satellite in a moving frame --------------------------------------------------------
 # newton-physics/newton#3868, AVSLab/basilisk (hinged panels): right by Galileo, as at rest.
-
-VELOCITIES = np.array(
-    [(0.0, 0.0, 0.0), (7500.0, 0.0, 0.0), (0.0, -7500.0, 0.0), (4330.0, 4330.0, 4330.0)]
-)
-
-
-def test_c58_a_free_body_turns_as_at_rest_at_orbital_speed():
-    """newton#3868. Its frame is off its centre of mass, where ω × v and m v of the frame differ."""
-    com = np.array([0.1, -0.05, 0.2])
-    about = np.diag((30.0, 50.0, 70.0)) + 200.0 * (com @ com * np.eye(3) - np.outer(com, com))
-    body = lierb.Body(200.0, about, com)
-    problem = lierb.Problem(body, lierb.joints.free())
-    twist0 = np.zeros((4, 6))
-    twist0[:, :3], twist0[:, 3:] = (0.05, 0.3, -0.02), VELOCITIES
-    result = lierb.integrate(problem, twist0=twist0, t_end=30.0, rtol=1e-9, max_steps=2000)
-    assert result.summary["status"].to_pylist() == ["ok"] * 4
-    steps, R = summed(result, "steps"), summed(result, "rotation").reshape(-1, 3, 3)
-    # steps are chosen by relative errors, of v too, which is 1e4 times as large: no more of them
-    assert np.all(steps <= 1.2 * steps[0] + 5)
-    # 30 times rtol, of a rotation by 9 rad
-    np.testing.assert_allclose(R, np.broadcast_to(R[0], R.shape), rtol=0, atol=30e-9 * 9)
-    np.testing.assert_allclose(
-        summed(result, "omega"), np.broadcast_to(summed(result, "omega")[0], (4, 3)), atol=30e-9
-    )
 
 
 @cache
