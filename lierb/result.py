@@ -270,12 +270,12 @@ class Result(States):
     def end(self) -> dict[str, Any]:
         """End of the run, as the keywords `pose0`, `twist0` and `t0` with which it continues.
 
-        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with the same body, joint
-        and formulation (the same `Mechanism`), in the same process, from the driver's own state, so
-        that with the same dt and method the bits are those of one run without a break. A state that
-        has drifted off its joint is continued as it is. Maxima, energy drift and work count from
-        the new start. Copies and parts of `pose0`, or another twist or time with it, start as any
-        other pose does.
+        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with bodies, joints and
+        constraints of equal numbers and functions, and the same formulation, in the same process,
+        from the driver's own state, so that with the same dt and method the bits are those of one
+        run without a break. A state that has drifted off its joint goes on as it is. Maxima, energy
+        drift and work count from the new start. Copies and parts of `pose0`, or another twist or
+        time with it, start as any other pose does.
 
         The problem's own states, the outputs and memory of its controllers, and the length of
         adaptive steps continue too: the bits are those of one run in which a step ends here, as one

@@ -5,7 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -20,7 +23,7 @@ from lierb.errors import (
     TwistError,
 )
 from lierb.kernels.stepping.clock import TIDY_EVERY
-from lierb.runs import engine
+from lierb.runs import continuation, engine
 
 DT = 1e-2
 STEPS = 100
@@ -404,3 +407,112 @@ def test_start_time_is_checked(times, message):
     with pytest.raises(TimeGridError) as caught:
         lierb.integrate(problem, twist0=twist0, **({"dt": DT, "t_end": 1.0} | times))
     assert str(caught.value) == message
+
+
+# ---- problems and mechanisms that are built again ----------------------------------------------
+
+
+def built(mass=0.7, length=0.3, tie=0.1, gain=2.0, name="rod", motor=0.5):
+    """A crank that a motor drives, and a rod that it pushes along a line, from nothing: bodies,
+    joints, a loop, functions.
+    """
+
+    @lierb.wrench(gain=gain)
+    def pull(t, R, r, omega, v, params):
+        return (0.0, -params.gain * omega[1], 0.0), (0.0, 0.0, 0.0)
+
+    def pin(body, parent):
+        points = (body, 0.0, 0.0), (parent, 0.0, 0.0)
+        return lierb.joints.revolute(*points, axis=(0.0, 1.0, 0.0))
+
+    body = lierb.Body(mass, (0.02, 0.03, 0.01))
+    slide = lierb.joints.point_on_line((0.5, 0.0, 0.0), (0.0, 0.0, tie), axis=(1.0, 0.0, 0.0))
+    return lierb.Mechanism(
+        [
+            lierb.Link("crank", body, pin(0.0, 0.0)),
+            lierb.Link(name, body, pin(-0.5, length), "crank"),
+        ],
+        lierb.Loop("tie", slide, name),
+        (0.0, 0.0, -9.81),
+        forces=[
+            lierb.forces.motor(speed=lambda t: 2.0 + motor * np.sin(t)).on("crank"),
+            pull().on(name),
+        ],
+    )
+
+
+CHANGES = {
+    "mass": 0.8, "length": 0.31, "tie": 0.11, "name": "bar", "motor": 0.6,
+}  # fmt: skip
+
+
+def test_built_again_with_equal_numbers_is_held_alike():
+    assert continuation._is_held_alike(built(), built())
+    assert continuation._is_held_alike(built(), built(gain=3.0))  # other forces may act
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_built_again_with_another_number_is_not_held_alike(change):
+    other = built(**{change: CHANGES[change]})
+    assert not continuation._is_held_alike(built(), other)
+    assert not continuation._is_held_alike(other, built())
+
+
+def tethered(length=0.6):
+    """A body that a function of the user's holds, from nothing."""
+
+    @lierb.constraint(length=length)
+    def tether(R, r, params):
+        return (r @ r / params.length - params.length) / 2
+
+    body = lierb.Body(1.2, (0.01, 0.02, 0.025))
+    return lierb.Problem(body, lierb.joints.free(), (0.0, 0.0, -9.81), constraints=tether())
+
+
+def broken(make, pose0, twist0, is_rebuilt: bool) -> str:
+    """A digest of the bits at the end of two runs, the second one of what is built again."""
+    problem, options = make(), {"dt": DT}
+    start = {"pose0": pose0(problem), "twist0": twist0(problem)}
+    if is_rebuilt:
+        start = lierb.integrate(problem, **start, **options, t_end=17 * DT).end
+        problem = make()
+    summary = lierb.integrate(problem, **start, **options, t_end=30 * DT).summary
+    names = [n for n in summary.column_names if n.rpartition(".")[2] in STATE]
+    assert len(names) >= len(STATE)
+    found = b"".join(column(summary, name).tobytes() for name in names)
+    return hashlib.sha256(found).hexdigest()
+
+
+def driven(is_rebuilt: bool) -> str:
+    def closed(made):
+        return made.close(made.pose({"crank": -0.6, "rod": 0.7}))
+
+    def moving(made):
+        return made.project(made.twist({}, closed(made)), closed(made))
+
+    return broken(built, closed, moving, is_rebuilt)
+
+
+def hanging(is_rebuilt: bool) -> str:
+    def apart(problem):
+        pose = lierb.lie.se3.exp((0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
+        pose[:3, 3] = 0.36, 0.0, -0.48
+        return pose
+
+    return broken(tethered, apart, lambda _: np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0]), is_rebuilt)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run_of", [driven, hanging])
+def test_built_again_it_goes_on_to_the_bits_of_one_run(run_of):
+    assert run_of(is_rebuilt=True) == run_of(is_rebuilt=False)
+
+
+@pytest.mark.slow
+def test_built_in_another_process_it_goes_on_to_the_same_bits():
+    code = "import test_restart; print(test_restart.driven(is_rebuilt=True))"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, sys.path))}
+    found = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == driven(is_rebuilt=False)

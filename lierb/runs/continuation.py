@@ -134,25 +134,30 @@ def _are_equal(a: Any, b: Any) -> bool:
 
 
 def _is_held_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
-    """Whether bodies, joints and what else holds them are the same; links and loops of mechanisms
-    are when they are one.
-    """
+    """Whether bodies, joints and what else holds them have the same numbers and functions."""
     holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
-    if len(holding[0]) != len(holding[1]):
-        return False
-    if not all(_is_same(*pair) for pair in zip(*holding, strict=True)):
-        return False
-    if isinstance(a, Mechanism) and isinstance(b, Mechanism):
-        parts = zip((*a.links, *a.loops), (*b.links, *b.loops), strict=False)
-        counts = (len(a.links), len(a.loops)) == (len(b.links), len(b.loops))
-        return counts and all(x is y for x, y in parts)
-    if isinstance(a, Mechanism) or isinstance(b, Mechanism):
-        return False
-    return a.joint.rows == b.joint.rows and all(
-        np.array_equal(array, b.quantities[name])
-        for name, array in a.quantities.items()
-        if name != "gravity"
+    return (
+        _held(a) == _held(b)
+        and all(np.array_equal(array, b.quantities[name]) for name, array in _held_by(a).items())
+        and len(holding[0]) == len(holding[1])
+        and all(map(_is_same, *holding))
     )
+
+
+def _held(problem: Problem | Mechanism) -> list[Any]:
+    """Names and rows of what has a joint, and what it hangs on."""
+    if isinstance(problem, Problem):
+        return [problem.joint.rows]
+    return [(c.name, c.body, c.parent, c.rows) for c in problem.joints]
+
+
+def _held_by(problem: Problem | Mechanism) -> dict[str, Any]:
+    """Numbers of bodies and joints."""
+    return {
+        name: array
+        for name, array in problem.quantities.items()
+        if name != "gravity" and not name.startswith("element")
+    }
 
 
 def _is_same(a: Element, b: Element) -> bool:
