@@ -42,8 +42,8 @@ def violation(mechanism: Mechanism, pose: Any, twist: Any, t0: float = 0.0) -> L
 
     pose, twist : of all links, as `lierb.integrate` takes them.   t0 : s.
 
-    Tolerances are those of one body (`lierb.kernels.mechanics.scale`), of the larger one of the two
-    lengths and the sum of the speeds of the links that a joint is between.
+    Tolerances are those of one body (`lierb.kernels.mechanics.scale`), with the larger one of the
+    two lengths of the links that a joint is between and the speed of the mechanism.
     """
     placed, moving = mechanism.poses("pose0", pose), mechanism.twists("twist0", twist)
     sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
@@ -106,12 +106,12 @@ def _what_close_does(mechanism: Mechanism, pose: Any, member: int) -> str:
 def _twist_violation(
     system: System, held: list[Held], twists: list[Vec], t0: float
 ) -> TwistError | None:
-    count = system.count
+    count, speed = system.count, _speed(system, twists)
     for h in held:
         rates = [r.prescribed_rate(h.x, h.body) for r in h.at.rows]
         if unfit := unfit_rate(h.at.rows, rates, t0):
             return unfit
-        allowed = _rate_tolerances(system, h, twists)
+        allowed = _rate_tolerances(h, speed)
         squares = rate_errors_squared(h.at.rows, h.x, h.body, velocity_of(h.x))
         for what, unit, square, most in zip(
             ("velocity", "rotation rate"), ("m/s", "rad/s"), squares, allowed, strict=True
@@ -133,13 +133,21 @@ def _twist_violation(
     return None
 
 
-def _rate_tolerances(system: System, h: Held, twists: list[Vec]) -> tuple[Any, Any]:
-    """In m/s and rad/s, as of one body: by the speed, and by what is brought about in its time."""
+def _speed(system: System, twists: list[Vec]) -> Any:
+    """Sum of the links' speeds ‖v‖ + ℓ‖ω‖, m/s.
+
+    The links of a single joint do not do: at a dead point they may be at rest but for the rounding
+    of the others' speed.
+    """
     speed: Any = 0.0
-    for i in (h.at.body, h.at.parent):
-        if i >= 0:
-            omega, com = twists[i][:3], system.metrics[i].com
-            speed = speed + norm(cross_add(omega, com, twists[i][3:])) + h.length * norm(omega)
+    for twist, metric, length in zip(twists, system.metrics, system.lengths, strict=True):
+        moving = cross_add(twist[:3], metric.com, twist[3:])
+        speed = speed + norm(moving) + length * norm(twist[:3])
+    return speed
+
+
+def _rate_tolerances(h: Held, speed: Any) -> tuple[Any, Any]:
+    """In m/s and rad/s, as of one body: by the speed, and by what is brought about in its time."""
     position = START_TOLERANCE * h.length + h.rounding
     ahead = sqrt(norm(h.parameters.gravity) / h.length)
     for r in h.at.rows:

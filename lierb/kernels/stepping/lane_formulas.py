@@ -509,8 +509,9 @@ def verdict_on(
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
     fine = are_finite(*numbers) & (singular <= 0.5)
     if not is_zero(made.correction):
-        square = where(made.correction <= square, square, made.correction)  # NaN stays
-        singular = where(made.correction > 1.0, 1.0, singular)
+        too_large = made.correction > 1.0
+        square = where(too_large & (made.correction > square), made.correction, square)
+        singular = where(too_large, 1.0, singular)
     longest = None
     if plan.embedded is not None:
         longest = longest_step(plan, body, state, moved, clock.t, clock.h)

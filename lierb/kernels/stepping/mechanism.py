@@ -623,9 +623,12 @@ class TreeFormulation(Watching):
 
         before : the state at the start of the step, h seconds earlier.
 
-        The step is marked as singular where Newton's method leads away from the rows, and where it
-        moves the pose farther than the step itself, h ‖V‖, can have: a step's drift is a part of
-        its motion, so a longer way is that to another branch of the rows, or across a jump in them.
+        The step is marked as singular where Newton's method leads away from the rows, and where a
+        correction is larger than the step can have made necessary. With s = h ‖V‖ and the
+        mechanism's length ℓ, the step moves the pose by s and turns the rows by s/ℓ; its drift is a
+        part of s in the pose and of ‖V‖ s/ℓ in V. A larger correction leads to another branch of
+        the rows, across a jump in them, or along directions that a singular pose has left open.
+        The bound on V holds where no motor prescribes a rate, which may jump.
         """
         if self.plan.stabilisation.kind != "project":
             return Stabilised(state)
@@ -647,8 +650,11 @@ class TreeFormulation(Watching):
             any_lanes(off > CLOSED * CLOSED), again, lambda: (first, nearer, way, 0.0), likely=False
         )
         speed = maximum(*(_size(length, each.v_or_mu) for each in (before, state)))
-        mark = where(way > fma(h, speed, UNMOVED * length), 1.0, mark)
+        most = fma(h, speed, UNMOVED * length)
+        mark = where(way > most, 1.0, mark)
         change = self._onto_rows(body, chart, state.v_or_mu, time)
+        if all(row.is_holonomic for _, row in self.rows):
+            mark = where(h * length * _size(length, change) > most * most, 1.0, mark)
         kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
         return Stabilised(kept, mark, x, change)
 
