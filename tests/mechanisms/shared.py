@@ -1,10 +1,19 @@
-"""Mechanisms that several test files integrate: kernels are compiled once."""
+"""Mechanisms that several test files integrate, whose kernels are compiled once, and the kernels'
+formulas of any mechanism in plain Python.
+"""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
+
+import numpy as np
 
 import lierb
+from lierb.kernels.mechanics.tree import TreeConstants
+from lierb.kernels.stepping.mechanism import UNSTABILISED, TreeFormulation
+from lierb.kernels.stepping.state import State
+from lierb.mechanism_plan import plan_of
 
 GRAVITY = (0.0, 0.0, -9.81)
 TURNING = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
@@ -53,3 +62,23 @@ def four_bar() -> lierb.Mechanism:
         gravity=GRAVITY,
         forces=lierb.forces.drag(angular=0.002).on("rocker"),
     )  # fmt: skip
+
+
+def in_python(
+    mechanism: lierb.Mechanism, cspace: str, pose0: dict[str, Any], twist0: dict[str, Any]
+) -> tuple[TreeFormulation, TreeConstants, State]:
+    """Formulas, constants and start of a mechanism, or of the first of a batch, on floats."""
+    plan = plan_of(
+        mechanism, (cspace,) * len(mechanism.links), UNSTABILISED, elements=mechanism.kinds,
+        update="local", stages=((),), weights=(1.0,), multipliers=False,
+    )  # fmt: skip
+    given = dict(mechanism.quantities)
+    for i, name in enumerate(mechanism.names):
+        given |= {f"{i}.pose": pose0[name], f"{i}.twist": twist0[name]}
+    flat: list[float] = []
+    for field, _ in plan.formulation.inputs:
+        first = np.ravel(given.get(field.name, 0.0))[: int(np.prod(field.shape))]
+        numbers = np.broadcast_to(first.reshape(-1), int(np.prod(field.shape)))
+        flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
+    body = plan.formulation.body(flat)
+    return plan.formulation, body, plan.formulation.start(body, (), flat)

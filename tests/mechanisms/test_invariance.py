@@ -10,9 +10,8 @@ import pytest
 
 import lierb
 from lierb.kernels.numbers.vec import cross, mat_t_vec
-from lierb.kernels.stepping.mechanism import UNSTABILISED, TreeFormulation
-from lierb.mechanism_plan import plan_of
 from mechanisms.samples import random_mechanism, start_of
+from mechanisms.shared import in_python
 
 SPEED = np.array((2500.0, 5000.0, -5000.0))  # m/s, 7500 in all, as in a low orbit
 FAR = np.array((4e6, -5e6, 3e6))  # m
@@ -21,28 +20,12 @@ FAR = np.array((4e6, -5e6, 3e6))  # m
 # ---- accelerations, in plain Python ------------------------------------------------------------
 
 
-def system_of(mechanism, cspace, start) -> tuple[TreeFormulation, list[float]]:
-    described = {"update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
-    cspaces = (cspace,) * len(mechanism.links)
-    plan = plan_of(mechanism, cspaces, UNSTABILISED, elements=mechanism.kinds, **described)
-    given = dict(mechanism.quantities)
-    for i, name in enumerate(mechanism.names):
-        given |= {f"{i}.{what}": start[f"{what}0"][name] for what in ("pose", "twist")}
-    flat: list[float] = []
-    for field, _ in plan.formulation.inputs:
-        numbers = np.broadcast_to(given.get(field.name, 0.0), (1, *field.shape))[0].ravel()
-        flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
-    return plan.formulation, flat
-
-
 @pytest.mark.parametrize("cspace", ["reduced", "SE3", "SO3xR3"])
 @pytest.mark.parametrize("shape", ["star", "floating_loop"])
 def test_accelerations_do_not_depend_on_speed(shape, cspace):
     rng = np.random.default_rng(5)
     made, sample = random_mechanism(rng, shape, n=1, centred=cspace == "SO3xR3", forces=True)
-    system, numbers = system_of(made, cspace, start_of(sample))
-    body = system.body(numbers)
-    state = system.start(body, (), numbers)
+    system, body, state = in_python(made, cspace, **start_of(sample))
     seen = system.seen(body, state, 0.0)
     boost, turned = np.zeros((2, len(state.v_or_mu)))  # of V, and of V̇, since body axes turn
     for i, node in enumerate(system.plan.tree):

@@ -122,6 +122,7 @@ class NodeConstants(NamedTuple):
     hang : H, the joint's frame on the node before it, or on the ground.
     gravity : of a node on the ground, in the joint's axes there; else nothing.
     frame : its own frame, seen from the user's body frame.
+    burden : mass, and about inertia, of it and all that hangs on it.
     """
 
     rigid: Rigid
@@ -131,6 +132,7 @@ class NodeConstants(NamedTuple):
     gravity: Vec
     frame: Pose
     pitch: Any
+    burden: tuple[Any, Any] = (ZERO, ZERO)
 
 
 class Ends(NamedTuple):

@@ -6,6 +6,11 @@ bodies, in as many operations as there are nodes (Featherstone, Rigid Body Dynam
 
 All other rows, of loops, of joints whose motions are no group, of motors and of the user's, have a
 Schur complement on that. Gravity is an acceleration of the ground.
+
+A row of a joint of the tree is made stiff at its node: s (B ν̇ − η)² / 2 is added to what ν̇
+minimises, s being of the size of what hangs there. Where the row is satisfied that is nothing. But
+the complement is then one of numbers near 1/s, whatever the masses are, where a heavy link on a
+light one would have rows cancel each other down to the ratio of their masses.
 """
 
 from __future__ import annotations
@@ -28,14 +33,14 @@ from lierb.kernels.mechanics.tree import (
     joint_space_pays,
 )
 from lierb.kernels.numbers.arithmetic import fma, sqrt
-from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, dot, neg, norm, scale, sub
+from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, scale, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class ArticulatedBodies:
     """The inertias of a tree, and what any loads do to it."""
 
-    def __init__(self, motion: TreeMotion) -> None:
+    def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
         self.free = motion.directions
@@ -50,8 +55,12 @@ class ArticulatedBodies:
             self.inertias[i] = [part for part in (own[i], carried[i]) if part is not None]
             self.columns[i] = [self.momentum(i, s) for s in self.free[i]]
             if self.free[i]:
+                stiff = stiffness_of(rows, i, self.free[i])
                 self.gains[i] = inverse(
-                    [[dot(s, u) for u in self.columns[i]] for s in self.free[i]]
+                    [
+                        [dot(s, u) + k for u, k in zip(self.columns[i], ks, strict=True)]
+                        for s, ks in zip(self.free[i], stiff, strict=True)
+                    ]
                 )
             parent = nodes[i].parent
             if parent != GROUND:
@@ -128,7 +137,7 @@ class JointSpace:
     Kane's method, on the motion's columns: twists of a node by one free direction each.
     """
 
-    def __init__(self, motion: TreeMotion) -> None:
+    def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
         entries: dict[tuple[int, int], Any] = {}
@@ -141,6 +150,11 @@ class JointSpace:
                 if k <= j:
                     found = dot(columns[k], momenta[j])
                     entries[j, k] = found + entries[j, k] if (j, k) in entries else found
+        for i, own in enumerate(motion.own):
+            stiff = stiffness_of(rows, i, motion.directions[i])
+            for (j, ks), (k, x) in product(zip(own, stiff, strict=True), enumerate(own)):
+                if x <= j:
+                    entries[j, x] = entries.get((j, x), ZERO) + ks[k]
         self.count = sum(len(motion.directions[i]) for i in range(len(nodes)))
         rows = range(self.count)
         self.mass = Factored([[entries.get((j, k), ZERO) for k in range(j + 1)] for j in rows])
@@ -230,9 +244,9 @@ class Factored:
 Bodies = ArticulatedBodies | JointSpace
 
 
-def bodies_of(motion: TreeMotion) -> Bodies:
-    """By whichever takes fewer operations."""
-    return JointSpace(motion) if joint_space_pays(motion.nodes) else ArticulatedBodies(motion)
+def bodies_of(motion: TreeMotion, rows: Sequence[Asked] = ()) -> Bodies:
+    """By whichever takes fewer operations.   rows : of which some make nodes stiff."""
+    return (JointSpace if joint_space_pays(motion.nodes) else ArticulatedBodies)(motion, rows)
 
 
 class Response(NamedTuple):
@@ -262,6 +276,7 @@ class Asked(NamedTuple):
     """What a row asks of two nodes: push·(motion of one) − pull·(motion of the other) = wanted.
 
     push, pull : the row as wrenches about the nodes' frames.   fall : that of `Relative`.
+    stiffness : of a row of the joint by which `node` hangs on `other`.
     """
 
     node: int
@@ -270,6 +285,7 @@ class Asked(NamedTuple):
     pull: Vec
     fall: Vec | None
     wanted: Any
+    stiffness: Any = ZERO
 
     def loads(self, size: Any = 1.0) -> dict[int, Vec]:
         """size times the wrenches that the row's multiplier has, but for their sign."""
@@ -295,16 +311,36 @@ def asked(
     return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
+def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Any]]:
+    """Σ s Bᵀ B of the rows that make a node stiff, B being what they are of its ν̇."""
+    count = len(directions)
+    total: list[list[Any]] = [[ZERO] * count for _ in range(count)]
+    for each in rows:
+        if each.node == i and not is_zero(each.stiffness):
+            b = [dot(each.push, s) for s in directions]
+            total = [
+                [fma(each.stiffness * x, y, k) for y, k in zip(b, ks, strict=True)]
+                for x, ks in zip(b, total, strict=True)
+            ]
+    return total
+
+
 class Solved(NamedTuple):
     """response : with all rows.   multipliers : of the rows asked for.
 
     singular, dropped : marks, as of `saddle.Solution`.
+    bias : of each node that rows make stiff, the wrench s η about it, which is no load.
     """
 
     response: Response
     multipliers: tuple[Any, ...]
     singular: Any
     dropped: Any
+    bias: dict[int, Vec]
+
+    def transmitted(self, bodies: Bodies, i: int) -> Vec:
+        """The wrench by which a joint moves its node, about the node's frame, but for its rows."""
+        return add(bodies.transmitted(i, self.response), self.bias.get(i, ZERO6))
 
 
 def solved(
@@ -315,9 +351,17 @@ def solved(
     fall: dict[int, Vec] | None = None,
 ) -> Solved:
     """What the nodes do under loads and rows; see `ArticulatedBodies.respond`."""
-    response = bodies.respond(loads, biases, fall)
     if not rows:
-        return Solved(response, (), ZERO, ZERO)
+        return Solved(bodies.respond(loads, biases, fall), (), ZERO, ZERO, {})
+    total = dict(loads)
+    bias: dict[int, Vec] = {}
+    for each in rows:
+        if not is_zero(each.stiffness):
+            assert biases is not None
+            size = each.stiffness * (each.wanted - dot(each.push, biases[each.node]))
+            bias[each.node] = axpy(size, each.push, bias.get(each.node, ZERO6))
+            _add_loads(total, each.loads(size))
+    response = bodies.respond(total, biases, fall)
     responses = [bodies.respond(each.loads()) for each in rows]
     schur = [[rows[i].of(responses[j]) for j in range(i + 1)] for i in range(len(rows))]
     excess = []
@@ -325,14 +369,20 @@ def solved(
         found = each.of(response) - each.wanted
         excess.append(found if each.fall is None else found - dot(each.pull, ZERO3 + each.fall))
     scales = _TreeScales(bodies.motion, loads, fall)
+    sizes = [scales.of(each) for each in rows]
+    alone = [size / fma(each.stiffness, size, 1.0) for size, each in zip(sizes, rows, strict=True)]
     multipliers, singular, dropped = multipliers_of(
-        schur, excess, [scales.of(each) for each in rows], lambda i: scales.acceleration(rows[i])
+        schur, excess, alone, lambda i: scales.acceleration(rows[i])
     )
-    total = dict(loads)
     for size, each in zip(multipliers, rows, strict=True):
-        for i, load in each.loads(-size).items():
-            total[i] = add(total[i], load) if i in total else load
-    return Solved(bodies.respond(total, biases, fall), tuple(multipliers), singular, dropped)
+        _add_loads(total, each.loads(-size))
+    response = bodies.respond(total, biases, fall)
+    return Solved(response, tuple(multipliers), singular, dropped, bias)
+
+
+def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
+    for i, load in more.items():
+        total[i] = add(total[i], load) if i in total else load
 
 
 class _TreeScales:

@@ -83,6 +83,7 @@ from lierb.kernels.stepping.mechanism_inputs import (
     node_constants,
     placed_element,
     sixes,
+    with_burdens,
 )
 from lierb.kernels.stepping.plan import AnyPlan, Embedded, Extension, Stages
 from lierb.kernels.stepping.signals import Watching, lane_end, states_of
@@ -193,6 +194,7 @@ class TreeFormulation(Watching):
         plan, read = self.plan, self.inputs.parts(numbers)
         gravity = read["gravity"]
         nodes = tuple(node_constants(plan, i, read) for i in range(len(plan.tree)))
+        nodes = with_burdens(plan.tree, nodes)
         ends = [joint_ends(plan, nodes, number, read) for number in range(len(plan.joints))]
         acting = [*zip(plan.elements, plan.connections[len(ends) :], strict=True)]
         placed = tuple(
@@ -382,7 +384,7 @@ class TreeFormulation(Watching):
             total = ZERO6
             x, ends = found.relatives[number].x, body.ends[number]
             if number < self.plan.links:
-                total = found.bodies.transmitted(joint.node, found.solved.response)
+                total = found.solved.transmitted(found.bodies, joint.node)
             kept = tuple(r for r in joint.rows if (number, r) not in solution)
             own = _held_multipliers(kept, x, ends, total)
             for r in joint.rows:
@@ -533,11 +535,8 @@ class TreeFormulation(Watching):
         }
         damped = [self._damped(i, motion) for i in range(len(plan.tree))]
         biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
-        bodies = bodies_of(motion)
-        rows = [
-            relatives.asked(number, row, value)
-            for (number, row), value in zip(self.rows, wanted, strict=True)
-        ]
+        rows = self._asked(relatives, wanted)
+        bodies = bodies_of(motion, rows)
         found = solved(bodies, rows, loads, biases, fall)
         for (number, r), multiplier in zip(self.rows, found.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
@@ -546,6 +545,17 @@ class TreeFormulation(Watching):
         return TreeAcceleration(
             rates, power, found.singular, found.dropped, bodies, found, relatives
         )
+
+    def _asked(self, relatives: _Relatives, wanted: list[Any]) -> list[Asked]:
+        """All rows, those of joints of the tree stiff."""
+        found = []
+        for (number, r), value in zip(self.rows, wanted, strict=True):
+            each = relatives.asked(number, r, value)
+            if number < self.plan.links:
+                mass, inertia = relatives.motion.body.nodes[each.node].burden
+                each = each._replace(stiffness=mass if r.is_translational else inertia)
+            found.append(each)
+        return found
 
     def _applied(self, body: TreeConstants, relatives: _Relatives) -> tuple[dict[int, Vec], Any]:
         """Wrenches of all elements on the nodes, and what they add to E."""
@@ -696,11 +706,8 @@ class TreeFormulation(Watching):
         self, motion: TreeMotion, relatives: _Relatives, wanted: list[Any], biases: list[Vec]
     ) -> Vec:
         """The smallest motion, in the kinetic metric, of which rows are `wanted`."""
-        rows = [
-            relatives.asked(number, row, value)._replace(fall=None)
-            for (number, row), value in zip(self.rows, wanted, strict=True)
-        ]
-        found = solved(bodies_of(motion), rows, {}, biases)
+        rows = [each._replace(fall=None) for each in self._asked(relatives, wanted)]
+        found = solved(bodies_of(motion, rows), rows, {}, biases)
         moved: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             twist = found.response.moved[i]

@@ -25,6 +25,7 @@ from lierb.kernels.mechanics.tree import (
     Node,
     NodeConstants,
 )
+from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     ZERO3,
@@ -98,6 +99,20 @@ def charts_side_by_side(numbers: Vec) -> tuple[Chart, ...]:
 
 def sixes(numbers: Vec) -> list[Vec]:
     return [numbers[i : i + 6] for i in range(0, len(numbers), 6)]
+
+
+def with_burdens(
+    tree: tuple[Node, ...], nodes: tuple[NodeConstants, ...]
+) -> tuple[NodeConstants, ...]:
+    """With what each node carries; inertia about its frame, in the pose where all slides are 0."""
+    burdens = [(n.rigid.mass, 0.5 * sum(n.rigid.inertia[::4], start=ZERO)) for n in nodes]
+    for i in reversed(range(len(tree))):
+        mass, inertia = burdens[i]
+        parent, arm = tree[i].parent, nodes[i].hang[1]
+        if parent != GROUND:
+            before, about = burdens[parent]
+            burdens[parent] = before + mass, about + fma(mass, dot(arm, arm), inertia)
+    return tuple(n._replace(burden=each) for n, each in zip(nodes, burdens, strict=True))
 
 
 def first_of_joint(plan: MechanismPlan, i: int) -> int:
