@@ -156,8 +156,9 @@ class JointSpace:
                 if x <= j:
                     entries[j, x] = entries.get((j, x), ZERO) + ks[k]
         self.count = sum(len(motion.directions[i]) for i in range(len(nodes)))
-        rows = range(self.count)
-        self.mass = Factored([[entries.get((j, k), ZERO) for k in range(j + 1)] for j in rows])
+        self.mass = Factored(
+            [[entries.get((j, k), ZERO) for k in range(j + 1)] for j in range(self.count)]
+        )
 
     def respond(
         self,
