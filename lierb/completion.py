@@ -14,7 +14,8 @@ import numpy as np
 from lierb.arrays import Array, Pose
 from lierb.completion_space import Configurations, Place, Seen, Space
 from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE
-from lierb.mechanism_closing import DAMPING, least
+from lierb.mechanism_closing import DAMPING
+from lierb.mechanism_rows import Decomposed
 
 Mask = Any  # an array of truth values
 
@@ -92,7 +93,7 @@ class Completion:
         wanted, gradients = -seen.values / seen.lengths, seen.gradients
         lost = lost | ~(np.isfinite(wanted).all(axis=1) & np.isfinite(gradients).all(axis=(1, 2)))
         wanted[lost], gradients[lost] = 0.0, 0.0
-        steps = least(gradients, wanted, DAMPING * np.sum(wanted**2, axis=1))
+        steps = Decomposed(gradients).least(wanted, DAMPING * np.sum(wanted**2, axis=1))
         lost = lost | ~(np.linalg.norm(steps, axis=1) <= np.sqrt(len(self.space.tree)))
         steps[lost] = 0.0
         return self.space.moved(at, self.space.lifted(steps)), lost

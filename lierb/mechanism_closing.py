@@ -1,9 +1,9 @@
 """Newton's method on all joints and loops of a mechanism, in the metric of its kinetic energy.
 
-All rows together are J V = ḣ, V the twists of all links. With M = SSᵀ and y = SᵀV the nearest is
-the one of least ‖y‖, that of the pseudo-inverse of J S⁻ᵀ, whose rows are brought to length 1:
-redundant rows, as every planar loop of revolute joints has, ask for no choice. Members of a batch
-are each looked at alone: bits do not depend on their neighbours.
+All rows together are J V = ḣ, V the twists of all links, and the nearest V is that of least kinetic
+energy (`lierb.mechanism_rows.DecomposedRows`): redundant rows, as every planar loop of revolute
+joints has, ask for no choice. Members of a batch are each looked at alone: bits do not depend on
+their neighbours.
 """
 
 from __future__ import annotations
@@ -37,9 +37,6 @@ from lierb.model import CLOSED, NEWTON_STEPS, unfit_rate
 if TYPE_CHECKING:
     from lierb.mechanism import Mechanism
 
-# Singular values of rows of length 1, relative to the largest, below which rows depend on others: a
-# start may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
-RANK_TOLERANCE = 1e-7
 # Of Newton's steps, by the square of what is open. Of 240 starts, four-bars and a Bricard linkage
 # up to 0.8 off in every coordinate, all close with 0.1 to 1e-4, 229 with 1, 224 with none.
 DAMPING = 1e-2
@@ -55,19 +52,6 @@ class Mobility(NamedTuple):
 
     freedoms: Any
     redundant: Any
-
-
-def least(matrix: Array, wanted: Array, damping: Array | float = 0.0) -> Array:
-    """The least y with A y = wanted, of a damped one the y of least ‖A y − wanted‖² + damping ‖y‖².
-
-    damping : (count,).
-    """
-    u, values, vt = np.linalg.svd(matrix, full_matrices=False)
-    kept = values > RANK_TOLERANCE * values[:, :1]
-    squares = values * values + np.reshape(damping, (-1, 1))
-    gains = np.where(kept, values, 0.0) / np.where(kept, squares, 1.0)
-    parts = gains * summed(np.swapaxes(u, 1, 2) * wanted[:, None, :])
-    return summed(np.swapaxes(vt, 1, 2) * parts[:, None, :])
 
 
 def parts_of(mechanism: Mechanism, count: int) -> Iterator[slice]:
@@ -118,11 +102,11 @@ def _closed(
             was_closed = is_closed
         if is_closed.all() or step == NEWTON_STEPS:
             break
-        matrix, lengths = system.matrix(held)
-        wanted = system.column([-plain(h) for values in off for h in values]) / lengths
+        rows = system.decomposed(held)
+        wanted = system.column([-plain(h) for values in off for h in values]) / rows.lengths
         wanted = np.where(np.isfinite(wanted), wanted, 0.0)
-        y = least(matrix, wanted, DAMPING * summed(wanted * wanted))
-        for i, screw in enumerate(system.twists(y)):
+        moves = rows.lightest(wanted, DAMPING * summed(wanted * wanted))
+        for i, screw in enumerate(moves):
             moved = se3.compose(poses[i], se3.exp(screw))
             moved = so3.orthonormalised(moved[0]), moved[1]
             poses[i] = where(is_closed, poses[i], moved)  # nobody waits, or moves on, for another
@@ -228,12 +212,13 @@ def _projected(
         raise error
     if not rows:
         return given
-    matrix, lengths = system.matrix(held)
+    decomposed = system.decomposed(held)
+    lengths = decomposed.lengths
     goal = system.column(wanted) / lengths
     before = np.abs(_rates(system, poses, twists, t0) / lengths)
     for _ in range(2):  # the second time, for what rounding has left of a large part
         lacking = goal - _rates(system, poses, twists, t0) / lengths
-        changes = system.twists(least(matrix, lacking))
+        changes = decomposed.lightest(lacking)
         twists = [add(twist, change) for twist, change in zip(twists, changes, strict=True)]
     left = np.abs(goal - _rates(system, poses, twists, t0) / lengths)
     most = np.max(CONTRADICTION * np.abs(goal) + START_TOLERANCE * before, axis=1, keepdims=True)
@@ -271,16 +256,9 @@ def mobility(mechanism: Mechanism, poses: list[Array]) -> Mobility:
         system = System(mechanism.part(part) if count > 1 else mechanism, part.stop - part.start)
         placed = [np.broadcast_to(pose, (count, 4, 4))[part] for pose in poses]
         held = _of_poses(system.held([pose_components(pose) for pose in placed]))
-        matrix, _ = system.matrix(held)
-        ranks = _ranks(matrix)
-        free.append(matrix.shape[2] - ranks)
-        redundant.append(matrix.shape[1] - ranks)
-    found = Mobility(np.concatenate(free), np.concatenate(redundant))
-    return found if size else Mobility(*(int(x[0]) for x in found))
+        found = system.decomposed(held)
+        free.append(found.freedoms)
+        redundant.append(found.lengths.shape[1] - found.ranks)
+    mobility = Mobility(np.concatenate(free), np.concatenate(redundant))
+    return mobility if size else Mobility(*(int(x[0]) for x in mobility))
 
-
-def _ranks(matrix: Array) -> Any:
-    if matrix.shape[1] == 0:
-        return np.zeros(len(matrix), dtype=np.int64)
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return np.count_nonzero(values > RANK_TOLERANCE * values[:, :1], axis=1)

@@ -1,11 +1,13 @@
-"""All rows of a mechanism together, at poses of its links, in the metric of its kinetic energy.
+"""All rows of a mechanism together, at poses of its links: J V = ḣ, V the twists of all links.
 
-J V = ḣ, V the twists of all links. With M = SSᵀ and y = SᵀV, ‖y‖ is that metric, and rows of J S⁻ᵀ
-are brought to length 1.
+Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest lever,
+and y with ‖y‖² twice the kinetic energy. Geometry alone says which rows depend on others, so that
+is judged in x, with rows of length 1; masses choose among the motions that all rows allow.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,6 +33,7 @@ from lierb.kernels.numbers.vec import (
     cross,
     cross_add,
     diagonal,
+    mat_t_vec,
     mat_vec,
     neg,
     norm,
@@ -44,9 +47,13 @@ if TYPE_CHECKING:
     from lierb.links import Connection
     from lierb.mechanism import Mechanism
 
+# Singular values of rows of length 1, relative to the largest, below which rows depend on others: a
+# start may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
+RANK_TOLERANCE = 1e-7
+
 
 class Metric:
-    """The kinetic energy of one link, from its body-fixed twist: Θ = LLᵀ, m and c."""
+    """The kinetic energy of one link: Θ = LLᵀ, m and c."""
 
     def __init__(self, p: Parameters, unit: Any, least: Any) -> None:
         """unit : in kg m², what makes y a number.   least : kg m², the inertia's trace at least."""
@@ -56,17 +63,10 @@ class Metric:
         self.lower = _cholesky(add(inertia, diagonal((added, added, added))))
         self.com, self.root, self.unit = p.com, np.sqrt(p.mass), np.sqrt(unit)
 
-    def row(self, wrench: Vec) -> Vec:
-        """A row on V, of y."""
-        torque, force = wrench[:3], wrench[3:]
-        turning = _solved(self.lower, sub(torque, cross(self.com, force)))
-        return scale(self.unit, turning + scale(1.0 / self.root, force))
-
-    def twist(self, y: Vec) -> Vec:
-        """V of a y."""
-        omega = _solved_transposed(self.lower, scale(self.unit, y[:3]))
-        moving = scale(self.unit / self.root, y[3:])
-        return omega + sub(moving, cross(omega, self.com))
+    def __call__(self, omega: Vec, moving: Vec) -> Vec:
+        """y of an angular velocity and the velocity of the centre of mass."""
+        turning = mat_t_vec(self.lower, omega)
+        return scale(1.0 / self.unit, turning + scale(self.root, moving))
 
 
 def _cholesky(m: Mat) -> Mat:
@@ -77,20 +77,6 @@ def _cholesky(m: Mat) -> Mat:
     e = (m[7] - d * b) / c
     f = np.sqrt(m[8] - d * d - e * e)
     return (a, ZERO, ZERO, b, c, ZERO, d, e, f)
-
-
-def _solved(lower: Mat, x: Vec) -> Vec:
-    """L⁻¹ x."""
-    a = x[0] / lower[0]
-    b = (x[1] - lower[3] * a) / lower[4]
-    return a, b, (x[2] - lower[6] * a - lower[7] * b) / lower[8]
-
-
-def _solved_transposed(lower: Mat, x: Vec) -> Vec:
-    """L⁻ᵀ x."""
-    c = x[2] / lower[8]
-    b = (x[1] - lower[7] * c) / lower[4]
-    return (x[0] - lower[3] * b - lower[6] * c) / lower[0], b, c
 
 
 class Held(NamedTuple):
@@ -152,31 +138,31 @@ class System:
             found.append(Held(at, p, body, x, length, rounding))
         return found
 
-    def matrix(self, held: list[Held]) -> tuple[Array, Array]:
-        """J S⁻ᵀ with rows of length 1, (count, rows, 6 links), and their lengths before."""
+    def decomposed(self, held: list[Held]) -> DecomposedRows:
+        """All rows of these connections."""
         total = sum(len(h.at.rows) for h in held)
         found = np.zeros((self.count, total, 6 * len(self.metrics)))
+        levers = np.zeros(self.count)
         number = 0
         for h in held:
             seen = se3.compose(h.parameters.ground, (h.x.q, h.x.d))  # B from the parent
             for r in h.at.rows:
                 row = r.jacobian(h.x, h.body)
-                self._put(found, number, h.at.body, _moved(h.parameters.body, row))
+                wrenches = {h.at.body: _moved(h.parameters.body, row)}
                 if h.at.parent >= 0:
-                    self._put(found, number, h.at.parent, neg(_moved(seen, row)))
+                    wrenches[h.at.parent] = neg(_moved(seen, row))
+                for link, wrench in wrenches.items():
+                    torque = sub(wrench[:3], cross(self.metrics[link].com, wrench[3:]))
+                    found[:, number, 6 * link : 6 * link + 6] = assembled(torque + wrench[3:])
+                    if r.is_translational:
+                        lever = plain(norm(torque)) / plain(norm(wrench[3:]))
+                        levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
                 number += 1
         found[~np.isfinite(found).all(axis=(1, 2))] = 0.0  # no step, so that it stays open
-        lengths = np.sqrt(summed(found * found))
-        lengths = np.where(lengths == 0.0, 1.0, lengths)
-        return found / lengths[..., None], lengths
-
-    def _put(self, matrix: Array, row: int, link: int, wrench: Vec) -> None:
-        matrix[:, row, 6 * link : 6 * link + 6] = assembled(self.metrics[link].row(wrench))
-
-    def twists(self, y: Array) -> list[Vec]:
-        """V of every link."""
-        parts = tuple(y[:, i] for i in range(y.shape[1]))
-        return [m.twist(parts[6 * i : 6 * i + 6]) for i, m in enumerate(self.metrics)]
+        lever = np.where(levers > 0.0, levers, 1.0)
+        for link in range(len(self.metrics)):
+            found[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
+        return DecomposedRows(self, found, lever)
 
     def column(self, numbers: list[Any]) -> Array:
         """One number for each row, (count, rows)."""
@@ -184,6 +170,100 @@ class System:
         for i, number in enumerate(numbers):
             found[:, i] = plain(number)
         return found
+
+
+class Decomposed:
+    """Singular value decompositions of matrices A, (count, rows, n)."""
+
+    def __init__(self, matrix: Array) -> None:
+        u, self.values, self.vt = np.linalg.svd(matrix)
+        self.u = u[..., : self.values.shape[1]]
+        kept = self.values > RANK_TOLERANCE * self.values[:, :1]
+        self.ranks: Array = np.count_nonzero(kept, axis=1)
+
+    def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
+        """The least x with A x = wanted, or of ‖A x − wanted‖² + damping ‖x‖².
+
+        wanted : (count, rows).   damping : (count,).
+        """
+        count = self.values.shape[1]
+        kept = np.arange(count) < self.ranks[:, None]
+        squares = self.values * self.values + np.reshape(damping, (-1, 1))
+        gains = np.where(kept, self.values, 0.0) / np.where(kept, squares, 1.0)
+        parts = gains * summed(np.swapaxes(self.u, 1, 2) * wanted[:, None, :])
+        return summed(np.swapaxes(self.vt[:, :count], 1, 2) * parts[:, None, :])
+
+
+class DecomposedRows(Decomposed):
+    """All rows at poses of the links, in x and brought to length 1.
+
+    lengths : (count, rows), what they were divided by.
+    """
+
+    def __init__(self, system: System, matrix: Array, lever: Array) -> None:
+        """matrix : (count, rows, 6 links), J of x.   lever : ℓ, m, (count,)."""
+        lengths = np.sqrt(summed(matrix * matrix))
+        self.system, self.lever = system, lever
+        self.lengths = np.where(lengths == 0.0, 1.0, lengths)
+        super().__init__(matrix / self.lengths[..., None])
+
+    @property
+    def freedoms(self) -> Array:
+        """Numbers of motions that all rows allow."""
+        freedoms: Array = self.vt.shape[1] - self.ranks
+        return freedoms
+
+    def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
+        """The twists of least kinetic energy with J V = wanted, for rows of length 1.
+
+        damping : of the x that the rows ask for; free motions that make it lighter have none.
+        """
+        x = self.least(wanted, damping)
+        y = self._energetic(x)
+        moving = np.stack([self._energetic(self.vt[:, i]) for i in range(x.shape[1])], axis=1)
+        for rank in np.unique(self.ranks[self.freedoms > 0]):
+            these = self.ranks == rank
+            x[these] += _easing(self.vt[these, rank:], moving[these, rank:], y[these])
+        return [
+            omega + sub(velocity, cross(omega, metric.com))
+            for omega, velocity, metric in self._parts(x)
+        ]
+
+    def _parts(self, x: Array) -> Iterator[tuple[Vec, Vec, Metric]]:
+        """Angular velocity, velocity of the centre of mass and metric of every link."""
+        for i, metric in enumerate(self.system.metrics):
+            part = tuple(x[:, 6 * i + k] for k in range(6))
+            yield part[:3], scale(self.lever, part[3:]), metric
+
+    def _energetic(self, x: Array) -> Array:
+        """y of an x."""
+        return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=1)
+
+
+def _easing(free: Array, moving: Array, y: Array) -> Array:
+    """The combination of free motions that makes ‖y‖ least, (count, n).
+
+    free, moving : (count, freedoms, n), in x and in y.
+
+    With masses of different orders the columns of y are nearly parallel: what moves a heavy link at
+    all moves little else. Gaussian elimination first, with complete pivoting, leaves columns that
+    move ever lighter ones, and of a good condition once they have length 1.
+    """
+    free, moving, (count, freedoms, n) = free.copy(), moving.copy(), free.shape
+    each = np.arange(count)
+    for j in range(freedoms):
+        largest = np.abs(moving[:, j:]).reshape(count, -1).argmax(axis=1)
+        column, row = j + largest // n, largest % n
+        for columns in (free, moving):
+            columns[each, column], columns[:, j] = columns[:, j].copy(), columns[each, column]
+        shares = moving[each, j + 1 :, row] / moving[each, j, row][:, None]
+        for columns in (free, moving):
+            columns[:, j + 1 :] -= shares[..., None] * columns[:, None, j]
+    sizes = np.sqrt(summed(moving * moving))
+    q, r = np.linalg.qr(np.swapaxes(moving / sizes[..., None], 1, 2))
+    parts = -summed(np.swapaxes(q, 1, 2) * y[:, None, :])
+    parts = np.linalg.solve(r, parts[..., None])[..., 0] / sizes
+    return summed(np.swapaxes(free, 1, 2) * parts[:, None, :])
 
 
 def _moved(frame: Pose, wrench: Vec) -> Vec:
