@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 # Of Newton's steps, by the square of what is open. Of 240 starts, four-bars and a Bricard linkage
 # up to 0.8 off in every coordinate, all close with 0.1 to 1e-4, 229 with 1, 224 with none.
 DAMPING = 1e-2
+MISSED = 0.1 * START_TOLERANCE  # of the speed: what rows may be off in a projected twist
 CONTRADICTION = 1e-6  # of what motors prescribe, that may be left over
 MOST_NUMBERS = 2**22  # of the matrices that are looked at together
 
@@ -216,13 +217,28 @@ def _projected(
     lengths = decomposed.lengths
     goal = system.column(wanted) / lengths
     before = np.abs(_rates(system, poses, twists, t0) / lengths)
-    for _ in range(2):  # the second time, for what rounding has left of a large part
-        lacking = goal - _rates(system, poses, twists, t0) / lengths
-        changes = decomposed.lightest(lacking)
-        twists = [add(twist, change) for twist, change in zip(twists, changes, strict=True)]
-    left = np.abs(goal - _rates(system, poses, twists, t0) / lengths)
+
+    def lacking(twists: list[Vec]) -> Array:
+        return goal - _rates(system, poses, twists, t0) / lengths
+
+    def nearest(twists: list[Vec]) -> list[Vec]:
+        for _ in range(2):  # the second time, for what rounding has left of a large part
+            changes = decomposed.lightest(lacking(twists))
+            twists = [add(twist, change) for twist, change in zip(twists, changes, strict=True)]
+        return twists
+
+    is_driven = np.any(goal, axis=1)
+    twists = nearest(twists)
+    # Near a singular pose a row that hardly depends on the others decides whether a start is taken.
+    missed = np.max(np.abs(lacking(twists)), axis=1) > MISSED * decomposed.speed(twists)
+    missed &= ~is_driven
+    if missed.any():
+        decomposed.ranks = np.where(missed, decomposed.ranks_above(MISSED), decomposed.ranks)
+        pairs = zip(nearest(twists), twists, strict=True)
+        twists = [where(missed, again, before) for again, before in pairs]
+    left = np.abs(lacking(twists))
     most = np.max(CONTRADICTION * np.abs(goal) + START_TOLERANCE * before, axis=1, keepdims=True)
-    for number, row in np.argwhere((left > most) & np.any(goal, axis=1, keepdims=True))[:1]:
+    for number, row in np.argwhere((left > most) & is_driven[:, None])[:1]:
         at = [h.at for h in held for _ in h.at.rows][int(row)]
         label = body_label("twist", first + int(number), count)
         raise TwistError(

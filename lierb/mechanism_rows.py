@@ -33,6 +33,7 @@ from lierb.kernels.numbers.vec import (
     cross,
     cross_add,
     diagonal,
+    dot,
     mat_t_vec,
     mat_vec,
     neg,
@@ -178,8 +179,13 @@ class Decomposed:
     def __init__(self, matrix: Array) -> None:
         u, self.values, self.vt = np.linalg.svd(matrix)
         self.u = u[..., : self.values.shape[1]]
-        kept = self.values > RANK_TOLERANCE * self.values[:, :1]
-        self.ranks: Array = np.count_nonzero(kept, axis=1)
+        self.ranks = self.ranks_above(RANK_TOLERANCE)
+
+    def ranks_above(self, tolerance: float) -> Array:
+        """Numbers of singular values above this part of the largest one."""
+        kept = self.values > tolerance * self.values[:, :1]
+        ranks: Array = np.count_nonzero(kept, axis=1)
+        return ranks
 
     def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
         """The least x with A x = wanted, or of ‖A x − wanted‖² + damping ‖x‖².
@@ -212,6 +218,14 @@ class DecomposedRows(Decomposed):
         """Numbers of motions that all rows allow."""
         freedoms: Array = self.vt.shape[1] - self.ranks
         return freedoms
+
+    def speed(self, twists: list[Vec]) -> Array:
+        """‖x‖ of all links' twists, rad/s, (count,)."""
+        total: Any = 0.0
+        for twist, metric in zip(twists, self.system.metrics, strict=True):
+            moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
+            total = total + dot(twist[:3], twist[:3]) + dot(moving, moving)
+        return np.sqrt(total)
 
     def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
         """The twists of least kinetic energy with J V = wanted, for rows of length 1.

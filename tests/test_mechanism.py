@@ -470,7 +470,7 @@ def test_a_twist_that_opens_the_loop_is_told():
 
 def test_lengths_that_do_not_reach_are_told():
     bars = fourbar(base=3.0)
-    with pytest.raises(PoseError, match=r"pin .* stays open by .* m.*they may not reach"):
+    with pytest.raises(PoseError, match=r"stays open by .* m.*they may not reach"):
         bars.close(bars.pose())
 
 
