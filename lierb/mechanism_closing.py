@@ -277,4 +277,3 @@ def mobility(mechanism: Mechanism, poses: list[Array]) -> Mobility:
         redundant.append(found.lengths.shape[1] - found.ranks)
     mobility = Mobility(np.concatenate(free), np.concatenate(redundant))
     return mobility if size else Mobility(*(int(x[0]) for x in mobility))
-

@@ -1,8 +1,8 @@
 """All rows of a mechanism together, at poses of its links: J V = ḣ, V the twists of all links.
 
-Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest lever,
-and y with ‖y‖² twice the kinetic energy. Geometry alone says which rows depend on others, so that
-is judged in x, with rows of length 1; masses choose among the motions that all rows allow.
+Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest
+lever, and y with ‖y‖² twice the kinetic energy. Geometry alone says which rows depend on others, so
+that is judged in x, with rows of length 1; masses choose among the motions that all rows allow.
 """
 
 from __future__ import annotations
@@ -156,7 +156,8 @@ class System:
                     torque = sub(wrench[:3], cross(self.metrics[link].com, wrench[3:]))
                     found[:, number, 6 * link : 6 * link + 6] = assembled(torque + wrench[3:])
                     if r.is_translational:
-                        lever = plain(norm(torque)) / plain(norm(wrench[3:]))
+                        with np.errstate(all="ignore"):  # no force, no lever
+                            lever = np.divide(plain(norm(torque)), plain(norm(wrench[3:])))
                         levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
                 number += 1
         found[~np.isfinite(found).all(axis=(1, 2))] = 0.0  # no step, so that it stays open
@@ -225,7 +226,8 @@ class DecomposedRows(Decomposed):
         for twist, metric in zip(twists, self.system.metrics, strict=True):
             moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
             total = total + dot(twist[:3], twist[:3]) + dot(moving, moving)
-        return np.sqrt(total)
+        size: Array = np.sqrt(total)
+        return size
 
     def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
         """The twists of least kinetic energy with J V = wanted, for rows of length 1.

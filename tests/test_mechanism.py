@@ -6,6 +6,7 @@ cosines, and the saddle point by NumPy's least squares on Jacobians made by diff
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -420,6 +421,125 @@ def test_projection_is_the_saddle_point_with_pseudo_inverse(loop):
     for i, n in enumerate(bars.names):
         np.testing.assert_allclose(found[n], expected[6 * i : 6 * i + 6], rtol=0, atol=1e-8)
     assert violation(bars, pose, found) is None
+
+
+def weighing(made, masses, gyrations):
+    """The mechanism with links of other masses, and radii of gyration by these factors."""
+    links = [
+        replace(x, body=lierb.Body(m, np.asarray(x.body.inertia) / x.body.mass * m * k * k))
+        for x, m, k in zip(made.links, masses, gyrations, strict=True)
+    ]
+    return lierb.Mechanism(links, made.loops, made.gravity, made.forces)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e3])
+@pytest.mark.parametrize("gyration", [1e-6, 1e-3, 1.0, 1e3])
+def test_ranks_and_rates_do_not_depend_on_masses(size, gyration):
+    lengths = {"l1": 0.3, "l2": 0.8, "l3": 0.6, "base": 0.9}
+    made = planar_fourbar(size, **lengths)
+    angles = expected_fourbar(0.7)
+    pose = made.pose({"crank": 0.7, "rod": angles[0], "rocker": angles[1]})
+    # ω of rod and rocker by the derivative of the closed form, to 1e-10 with a step of 1e-5
+    step = 1e-5
+    change = np.subtract(expected_fourbar(0.7 + step), expected_fourbar(0.7 - step))
+    rod, rocker = 3.0 * change / (2.0 * step)
+    for number in range(3):
+        for mass in (1e-12, 1e-8, 1e12):
+            masses, gyrations = np.ones(3), np.ones(3)
+            masses[number], gyrations[number] = mass, gyration
+            unequal = weighing(made, masses, gyrations)
+            assert unequal.freedoms(pose) == (1, 3)
+            twist = unequal.project(unequal.twist({}, pose), pose)
+            rates = {n: x.item() for n, x in unequal.velocities(twist, pose).items()}
+            assert rates["crank"] == pytest.approx(3.0, abs=1e-12)
+            assert rates["rod"] == pytest.approx(rod, abs=1e-8)
+            assert rates["rocker"] == pytest.approx(rocker, abs=1e-8)
+            assert violation(unequal, pose, twist) is None
+
+
+def planar_fourbar(size, l1, l2, l3, base):
+    """A four-bar of rods of 1 kg about e₃, whose crank turns at 3 rad/s."""
+
+    def at(x):
+        return (x * size, 0.0, 0.0)
+
+    bodies = [
+        lierb.bodies.box((x * size, 0.01 * size, 0.01 * size), mass=1.0) for x in (l1, l2, l3)
+    ]
+    revolute = lierb.joints.revolute
+    return lierb.Mechanism(
+        [
+            lierb.Link("crank", bodies[0], revolute(at(-l1 / 2))),
+            lierb.Link("rod", bodies[1], revolute(at(-l2 / 2), parent_point=at(l1 / 2)), "crank"),
+            lierb.Link("rocker", bodies[2], revolute(at(-l3 / 2), ground_point=at(base))),
+        ],
+        lierb.Loop("pin", revolute(at(l3 / 2), parent_point=at(l2 / 2)), "rocker", "rod"),
+        forces=lierb.forces.motor(speed=3.0).on("crank"),
+    )
+
+
+def test_projection_is_of_least_energy_with_unequal_masses():
+    """A wheel at the end of a rod: an impulse at the hub, and none about its axis."""
+    rod = lierb.bodies.box((1.0, 0.01, 0.01), mass=1.0)
+    wheel = lierb.bodies.cylinder(0.1, 0.02, mass=1.0)
+    free = lierb.joints.free()
+    hub = lierb.joints.revolute(parent_point=(0.5, 0.0, 0.0))
+    made = lierb.Mechanism([lierb.Link("rod", rod, free), lierb.Link("wheel", wheel, hub, "rod")])
+    for mass in (1e-12, 1e-6, 1e6, 1e12):
+        unequal = weighing(made, (1.0, mass), (1.0, 1e-3))
+        pose = unequal.pose()
+        twist = {"rod": np.array((0, 0, 0.3, 0, 0, 0)), "wheel": np.array((0, 0, 2.0, 0, 0.4, 0))}
+        found = unequal.project(twist, pose)
+        heavy = float(unequal.link("rod").body.inertia[2, 2])
+        # impulse J along e₂ at the hub: v_w' = 0.4 − J/m, v_r' = J/1, ω' = 0.3 + 0.5 J/I
+        impulse = (0.4 - 0.15) / (1.0 / mass + 1.0 + 0.25 / heavy)
+        np.testing.assert_allclose(found["rod"][[2, 4]], (0.3 + 0.5 * impulse / heavy, impulse),
+                                   rtol=0, atol=1e-12)  # fmt: skip
+        assert found["wheel"][2] == pytest.approx(
+            2.0, abs=1e-9
+        )  # 1e-16 of the rod's, 1e9 times as heavy
+
+
+def folded(size):
+    """A parallelogram, whose flat pose is a change point."""
+    made = planar_fourbar(size, 0.2, 0.5, 0.2, 0.5)
+    return lierb.Mechanism(made.links, made.loops)
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9, 1e-8, 3e-8, 1e-7, 3e-7, 1e-6, 1e-3])
+def test_a_projected_twist_is_accepted_near_a_singular_pose(offset):
+    for size in (1e-3, 1.0):
+        made = folded(size)
+        for flat in (0.0, np.pi):
+            angle = flat + offset
+            pose = made.pose({"crank": angle, "rod": -angle, "rocker": angle})
+            for _ in range(3):
+                scale = np.repeat((1.0, size), 3)
+                twist = made.project({n: scale * RNG.uniform(-1, 1, 6) for n in made.names}, pose)
+                assert violation(made, pose, twist) is None
+                assert max(np.abs(twist[n][2]) for n in made.names) > 1e-3  # it still moves
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-12, 1e-9, 1e-6])
+def test_a_projected_twist_is_accepted_at_a_dead_point(offset):
+    """Crank and rod in line: the slider is at rest, but for rounding."""
+    bars = {x: lierb.bodies.box((x, 0.02, 0.02), density=2700.0) for x in (0.1, 0.3, 0.05)}
+    revolute = lierb.joints.revolute
+    rod = revolute((-0.15, 0.0, 0.0), parent_point=(0.05, 0.0, 0.0))
+    made = lierb.Mechanism(
+        [
+            lierb.Link("crank", bars[0.1], revolute((-0.05, 0.0, 0.0))),
+            lierb.Link("rod", bars[0.3], rod, "crank"),
+            lierb.Link("slider", bars[0.05], lierb.joints.prismatic(axis=(1.0, 0.0, 0.0))),
+        ],
+        lierb.Loop("pin", revolute((0.15, 0.0, 0.0)), "rod", "slider"),
+    )
+    for crank, slider in ((0.0, 0.4), (np.pi, 0.2)):
+        near = {"crank": crank + offset, "rod": -crank - 1.3 * offset, "slider": slider}
+        pose = made.close(made.pose(near))
+        for rate in (30.0, 1e-3):
+            twist = made.project(made.twist({"crank": rate}, pose), pose)
+            assert violation(made, pose, twist) is None
 
 
 def test_project_gives_motors_their_speed():

@@ -40,8 +40,10 @@ STATUS_NAMES = {
 FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # no failures
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
-    "the joint cannot be in, or where it has drifted open; a smaller dt, a c-space that keeps the "
-    "joint (lierb.predict) or rows that do not say a thing twice may help",
+    "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
+    "than the step allows, as near a change point, or where a constraint jumps like arctan2; a "
+    "smaller dt, a larger rtol near a change point, a c-space that keeps the joint (lierb.predict) "
+    "or rows that do not say a thing twice may help",
     "non_finite": "non_finite: a number overflowed or became NaN, mostly as dt is too long for "
     "the stiffest force or the fastest turn; a smaller dt helps there",
     "raised": "raised: a function of yours that runs body by body raised an exception; return "
