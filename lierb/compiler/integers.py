@@ -2,8 +2,8 @@
 
 Python's integers have as many digits as they need, Numba's wrap, and have no digits of a float that
 is too large. `CheckedIntegers` compiles a function with what stands below in place of Python's
-operators on integers, and of what makes integers of floats. Floats keep theirs; an array's integers
-wrap, as NumPy's do.
+operators on integers, and of what makes integers of floats. Floats keep theirs, but for NumPy's
+functions whose values Numba misses; an array's integers wrap, as NumPy's do.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Callable
 from inspect import signature
 from typing import Any
 
+import numba
 import numpy as np
 from numba import types
 from numba.extending import intrinsic, overload
@@ -253,5 +254,30 @@ _stands_for(math.ceil)(_whole_part(types.int64, np.ceil))
 _stands_for(round)(_whole_part(types.int64, np.rint))
 for _integer in types.integer_domain:  # np.int8 … np.uint64, which Numba knows by their types
     _stands_for(_integer)(_of_kind(_integer))
+
+
+# ---- what Numba's own gives other numbers for than NumPy does ----------------------------------
+
+
+def _of_floats(computed: Any) -> Any:
+    """computed(a, b), of numbers not all of which are integers."""
+
+    def typed(a, b):
+        kinds = types.Float, types.Integer, types.Boolean
+        if not (isinstance(a, kinds) and isinstance(b, kinds)):
+            return None
+        if _kind(a) and _kind(b):
+            return None
+        return lambda a, b: computed(np.float64(a), np.float64(b))
+
+    return typed
+
+
+_quotient = numba.njit(lambda a, b: a // b, error_model="numpy")
+_remainder = numba.njit(lambda a, b: a % b, error_model="numpy")
+_both = numba.njit(lambda a, b: (a // b, a % b), error_model="numpy")
+_stands_for(np.floor_divide)(_of_floats(_quotient))  # Numba's rounds a/b first
+_stands_for(np.remainder)(_of_floats(_remainder))  # of Numba's a zero has the sign of a
+_stands_for(np.divmod)(_of_floats(_both))
 
 CheckedIntegers = compiler_that_replaces(CHECKED)

@@ -12,6 +12,7 @@ import pickle
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -131,10 +132,10 @@ def from_bytes(content: bytes, context: Any) -> Any:
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
-    """For njit's pipeline_class: operators and calls are replaced where integers come of them.
+    """For njit's pipeline_class: replaces operators and calls that give integers, and ufuncs.
 
-    functions : by operator, built-in function, or type that is called, and by the number of
-        operands, a function with overloads, which replaces it where one of them takes their types.
+    functions : by operator, function, or type that is called, and by the number of operands, a
+        function with overloads, which replaces it where one of them takes their types.
     """
 
     @register_pass(mutates_CFG=False, analysis_only=False)
@@ -180,7 +181,9 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
     kinds = tuple(types.unliteral(state.typemap[operand.name]) for operand in operands)
     key = called, len(operands)
     function = functions.get(key) if isinstance(called, Hashable) else None
-    if function is None or not _is_of_integers(state.calltypes[old].return_type):
+    # Typing again what has no overload takes a while: most operators are those of floats.
+    is_worth_it = isinstance(called, np.ufunc) or _is_of_integers(state.calltypes[old].return_type)
+    if function is None or not is_worth_it:
         return False
     context = state.typingctx
     try:

@@ -54,12 +54,13 @@ LOOPS = {  # code of Numba's, and what it works on
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
-    "mechanics.rows.GroundPoint.holds_slide", "mechanics.rows.HeldBody.elements",
+    "mechanics.rows.Cosine.holds_turn", "mechanics.rows.GroundPoint.holds_slide",
+    "mechanics.rows.HeldBody.elements",
     "mechanics.rows.HeldBody.length",
     "mechanics.rows.HeldBody.pitch", "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind",
     "mechanics.rows.Row.holds_slide", "mechanics.rows.Row.jacobian",
-    "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection",
+    "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection", "mechanics.rows.slides",
     "stepping.formulations.SaddlePoint.is_light", "stepping.formulations.Subgroup.is_homogeneous",
     "stepping.plan.AnyPlan.formulation",
     "stepping.signals.Watching.motions",

@@ -1,12 +1,23 @@
-"""Functions that lierb offers to functions of the user's, on plain arrays: any batch shape."""
+"""What functions of the user's may call: on plain arrays of any batch shape, and where they are
+traced or compiled by Numba, on special values, against NumPy.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
+
+import numba
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import lierb
+from kernels.packs import FORMULAS, on_lanes
+from lierb.kernels.functions.function import COMPILED, traceable
+from lierb.kernels.functions.user_number import Condition, UserNumber
+from lierb.kernels.numbers import object_arrays
+from lierb.kernels.numbers.dual import Dual
 
 VECTORS = np.random.default_rng(3).uniform(-1.7, 1.7, (2, 5, 3))  # ‖ξ‖ < π
 MATRICES = lierb.lie.so3.exp(VECTORS)
@@ -68,3 +79,116 @@ def test_a_wrong_table_is_told_with_its_line():
     message = r'push cannot be compiled: line \d+, "return lierb\.table.*": a table.s xs must'
     with pytest.raises(lierb.errors.ForceError, match=message):
         push()
+
+
+# ---- special values ----------------------------------------------------------------------------
+
+INF, NAN, SUBNORMAL, LARGEST = math.inf, math.nan, 5e-324, 1.7976931348623157e308
+SPECIAL = np.array([
+    0.0, SUBNORMAL, 2.2e-308, 1e-300, 1e-160, 1e-16, 1e-8, math.nextafter(0.5, 0.0), 0.5,
+    1.0 - 2.0**-53, 1.0, 1.0 + 2.0**-52, 1.5, 2.5, 3.0, math.pi, 7.0, 20.0, 710.0, 746.0, 1e5, 2e5,
+    1e10, 2.0**52 + 0.5, 2.0**53, 1e22, 1e154, 1e300, LARGEST, INF,
+])  # fmt: skip
+SPECIAL = np.concatenate([SPECIAL, -SPECIAL, [NAN]])
+PAIRS = np.array(list(itertools.product(SPECIAL, repeat=2))).T
+
+ONE = {
+    **{name: eval(f"lambda x: np.{name}(x)", {"np": np}) for name in (
+        "sin", "cos", "tan", "exp", "expm1", "exp2", "log", "log1p", "log10", "log2", "sqrt",
+        "cbrt", "square", "reciprocal", "sinh", "cosh", "tanh", "arcsin", "arccos", "arctan",
+        "arcsinh", "arccosh", "arctanh", "absolute", "sign", "floor", "ceil", "trunc", "rint",
+        "radians", "degrees", "isnan", "isfinite", "isinf", "signbit", "sinc", "nan_to_num",
+    )},
+    "fraction": lambda x: np.modf(x)[0], "whole": lambda x: np.modf(x)[1],
+    "heaviside": lambda x: np.heaviside(x, 0.5), "clip": lambda x: np.clip(x, -1.0, 1.0),
+    "square root": lambda x: x**0.5, "its inverse": lambda x: x**-0.5, "cube": lambda x: x**3,
+    "to zero": lambda x: x**0, "of two": lambda x: 2.0**x, "over zero": lambda x: x // 0.0,
+    "over -zero": lambda x: x // -0.0, "over infinity": lambda x: x // math.inf,
+    "of -5": lambda x: -5.0 // x, "rest of 5": lambda x: 5.0 % x, "rest": lambda x: x % -3.0,
+    "rest of infinity": lambda x: x % -math.inf, "table": lambda x: lierb.table(x, (0, 3), (1, -2)),
+    "of three": lambda x: math.hypot(x, x, 1.0),
+}  # fmt: skip
+TWO = {
+    **{name: eval(f"lambda x, y: np.{name}(x, y)", {"np": np}) for name in (
+        "arctan2", "hypot", "fmax", "fmin", "copysign", "remainder", "fmod", "floor_divide",
+        "logaddexp", "greater", "logical_and",
+    )},
+    "atan2": lambda x, y: math.atan2(x, y), "power": lambda x, y: x**y,
+    "quotient": lambda x, y: x // y, "rest": lambda x, y: x % y,
+    "both": lambda x, y: np.divmod(x, y)[0], "other": lambda x, y: np.divmod(x, y)[1],
+}  # fmt: skip
+# Numba has no such function, and the user is told so.
+UNKNOWN_TO_NUMBA = {"fraction", "whole", "heaviside", "clip", "of three"}
+ROUNDINGS = 8 * 2.0**-53  # of C's library, NumPy's own code and lierb's, each within 1.5 ulp
+CANCELLING = {"logaddexp": ROUNDINGS}  # a sum of numbers about 1 that may be smaller itself
+# NumPy gives no sign to the sign of a zero, Numba does.
+UNSIGNED = {"sign"}
+
+
+def assert_numpys(name, found, function, *columns):
+    with np.errstate(all="ignore"):
+        wanted = np.array([float(function(*map(np.float64, row))) for row in zip(*columns)])
+    is_number = np.isfinite(wanted)
+    np.testing.assert_array_equal(found[~is_number], wanted[~is_number], err_msg=name)
+    off = np.abs(found[is_number] - wanted[is_number])
+    # a subnormal number has an absolute rounding
+    most = np.maximum(ROUNDINGS * np.abs(wanted[is_number]), 2 * SUBNORMAL)
+    most += CANCELLING.get(name, 0.0)
+    assert (off <= most).all(), (name, [column[is_number][off > most] for column in columns])
+    zero = wanted == 0.0
+    if name not in UNSIGNED:
+        np.testing.assert_array_equal(np.signbit(found[zero]), np.signbit(wanted[zero]), name)
+
+
+def traced(functions):
+    """A formula that gives what each of the functions gives."""
+
+    def number(found):
+        found = found.item() if isinstance(found, np.ndarray) else found
+        found = found.number() if isinstance(found, Condition) else found
+        return found.value if isinstance(found, UserNumber) else found
+
+    copies = [traceable(function) for function in functions.values()]
+    return lambda *xs: tuple(number(copy(*map(UserNumber, xs))) for copy in copies)
+
+
+@pytest.mark.parametrize(("functions", "columns"), [(ONE, (SPECIAL,)), (TWO, tuple(PAIRS))])
+def test_traced_functions_are_numpys_on_special_values(functions, columns):
+    name = f"vocabulary of {len(columns)}"
+    FORMULAS[name] = traced(functions)
+    found = on_lanes(name, *columns, results=len(functions))
+    for (each, function), one in zip(functions.items(), found, strict=True):
+        assert_numpys(each, one, function, *columns)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="NumPy's own run with the JIT off")
+@pytest.mark.parametrize(("functions", "columns"), [(ONE, (SPECIAL,)), (TWO, tuple(PAIRS))])
+def test_functions_of_one_body_are_numpys_on_special_values(functions, columns):
+    known = {
+        k: numba.njit(f, **COMPILED) for k, f in functions.items() if k not in UNKNOWN_TO_NUMBA
+    }
+    for name, function in known.items():
+        found = np.array([float(function(*row)) for row in zip(*columns)])
+        assert_numpys(name, found, functions[name], *columns)
+
+
+@pytest.mark.parametrize("size", [1e-250, 1e-3, 1.0, 1e3, 1e250])
+def test_hypot_and_arctan2_have_their_derivatives(size):
+    """d hypot = (x dx + y dy)/r; d arctan2 = (x dy − y dx)/r², where r² has a value."""
+    x, y = 3.0 * size, -4.0 * size
+    one, other = UserNumber(x, (1.0, 0.0)), UserNumber(y, (0.0, 1.0))
+    found = object_arrays.ELEMENTWISE[np.hypot](one, other)
+    assert found.value == pytest.approx(5.0 * size, rel=4e-16)
+    assert found.parts == pytest.approx((0.6, -0.8), rel=4e-16)
+    if 1e-150 < size < 1e150:
+        turned = object_arrays.ELEMENTWISE[np.arctan2](other, one)
+        assert turned.value == pytest.approx(math.atan2(y, x), rel=4e-16)
+        assert turned.parts == pytest.approx((0.16 / size, 0.12 / size), rel=4e-16)
+
+
+def test_fraction_has_its_slope_where_it_is_zero():
+    found = object_arrays.ELEMENTWISE[np.modf](UserNumber(-3.0, (1.0,)))[0]
+    assert isinstance(found, Dual)
+    assert (found.value, found.parts) == (0.0, (1.0,))
+    assert math.copysign(1.0, found.value) == -1.0

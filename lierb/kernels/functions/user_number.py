@@ -17,6 +17,7 @@ import numpy as np
 from lierb.kernels.functions.fingerprint import TEXT, UnfitFunctionError
 from lierb.kernels.numbers import lanes
 from lierb.kernels.numbers.arithmetic import (
+    PI,
     absolute,
     all_lanes,
     branch,
@@ -33,6 +34,7 @@ from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.numbers.zero import ZERO, Zero, is_zero
 
 FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
+HUGE = 2.0**1000  # beyond, sums of two numbers may overflow
 WHOLE = 2.0**52  # quotients below it have a floor that is exact
 
 DECIDES = (
@@ -387,11 +389,12 @@ _IN_NUMPY = {
 def _sine_or_cosine(name: str, x: Any) -> Any:
     which = 0 if name == "sin" else 1
     near = absolute(x) <= SINCOS_RANGE
-    return branch(
+    found = branch(
         all_lanes(near),
         lambda: sincos(x)[which],
         lambda: select(near, sincos(x)[which], _library(name, x)),
     )
+    return select(x == 0.0, x, found) if name == "sin" else found  # sin −0 is −0
 
 
 def _elementary(
@@ -430,7 +433,7 @@ arcsin = _elementary(
 arccos = _elementary(
     "arccos", partial(_library, "acos"), lambda x, y: -1.0 / sqrt((1.0 - x) * (1.0 + x))
 )
-arctan = _elementary("arctan", lambda x: atan2(x, 1.0), lambda x, y: 1.0 / (1.0 + x * x))
+arctan = _elementary("arctan", lambda x: _angle(x, 1.0), lambda x, y: 1.0 / (1.0 + x * x))
 arcsinh = _elementary("arcsinh", partial(_library, "asinh"), lambda x, y: 1.0 / sqrt(1.0 + x * x))
 arccosh = _elementary(
     "arccosh", partial(_library, "acosh"), lambda x, y: 1.0 / sqrt((x - 1.0) * (x + 1.0))
@@ -448,10 +451,22 @@ erfc: Callable[[Any], Any] = _elementary(
 )
 
 
+def _angle(y: Any, x: Any) -> Any:
+    """atan2 of plain numbers with C's signs of zeros, infinities, and no overflow on the way."""
+    y, x = plain(y), plain(x)
+    ax, ay = absolute(x), absolute(y)
+    are_infinite = (ax == math.inf) & (ay == math.inf)
+    down = select((ax > HUGE) | (ay > HUGE), 0.125, 1.0)
+    top, right = select(are_infinite, 1.0, ay * down), select(are_infinite, 1.0, ax * down)
+    angle = atan2(top, _copysign(right, x))
+    angle = select((top == 0.0) & (_copysign(1.0, x) < 0.0), PI, angle)
+    return _copysign(angle, y)
+
+
 def arctan2(y: Any, x: Any) -> Any:
     """The angle of (x, y), rad."""
     if not (isinstance(y, Dual) or isinstance(x, Dual)):
-        return atan2(y, x)
+        return _angle(y, x)
     top, right = value_of(y), value_of(x)
     value = arctan2(top, right)
     if not (parts_of(y) or parts_of(x)):
@@ -467,7 +482,8 @@ def power(base: Any, exponent: Any) -> Any:
     ):
         return _whole_power(base, int(exponent))
     if isinstance(exponent, float) and abs(exponent) == 0.5:
-        return sqrt(base) if exponent > 0.0 else 1.0 / sqrt(base)
+        found = choice(raw(base) == -math.inf, math.inf, sqrt(base + 0.0))  # of −0 it is +0
+        return found if exponent > 0.0 else 1.0 / found
     if not (isinstance(base, Dual) or isinstance(exponent, Dual)):
         return _library("pow", base, exponent)
     x, n = value_of(base), value_of(exponent)
@@ -496,7 +512,14 @@ def reciprocal(x: Any) -> Any:
 
 
 def hypot(*numbers: Any) -> Any:
-    return sqrt(sum(x * x for x in numbers))
+    """Root of the sum of squares, by a power of two where those overflow or underflow."""
+    sizes = [absolute(raw(x)) for x in numbers]
+    largest = reduce(lambda a, b: select(b > a, b, a), sizes)
+    down, up = largest > 2.0**500, largest < 2.0**-500
+    scale = UserNumber(select(down, 2.0**-600, select(up, 2.0**600, 1.0)))
+    found = sqrt(sum((x * scale) * (x * scale) for x in numbers)) / scale
+    is_infinite = reduce(lambda a, b: a | b, [size == math.inf for size in sizes])
+    return choice(is_infinite, math.inf, found)
 
 
 def logarithm(x: Any, base: float | None = None) -> Any:
@@ -579,7 +602,8 @@ def _remainder(x: Any, y: Any) -> Any:
     # The quotient, rounded, may have reached a whole number: then the rest is one y too small.
     rest = _exact_quotient(x, y, floor, "fmod")
     other_side = ((rest < 0.0) & (y > 0.0)) | ((rest > 0.0) & (y < 0.0))
-    return select(other_side, rest + y, rest)
+    rest = select(other_side, rest + y, rest)
+    return select(rest == 0.0, _copysign(0.0, y), rest)
 
 
 def _fmod(x: Any, y: Any) -> Any:
@@ -593,9 +617,15 @@ def _fmod(x: Any, y: Any) -> Any:
 def _floor_divide(x: Any, y: Any) -> Any:
     if not (isinstance(x, Lane) or isinstance(y, Lane)):
         return np.floor_divide(plain(x), plain(y))
-    quotient = (x - _remainder(x, y)) / y
+    # As NumPy and Python do it, to the bit.
+    rest = _fmod(x, y)
+    quotient = (x - rest) / y
+    other_side = ((rest < 0.0) & (y > 0.0)) | ((rest > 0.0) & (y < 0.0))
+    quotient = select(other_side, quotient - 1.0, quotient)
     whole = floor(quotient)
-    return select(quotient - whole > 0.5, whole + 1.0, whole)
+    whole = select(quotient - whole > 0.5, whole + 1.0, whole)
+    whole = select(quotient == 0.0, _copysign(0.0, x / y), whole)
+    return select(y == 0.0, x / y, whole)
 
 
 def _copysign(x: Any, y: Any) -> Any:
@@ -604,6 +634,12 @@ def _copysign(x: Any, y: Any) -> Any:
     return np.copysign(plain(x), plain(y))
 
 
+def _fraction(x: Any) -> Any:
+    part = select(absolute(x) == math.inf, 0.0, x - _intrinsic("trunc", x))
+    return _copysign(part, x)
+
+
+fraction = _elementary("fraction", _fraction, lambda x, y: 1.0)
 remainder = _of_two(_remainder, lambda x, y: (1.0, -_floor_divide(x, y)))
 fmod = _of_two(_fmod, lambda x, y: (1.0, -_intrinsic("trunc", x / y)))
 floor_divide = _of_two(_floor_divide, lambda x, y: (0.0, 0.0))
@@ -624,6 +660,12 @@ def is_infinite(x: Any) -> Any:
 
 def has_sign_bit(x: Any) -> Any:
     return _condition(x, lambda number: _copysign(1.0, number) < 0.0)
+
+
+def logaddexp(a: Any, b: Any) -> Any:
+    """log(exp a + exp b)."""
+    apart = choice((raw(a) == raw(b)) & is_infinite(raw(a)), 0.0, a - b)
+    return maximum(a, b) + log1p(exp(-abs(apart)))
 
 
 def _condition(x: Any, holds: Callable[[Any], Any]) -> Any:

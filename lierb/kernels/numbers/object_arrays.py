@@ -106,11 +106,6 @@ def _logical(combine: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return lambda a, b: combine(user.as_condition(a), user.as_condition(b))
 
 
-def _modified(x: Any) -> Any:
-    whole = user.whole_part(x)
-    return x - whole, whole
-
-
 ELEMENTWISE: dict[Any, Callable[..., Any]] = {
     np.sin: user.sin, np.cos: user.cos, np.tan: user.tan, np.exp: user.exp, np.expm1: user.expm1,
     np.exp2: user.exp2, np.log: user.log, np.log1p: user.log1p, np.log10: user.log10,
@@ -125,12 +120,13 @@ ELEMENTWISE: dict[Any, Callable[..., Any]] = {
     np.floor: user.whole_floor, np.ceil: user.whole_ceil, np.trunc: user.whole_part,
     np.rint: user.nearest, np.remainder: user.remainder, np.fmod: user.fmod,
     np.floor_divide: user.floor_divide,
-    np.divmod: lambda x, y: (user.floor_divide(x, y), user.remainder(x, y)), np.modf: _modified,
+    np.divmod: lambda x, y: (user.floor_divide(x, y), user.remainder(x, y)),
+    np.modf: lambda x: (user.fraction(x), user.whole_part(x)),
     np.radians: lambda x: x * (math.pi / 180.0), np.deg2rad: lambda x: x * (math.pi / 180.0),
     np.degrees: lambda x: x * (180.0 / math.pi), np.rad2deg: lambda x: x * (180.0 / math.pi),
     np.isnan: user.is_nan, np.isfinite: user.is_finite, np.isinf: user.is_infinite,
     np.signbit: user.has_sign_bit, np.positive: lambda x: x, np.conjugate: lambda x: x,
-    np.logaddexp: lambda a, b: user.maximum(a, b) + user.log1p(user.exp(-abs(a - b))),
+    np.logaddexp: user.logaddexp,
     np.logical_and: _logical(lambda a, b: a & b), np.logical_or: _logical(lambda a, b: a | b),
     np.logical_xor: _logical(lambda a, b: a ^ b),
     np.logical_not: lambda a: user.as_condition(a) ^ True,
