@@ -33,9 +33,9 @@ extensions = [
     "sphinx_click",
     "sphinx_copybutton",
     "sphinx_design",
-    "joint_entries",
     "links",
     "outputs",
+    "reference",
     "study_file",
 ]
 exclude_patterns = ["_build", "_ext"]
@@ -55,7 +55,7 @@ myst_heading_anchors = 4  # as GitHub makes them
 # Docstrings have numpydoc's sections. `name` in one, and each word of a type, is a link where the
 # name is documented, and code where it is not.
 napoleon_google_docstring = False
-napoleon_use_ivar = True  # attributes as a list: properties are documented by themselves
+napoleon_custom_sections = [("Attributes", "params_style")]  # a list, as of parameters
 default_role = "py:obj"
 nitpicky = True
 nitpick_ignore_regex = [("py:(obj|class)", r".*")]

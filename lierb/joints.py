@@ -131,7 +131,7 @@ class Joint(Shown):
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
-        """Kinds of constraint error of the joint: "position", "rotation", both or none."""
+        """Kinds of constraint error of the joint, of "position" and "rotation"."""
         return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property

@@ -57,7 +57,7 @@ class States(Shown):
 
     @property
     def t(self) -> Array:
-        """Times of the state, s: (times,) of the history, or (n,), the end of each trajectory.
+        """Times of the state, s, (times,) of the history, or (n,), the end of each trajectory.
 
         A trajectory that failed ends there; the history goes on.
         """
@@ -67,17 +67,17 @@ class States(Shown):
 
     @property
     def position(self) -> Array:
-        """Position r in the ground frame, m: (times, n, 3), or (n, 3) at the end."""
+        """Position r in the ground frame, m, (times, n, 3), or (n, 3) at the end."""
         return self._state("position", 3)
 
     @property
     def rotation(self) -> Array:
-        """R, from the body's axes to the ground's: (times, n, 3, 3), or (n, 3, 3) at the end."""
+        """Rotation R from body axes to ground axes, (times, n, 3, 3), or (n, 3, 3) at the end."""
         return self._state("rotation", 3, 3)
 
     @property
     def quaternion(self) -> Array:
-        """The rotation as a unit quaternion (w, x, y, z): (times, n, 4), or (n, 4) at the end.
+        """Rotation as a unit quaternion (w, x, y, z), (times, n, 4), or (n, 4) at the end.
 
         Of the two, p and −p, that with w ≥ 0, so that a row is the same whatever else is saved.
         Along a history it jumps where w would pass through 0. Made of `rotation` when asked for.
@@ -89,7 +89,7 @@ class States(Shown):
 
     @property
     def omega(self) -> Array:
-        """Angular velocity in the body's axes, rad/s: (times, n, 3), or (n, 3) at the end."""
+        """Angular velocity in the body's axes, rad/s, (times, n, 3), or (n, 3) at the end."""
         return self._state("omega", 3)
 
     @property

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import re
 import typing
+from functools import cached_property
 from itertools import chain
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +18,9 @@ import lierb
 
 DOCS = Path(__file__).parent.parent / "docs"
 REFERENCE = [page.read_text(encoding="utf-8") for page in sorted(DOCS.glob("reference/*.md"))]
-DIRECTIVE = re.compile(r"^\.\. (auto)?(\w+):: (lierb[\w.]*)(\(\))?\n((?:   :.*\n)*)", re.MULTILINE)
+DIRECTIVE = re.compile(
+    r"^\.\. (auto)?(\w+):: (lierb[\w.]*)(\(.*\))?\n((?:   :.*\n)*)", re.MULTILINE
+)
 
 
 def _public() -> dict[str, object]:
@@ -44,19 +47,18 @@ def _item(name: str) -> typing.Any:
     return getattr(holder, last) if hasattr(holder, last) else importlib.import_module(name)
 
 
-def _documented() -> dict[str, bool]:
-    """Every name in the reference, and whether its signature is left out there."""
-    names: dict[str, bool] = {}
-    for _, kind, name, hidden, options in DIRECTIVE.findall("\n".join(REFERENCE)):
+def _documented() -> dict[str, str]:
+    """Every name in the reference, and the signature that it has there, if it is not its own."""
+    names: dict[str, str] = {}
+    for _, kind, name, signature, options in DIRECTIVE.findall("\n".join(REFERENCE)):
         if kind == "currentmodule":
             continue
-        names[name] = bool(hidden)
+        names[name] = signature
         if members := re.search(r":(?:special-)?members:(.*)", options):
-            own = [
-                x for x, item in vars(_item(name)).items() if x[0] != "_" and inspect.getdoc(item)
-            ]
-            listed = members[1].replace(",", " ").split() or own
-            names |= {f"{name}.{member}": False for member in listed}
+            item = _item(name)
+            public = [x for x, y in vars(item).items() if x[0] != "_" and inspect.getdoc(y)]
+            listed = members[1].replace(",", " ").split() or getattr(item, "__all__", public)
+            names |= {f"{name}.{member}": "" for member in listed}
     return names
 
 
@@ -135,7 +137,7 @@ def test_documented_parameters_are_the_real_ones(name):
     """
     item = _item(name)
     text = sections(inspect.getdoc(item) or "")
-    if DOCUMENTED[name]:
+    if DOCUMENTED[name] == "()":
         assert "Parameters" not in text
         listed = entries(text.get("Attributes", ""))
         known = {
@@ -148,6 +150,8 @@ def test_documented_parameters_are_the_real_ones(name):
         assert "Attributes" not in text
         listed, real = entries(text.get("Parameters", "")), _parameters(item)
         assert list(listed) == list(real)
+        shown = re.findall(r"(\*{0,2}[a-z]\w*)(?:=[^,)]*)?[,)]", DOCUMENTED[name])
+        assert shown in ([], list(real))
         for parameter, (kind, _) in listed.items():
             assert kind.endswith(", optional") == real[parameter], parameter
     assert all(kind and said for kind, said in listed.values()), listed
@@ -181,6 +185,8 @@ def test_a_docstring_opens_with_its_subject(name):
     if isinstance(item, (dict, lierb.joints.JointType)):
         return
     before = sections(inspect.getdoc(item or _item(name)) or "")[""]
+    if isinstance(item, (property, cached_property)):  # `x: y` would be its type
+        assert ": " not in before.partition("\n")[0]
     assert before.strip()
     assert not re.match(rf"({'|'.join(ODD_OPENINGS)})\b", before)
     assert not re.search(r"^[a-z]\w*(, \w+)* : ", before, re.MULTILINE), before

@@ -1,4 +1,4 @@
-"""A cell of a notebook that ends in an expression, or runs a command last, has to show something."""
+"""A cell of a notebook that ends in an expression or a command has to show something."""
 
 from __future__ import annotations
 

@@ -414,7 +414,7 @@ class Study(Shown, Section):
 
     @property
     def settings(self) -> list[Setting]:
-        """Settings that are run, the product of its c-spaces, methods and steps: a list."""
+        """Settings that are run, a list of the product of its c-spaces, methods and steps."""
         run = self.integrate
         each = product(run.cspace, run.method, run.steps)
         return [Setting(cspace, method, *step) for cspace, method, step in each]

@@ -1,8 +1,11 @@
-"""Entries of the joint catalogue in the reference: rows, motions and arguments of each."""
+"""The reference: entries of the joint catalogue, and dashes in lists of parameters."""
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any
+
+from docutils import nodes
 
 from lierb.joints import JointType
 
@@ -29,6 +32,15 @@ def _process(
         lines[:] = _described(obj)
 
 
+def _dashed(_app: Sphinx, doctree: nodes.document) -> None:
+    """Sphinx puts ` -- ` before what it says of a parameter, for smart quotes to make a dash of."""
+    for field in doctree.findall(nodes.field):
+        for text in list(field.findall(nodes.Text)):
+            if re.match(r"\)? -- ", text):
+                text.parent.replace(text, nodes.Text(text.replace("--", "–", 1)))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("autodoc-process-docstring", _process)
+    app.connect("doctree-read", _dashed)
     return {"parallel_read_safe": True}
