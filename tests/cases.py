@@ -88,7 +88,7 @@ def tilted(name: str, gravity=GRAVITY) -> tuple[lierb.Problem, np.ndarray]:
 
     A rod swings so fast that it takes a tenth of the others' speed.
     """
-    speed = {"point_on_sphere": 0.1}.get(name, 1.0)
+    speed = 0.1 if "length" in lierb.joints.JOINTS[name].options else 1.0
     problem = lierb.Problem(box(turned=True), joint(name), gravity)
     lively = np.array((2 * np.pi, np.pi, 0.2 * np.pi, 0.4, 0.3, -1.0))
     return problem, problem.project(speed * lively)
