@@ -16,7 +16,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 MECHANISMS ?=
 
-.PHONY: help install demo docs picture test test-mechanisms test-long test-oldest lint dist faults bench bench-peers clean
+.PHONY: help install demo docs check-docs picture test test-mechanisms test-long test-oldest lint dist faults bench bench-peers clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -30,6 +30,13 @@ demo: $(VENV)/.demo  ## reproduce section 5 of the paper: tables and figures in 
 docs: $(VENV)/.docs  ## build the site in docs/_build/html; its notebooks run, a warning is an error
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html $(ARGS)
 	@echo "docs/_build/html/index.html"
+
+check-docs:  ## build the site, follow README and CONTRIBUTING, in a clone with its own environments
+	rm -rf results/clone
+	git clone --quiet . results/clone
+	$(MAKE) -C results/clone VENV=.venv docs
+	$(MAKE) -C results/clone VENV=.venv dist
+	$(MAKE) -C results/clone VENV=.venv test ARGS="tests/test_contributing.py tests/test_docs.py tests/test_site.py"
 
 picture: $(VENV)/.docs  ## draw the picture of the front page again
 	$(BIN)/python docs/gallery/heavy_top.py docs/_static/heavy_top.png

@@ -9,6 +9,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import readme
+
 import lierb
 
 NAMES = {"heavy_top", "pendulum", "pin_in_slot", "satellite"}
@@ -36,7 +38,8 @@ def main(wheel: str) -> None:
     (told,) = run.summary.to_pylist()
     assert told["status"] == "ok"
     assert told["position_error_max"] < 1e-15
-    print(f"lierb {lierb.__version__} works in {sys.prefix}")
+    readme.run()
+    print(f"lierb {lierb.__version__} works in {sys.prefix}, and so does README.md")
 
 
 def _printed(*arguments: str) -> str:

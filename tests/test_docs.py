@@ -9,6 +9,7 @@ import re
 from pathlib import Path
 
 import pytest
+import readme
 from cases import slow_but
 
 import lierb
@@ -114,18 +115,5 @@ def test_examples_run(page):
 
 
 @pytest.mark.slow
-def test_readme_examples_print_what_they_say(capsys):
-    """One after the other, as in one file."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    number = re.compile(r"[0-9.]+e[+-][0-9]+")
-    names: dict = {}
-    examples = re.findall(r"```python\n(.*?)```\n\n```\n(.*?)```", text, re.DOTALL)
-    assert len(examples) == 3
-    for code, shown in examples:
-        exec(compile(code, "README.md", "exec"), names)
-        lines = capsys.readouterr().out.splitlines()
-        for said, printed in zip(shown.splitlines(), lines, strict=True):
-            assert number.sub("", said) == number.sub("", printed)
-            expected, found = ([float(x) for x in number.findall(line)] for line in (said, printed))
-            # another CPU rounds otherwise; drift stays within a factor
-            assert found == pytest.approx(expected, rel=0.5, abs=1e-14)
+def test_readme_examples_print_what_they_say():
+    readme.run()
