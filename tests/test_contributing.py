@@ -19,8 +19,8 @@ IN_PACKAGE = (
 CATALOGUES = (
     "test_joints", "test_oracle", "test_initial_conditions", "test_prediction", "test_scale",
     "test_site", "test_study", "test_tableaus", "test_tableaus_orders", "test_mechanism",
-    "test_multipliers", "test_animation", "test_history_plots", "kernels/test_every_formula",
-    "mechanisms/test_oracle",
+    "test_multipliers", "test_tables", "test_animation", "test_history_plots",
+    "kernels/test_every_formula", "mechanisms/test_oracle",
 )  # fmt: skip
 
 SCRIPT = """
@@ -127,7 +127,7 @@ def test_tests_over_the_catalogues_take_what_the_diffs_add(copy):
     """Those that compile no kernel, of what is added and of the catalogues as a whole."""
     files = [f"tests/{name}.py" for name in CATALOGUES]
     added = "tube or loosely or attraction or Heun3 or spin"
-    wholes = "catalogue or follow_from or page_of_methods"
+    wholes = "catalogue or follow_from or page_of_methods or schema or adds_its_columns"
     out = run(
         copy,
         "-m",

@@ -28,24 +28,22 @@ class StudyFile(SphinxDirective):
 def _lines(schema: dict[str, Any]) -> Iterator[str]:
     """Markdown."""
     for name, value in schema["properties"].items():
-        if "$ref" not in value:
+        if not (section := _table_of(schema, value)):
             continue
-        section = schema["$defs"][value["$ref"].rpartition("/")[2]]
         needed = name in schema.get("required", ())
-        yield from (f"## `[{name}]`", "")
-        yield from _described(section)
+        yield from (f"## `[{name}]`", "", section.get("description", ""), "")
         yield from ("" if needed else "May be left out.", "")
         yield from _keys(section)
         for key, within in section["properties"].items():
-            if ref := within.get("items", {}).get("$ref"):
-                inner = schema["$defs"][ref.rpartition("/")[2]]
-                yield from (f"### `[[{name}.{key}]]`", "", *_described(inner), *_keys(inner))
+            if inner := _table_of(schema, within.get("items", {})):
+                yield from (f"### `[[{name}.{key}]]`", "", inner.get("description", ""), "")
+                yield from _keys(inner)
 
 
-def _described(section: dict[str, Any]) -> Iterator[str]:
-    """The class's docstring; what it says of arguments, a line each."""
-    for line in section.get("description", "").splitlines():
-        yield from (line, "")
+def _table_of(schema: dict[str, Any], value: dict[str, Any]) -> dict[str, Any]:
+    """The table that a value is, or may be; none for other values."""
+    refs = [each["$ref"] for each in (value, *value.get("anyOf", ())) if "$ref" in each]
+    return schema["$defs"][refs[0].rpartition("/")[2]] if refs else {}
 
 
 def _keys(section: dict[str, Any]) -> Iterator[str]:
@@ -58,7 +56,10 @@ def _keys(section: dict[str, Any]) -> Iterator[str]:
 
 
 def _default(value: Any) -> str:
-    return "" if value in (None, {}, []) else f"`{json.dumps(value)}`"
+    is_empty = value in (None, [])
+    if isinstance(value, dict):
+        is_empty = all(each is None for each in value.values())
+    return "" if is_empty else f"`{json.dumps(value)}`"
 
 
 def _type(value: dict[str, Any]) -> str:
@@ -70,6 +71,7 @@ def _type(value: dict[str, Any]) -> str:
         length = value.get("minItems") if value.get("minItems") == value.get("maxItems") else None
         inner = _type(value["items"]) if value.get("items") else "value"
         each = inner.replace("list of", "lists of") if "list of" in inner else f"{inner}s"
+        each = f"rows of {inner}" if inner[:1].isdigit() else each
         return f"{length} {each}" if length else f"list of {each}"
     word = WORDS.get(value.get("type", ""), "table" if "$ref" in value else "value")
     bounds = {"exclusiveMinimum": ">", "minimum": "≥", "maximum": "≤", "exclusiveMaximum": "<"}

@@ -250,11 +250,11 @@ class ControllerSection(ElementSection):
 
 
 class LinkStart(Section):
-    """How a link starts. Its pose: coordinates, or rotation and place, or pose; its velocities.
+    """Start of a link: pose by `coordinates`, `rotation` and `place`, or `pose`; its velocities.
 
-    coordinates : of its joint; velocities : their rates. A number where there is one.
-    rotation, place : its joint frame seen from that of its parent, 3×3, and m.
-    pose : in the ground frame, 4×4.   omega, twist : in its own axes.
+    `coordinates` and `velocities` are those of its joint and their rates; a number where there is
+    one. `rotation`, 3×3, and `place`, m, are its joint frame in that of its parent. `pose`, 4×4, is
+    in the ground frame. `omega` and `twist` are in its own axes.
     """
 
     coordinates: float | list[float] | None = None
@@ -309,13 +309,13 @@ class ProblemSection(Section):
 
 
 class InitialSection(Section):
-    """The start. Velocities: omega and point_velocity, or twist, or velocities. Pose: see below.
+    """Start: velocities by `omega` and `point_velocity`, `twist` or `velocities`; pose as below.
 
-    coordinates : of the joint, in the order of `Joint.coordinate_names`; velocities : their rates.
-    rotation, place : the body's joint frame seen from the ground's, 3×3, and m.
+    `coordinates` are those of the joint, in the order of `Joint.coordinate_names`, and `velocities`
+    their rates. `rotation`, 3×3, and `place`, m, are the body's joint frame in the ground's.
 
-    Of a mechanism only `close`: "auto" closes what is open, to the nearest pose and twist by the
-    masses; "never" leaves it. How each link starts its own table says, [problem.links.initial].
+    For a mechanism there is only `close`: "auto" closes what is open, to the nearest pose and twist
+    by the masses; "never" leaves it. Each link's own table, [problem.links.initial], has its start.
     """
 
     close: Literal["auto", "never"] | None = None
@@ -329,11 +329,10 @@ class InitialSection(Section):
 
 
 class SampleSection(BaseModel):
-    """How many bodies, and what each draws; quantities are [sample.SECTION.KEY] tables.
+    """Number of bodies, and the quantities that are drawn for each, as [sample.SECTION.KEY] tables.
 
-    Of a mechanism's links and loops they are [sample.NAME.SECTION.KEY], as sample.rod.body.mass.
-
-    stop_when : with how many of them the study ends before its time; see `lierb.studies.stopping`.
+    Those of a mechanism's links and loops are [sample.NAME.SECTION.KEY], as sample.rod.body.mass.
+    `stop_when` is the rule by which a study ends early; see `lierb.studies.stopping`.
     """
 
     model_config = SECTION | ConfigDict(
