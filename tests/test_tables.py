@@ -876,8 +876,8 @@ def address(arrow_array):
 def test_history_columns_are_views_of_the_kernels_arrays(top, kept_output):
     table = run(*top, save_every=3, record=("state", "energy", "multipliers")).history
     (output,) = kept_output
-    scalars = [name for name in table.column_names if name.endswith(("error", "drift", "energy"))]
-    assert len(scalars) == 7
+    own = ("t", "work")  # no work is done here
+    scalars = [f.name for f in table.schema if f.type == pa.float64() and f.name not in own]
     places = {array.ctypes.data for array in output.history}
     assert {address(table[name].chunk(0)) for name in scalars} == places
     for name, array in zip(VECTOR, output.states, strict=True):
