@@ -258,13 +258,8 @@ class Wrench(Decorated):
 
     _potential: Callable[..., Any] | None = None
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        defaults: dict[str, Any],
-        discontinuities: str | Iterable[str],
-    ) -> None:
-        given = discontinuities
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        given = defaults.pop("discontinuities", ())
         names = (given,) if isinstance(given, str) else tuple(given)
         for name in names:
             if name not in defaults:
@@ -341,13 +336,7 @@ def wrench(function: Callable[..., Any], /) -> Wrench: ...
 def wrench(
     *, discontinuities: str | Iterable[str] = (), **defaults: ArrayLike
 ) -> Callable[[Callable[..., Any]], Wrench]: ...
-def wrench(
-    function: Callable[..., Any] | None = None,
-    /,
-    *,
-    discontinuities: str | Iterable[str] = (),
-    **defaults: ArrayLike,
-) -> Any:
+def wrench(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
     """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
 
     The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
@@ -396,7 +385,7 @@ def wrench(
     >>> tether(stiffness=[5.0, 10.0, 20.0])
     <tether: stiffness, anchor>
     """
-    return decorated(partial(Wrench, discontinuities=discontinuities), function, defaults)
+    return decorated(Wrench, function, defaults)
 
 
 @overload
@@ -522,7 +511,7 @@ def require_unit(argument: str, unit: Any) -> str:
     return unit
 
 
-def decorated(kind: Callable[..., Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
     if function is None:
         return lambda given: decorated(kind, given, defaults)
     if not inspect.isfunction(function):
