@@ -189,7 +189,8 @@ def random_description(
     return Sample(made, *oracle.consistent(made, start, wanted))
 
 
-AXIS_KEPT = ("revolute", "cylindrical", "prismatic", "screw", "planar", "pin_in_slot")
+# Joints that keep the axis and turn about it, so that a torque about it acts.
+AXIS_KEPT = ("revolute", "cylindrical", "screw", "planar", "pin_in_slot")
 
 
 def _forces(rng: np.random.Generator, made: oracle.Description, n: int) -> tuple[Any, ...]:
