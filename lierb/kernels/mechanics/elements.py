@@ -52,6 +52,10 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 
+# What a function of the pose does is unknown. An eighth of a turn is 0.2 rad between stages of
+# DOP853 and 0.45 rad between those of Tsit5; events are looked at four times in it.
+TURN = 0.25 * PI
+SHARE = 0.25  # of the distance from the frame's origin, beside the body's own size
 BEFORE = 1.0 - 1e-12  # of the way to a kink, and there the step ends
 
 Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's point
@@ -64,8 +68,8 @@ class Element:
     needs_axis: whether it acts about or along e₃ of the joint, which must then be the body's and
     the ground's at once.   needs_slide: whether along it.   rows: how many constraints it adds.
     does_work: whether it can change E = T + U, U being the `energy` of all elements.
-    is_passive: whether it does nothing to the motion by itself.   bounds_steps: whether `travel`
-    gives bounds.
+    is_passive: whether it does nothing to the motion by itself.   bounds_steps: whether adaptive
+    steps are to keep the bounds of `travel`.
     """
 
     needs_axis: ClassVar[bool] = False
@@ -117,11 +121,14 @@ class Element:
         """Bounds on an adaptive step: how fast the pose moves at `end`, and how far it may go.
 
         The error estimate of a step sees only what its stages meet. Where the element acts in a
-        part of the way alone, these bounds keep a step from passing over that part.
+        part of the way alone, these bounds keep a step from passing over that part. Those here are
+        for a function of the pose of which nothing is known: a part of a turn, and a way that is
+        short beside the distance from the frame's origin.
 
         start, end : motions at both ends of the step.   size : the body's radius of gyration, m.
         """
-        return ()
+        way = fma(SHARE, norm(start.place), size)
+        return Bound(norm(end.omega), TURN), Bound(norm(end.v), way)
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
         """Times at which it may jump, s."""
@@ -133,20 +140,6 @@ class Bound(NamedTuple):
 
     rate: Any
     distance: Any
-
-
-# What a function of the pose does is unknown. An eighth of a turn is 0.2 rad between stages of
-# DOP853 and 0.45 rad between those of Tsit5; events are looked at four times in it.
-TURN = 0.25 * PI
-SHARE = 0.25  # of the distance from the frame's origin, beside the body's own size
-
-
-def unknown_travel(start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
-    """Bounds for a function of the pose of which nothing is known: a part of a turn, and a way
-    that is short beside the distance from the frame's origin.
-    """
-    way = fma(SHARE, norm(start.place), size)
-    return Bound(norm(end.omega), TURN), Bound(norm(end.v), way)
 
 
 def travel_to_kink(place: Any, rate: Any, kinks: tuple[Any, ...]) -> Bound:
@@ -205,9 +198,6 @@ class UserWrench(Element):
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
         found = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
         return total + found.parts[0] if isinstance(found, UserNumber) else total
-
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
-        return unknown_travel(start, end, size)
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
         given = dict(zip(self.shapes, placed[1], strict=False))  # `body`'s come after them
@@ -362,9 +352,6 @@ class UserEvent(Passive):
 
     function: Function
 
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
-        return unknown_travel(start, end, size)
-
     def value(self, placed: Any, x: Motion) -> Any:
         return self.asked(placed, x)
 
@@ -419,9 +406,6 @@ class UserStates(_Starting):
     bounds_steps: ClassVar = True
     function: Function
     states: Shapes
-
-    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
-        return unknown_travel(start, end, size)
 
     @property
     def own(self) -> Shapes:
