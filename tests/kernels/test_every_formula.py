@@ -82,8 +82,16 @@ OF_MECHANISMS = (
 # function of a motion to differentiate; the rest sees such a lane alone. tests/clocks holds it
 # against truths.
 OF_CLOCKS = (
+    "mechanics.elements.Element.jumps",
+    "mechanics.elements.Element.travel",
+    "mechanics.elements.UserEvent.value_nearby",
+    "mechanics.elements.UserWrench.jumps",
+    "mechanics.elements.travel_to_kink",
     "stepping.formulations.OnOneChart.places",
     "stepping.held.",
+    "stepping.signals.Watching.events_nearby",
+    "stepping.signals.Watching.jumps",
+    "stepping.signals.Watching.travel",
     "stepping.stepper.between",
     "stepping.stepper.extended",
     "stepping.crossings.",
