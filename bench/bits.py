@@ -3,9 +3,11 @@
     python bench/bits.py record before.json         with one version
     python bench/bits.py compare before.json        with another, on the same kind of CPU
 
-The runs are every joint on every c-space, both updates, four methods and every kind of force, each
-from starts of its own: with histories, at tiny and at large angles, at another time, with batched
-parameters, and going on from where another run ended. Some minutes where nothing is compiled yet.
+The runs of one body are every joint on every c-space, both updates, four methods and every kind of
+force, each from starts of its own: with histories, at tiny and at large angles, at another time,
+with batched parameters, and going on from where another run ended. Adaptive steps, events and
+controllers, mechanisms with and without stabilisation, and the studies of examples/ follow. A
+quarter of an hour where nothing is compiled yet.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,7 +26,9 @@ import pyarrow as pa
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from cases import SUBGROUP_JOINTS, integrate, tilted
+from cases import RECORD, SUBGROUP_JOINTS, integrate, tilted
+from clocks.shared import spread_tops, thrown, top_problem
+from mechanisms.shared import double_pendulum, four_bar
 
 import lierb
 from lierb import forces
@@ -121,6 +126,139 @@ def runs() -> Iterator[tuple[str, Callable[[], lierb.Result]]]:
         yield f"{name}: heavier", go(heavier(problem), starts, dt=1e-2, steps=20, **options)
         yield f"{name}: goes on", goes_on(problem, starts, dt=1e-2, **options)
 
+    yield from clocked()
+    yield from of_mechanisms()
+    yield from of_studies()
+
+
+@lierb.event(direction=0)
+def upright(R):
+    return R[2, 2] - 0.5
+
+
+@lierb.event(direction=-1, terminal=True)
+def landed(r):
+    return r[2]
+
+
+@lierb.controller(every=0.05)
+def damper(t, omega):
+    return {"torque": -0.2 * omega[2]}
+
+
+@lierb.wrench
+def damped(t, R, r, omega, v, params, controls):
+    return (0.0, 0.0, controls.torque), (0.0, 0.0, 0.0)
+
+
+CLOCKS: dict[str, dict[str, Any]] = {
+    "DP54": {"rtol": 1e-7, "method": "DP54"},
+    "DOP853": {"rtol": 1e-9},
+    "RK4, looked at": {"dt": 1e-2},
+}
+
+
+def clocked() -> Iterator[tuple[str, Callable[[], lierb.Result]]]:
+    """Adaptive steps, rows at given times, events and controllers of one body."""
+    for name in lierb.joints.JOINTS:
+        problem, twist = tilted(name)
+        events = [upright()]
+        watched = lierb.Problem(problem.body, problem.joint, problem.gravity, events=events)
+        for way in ("SE3", "SO3xR3"):
+            for clock, options in CLOCKS.items():
+                given = {"twist0": STARTS * twist, "cspace": way, **options}
+                yield f"{name}, {way}, {clock}: events", timed(watched, t_end=0.5, **given)
+                if "rtol" in options:
+                    saved = {"save_at": [0.1, 0.11, 0.4], "record": ["state", "multipliers"]}
+                    yield (
+                        f"{name}, {way}, {clock}: saved",
+                        timed(problem, t_end=0.5, **given, **saved),
+                    )
+                    yield f"{name}, {way}, {clock}: continued", timed_on(problem, 0.2, 0.5, **given)
+    steered = top_problem(forces=damped(), controllers=[damper()])
+    for clock, options in CLOCKS.items():
+        tops = {"twist0": spread_tops(20), **options}
+        yield f"controller, {clock}", timed(steered, t_end=0.6, **tops)
+        yield f"controller, {clock}: goes on", timed_on(steered, 0.23, 0.6, **tops)
+        ball, start = thrown([1.0, 2.0, 4.0], [0.0, 1.0, -1.0], events=[landed()])
+        yield f"landing, {clock}", timed(ball, t_end=3.0, **start, **options)
+
+
+def timed(problem: Any, **options: Any) -> Callable[[], lierb.Result]:
+    return lambda: lierb.integrate(problem, **options)
+
+
+def timed_on(problem: Any, t: float, t_end: float, twist0: Any, **options: Any) -> Any:
+    def run() -> lierb.Result:
+        first = lierb.integrate(problem, twist0=twist0, t_end=t, **options)
+        return lierb.integrate(problem, **first.end, t_end=t_end, **options)
+
+    return run
+
+
+WAYS: dict[str, dict[str, Any]] = {
+    "joints": {},
+    "SE3": {"cspace": "SE3"},
+    "SO3xR3": {"cspace": "SO3xR3"},
+}
+STABILISED: dict[str, Any] = {
+    "project": "project", "Baumgarte": lierb.baumgarte(5.0, 5.0)
+}  # fmt: skip
+
+
+def of_mechanisms() -> Iterator[tuple[str, Callable[[], lierb.Result]]]:
+    """Trees and a loop, in each c-space, stabilised and not, with fixed and adaptive steps."""
+    tree, loop = double_pendulum(), four_bar()
+    speeds = np.array([0.1, 1.0, 3.0, -2.0, 5.0])
+    closed = loop.close(loop.pose({"crank": 0.8, "coupler": -0.5, "rocker": 1.2}))
+    starts = {
+        "double pendulum": (tree, {"twist0": tree.twist({"upper": speeds, "lower": -speeds})}),
+        "four-bar": (loop, {
+            "pose0": closed,
+            "twist0": loop.project(loop.twist({"crank": speeds}, closed), closed),
+        }),
+    }  # fmt: skip
+    for name, (machine, start) in starts.items():
+        for way, more in WAYS.items():
+            yield f"{name}, {way}, RK4", timed(machine, dt=2e-3, t_end=0.2, **start, **more)
+            yield (
+                f"{name}, {way}, RK4: saved",
+                timed(machine, dt=2e-3, t_end=0.2, save_every=7, record=RECORD, **start, **more),
+            )
+            for how in (None, *STABILISED):
+                stabilise = STABILISED[how] if how else None
+                options = {**more, "rtol": 1e-8, "stabilise": stabilise}
+                yield (
+                    f"{name}, {way}, {how}, adaptive",
+                    timed(machine, t_end=0.3, **start, **options),
+                )
+            yield (
+                f"{name}, {way}: goes on",
+                lambda m=machine, s=start, o=more: mechanism_on(m, s, dt=2e-3, **o),
+            )
+
+
+def mechanism_on(machine: lierb.Mechanism, start: Any, **options: Any) -> lierb.Result:
+    first = lierb.integrate(machine, t_end=0.1, **start, **options)
+    return lierb.integrate(machine, **first.end, t_end=0.2, **options)
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+TABLES = ("summary", "history", "events")
+
+
+def of_studies() -> Iterator[tuple[str, Callable[[], list[pa.Table]]]]:
+    """The example studies, of a few trajectories each."""
+    for study in sorted(EXAMPLES.glob("*.toml")):
+        yield f"study {study.stem}", lambda study=study: study_tables(study)
+
+
+def study_tables(study: Path) -> list[pa.Table]:
+    with tempfile.TemporaryDirectory() as folder:
+        dataset = lierb.run(study, out=Path(folder) / "out", changes={"sample.n": 24})
+        named = [name for name in TABLES if (dataset.folder / name).is_dir()]
+        return [dataset.table(name).to_table() for name in named]
+
 
 def heavier(problem: lierb.Problem) -> lierb.Problem:
     """Five bodies of other masses and inertias, in another gravity."""
@@ -144,16 +282,20 @@ def goes_on(problem: Any, twist: Any, *, dt: float, **options: Any) -> Any:
     return run
 
 
-def digest(result: lierb.Result) -> str:
-    """Of every number and word of a result's tables, and of how a run goes on from it."""
+def digest(result: lierb.Result | list[pa.Table]) -> str:
+    """Digest of every number and word of a result's tables, and of its continuation's start."""
     found = hashlib.sha256()
-    for table in (result.summary, result.history):
+    is_result = isinstance(result, lierb.Result)
+    tables = [result.summary, result.history, result.events] if is_result else result
+    for table in tables:
         for name in table.column_names if table is not None else ():
             column = table[name].combine_chunks()
             found.update(name.encode())
             found.update(numbers(column))
-    for name, value in sorted(result.end.items()) if not len(result.failed) else ():
-        found.update(name.encode() + np.asarray(value, dtype=float).tobytes())
+    goes_on = is_result and set(result.summary["status"].to_pylist()) == {"ok"}
+    for name, value in sorted(result.end.items()) if goes_on else ():
+        for part in value.values() if isinstance(value, dict) else [value]:
+            found.update(name.encode() + np.asarray(part, dtype=float).tobytes())
     return found.hexdigest()
 
 
