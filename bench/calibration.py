@@ -14,9 +14,9 @@ from numba import njit
 
 from lierb.compiler.code import OPTIONS, compiled
 from lierb.compiler.tags import Tag
-from lierb.compiler.trace import kernel
 from lierb.kernels.numbers.arithmetic import fma, load, store
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.trace import kernel
 
 CHAINS = 12  # enough to hide the latency of two units; with the operands, they fit 16 registers
 TURNS = 200_000

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 import lierb
-from lierb.colours import CSPACE_COLOURS
+from lierb.results.colours import CSPACE_COLOURS
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "bench" / "results"
@@ -137,7 +137,7 @@ def rows_of(name: str) -> Iterator[dict[str, Any]]:
         yield from told(lierb.convergence(problem, method, dts, **given))
 
 
-def told(found: lierb.studies.comparison.Comparison) -> Iterator[dict[str, Any]]:
+def told(found: lierb.analysis.comparison.Comparison) -> Iterator[dict[str, Any]]:
     for row in found.table.to_pylist():
         row["cpu_time"] /= COUNT
         shown = {k: row[k] for k in KEPT if row[k] is not None}

@@ -1,32 +1,37 @@
 """lierb: a batch integrator for constrained rigid bodies on Lie groups, compiled by Numba."""
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from lierb import animation, bodies, errors, forces, joints, lie, noise, sampling
-from lierb.animation import animate
+from lierb import errors, lie, sampling
+from lierb.analysis.comparing import convergence
+from lierb.analysis.prediction import predict
 from lierb.api import integrate
-from lierb.extras import is_installed, require
 from lierb.installation import info, warmup
 from lierb.kernels.functions.user_number import where
-from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
-from lierb.links import Link, Loop
-from lierb.mechanism import Mechanism
-from lierb.model import Body, Problem
-from lierb.prediction import predict
-from lierb.result import Result
-from lierb.runs.mechanisms import baumgarte
+from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
+from lierb.methods import TABLEAUS, ButcherTableau
+from lierb.model import bodies, forces, joints
+from lierb.model.bodies.body import Body
+from lierb.model.functions import noise
+from lierb.model.functions.elements import constraint, observable, wrench
+from lierb.model.functions.in_time import controller, event, states
+from lierb.model.mechanism.links import Link, Loop
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results import animation
+from lierb.results.animation import animate
+from lierb.results.result import Result
 from lierb.runs.provenance import package_version
-from lierb.studies.comparing import convergence
-from lierb.tableaus import TABLEAUS, ButcherTableau
-from lierb.user_elements import constraint, observable, wrench
-from lierb.user_signals import controller, event, states
+from lierb.runs.starts import baumgarte
+from lierb.support.extras import is_installed, require
 
 if TYPE_CHECKING:
-    from lierb.studies.from_python import study_of as study_of
-    from lierb.studies.running import integrate_batches as integrate_batches
-    from lierb.studies.running import run as run
-    from lierb.studies.study import Study as Study
+    from lierb.studies.description.from_python import study_of as study_of
+    from lierb.studies.description.study import Study as Study
+    from lierb.studies.execution.running import integrate_batches as integrate_batches
+    from lierb.studies.execution.running import run as run
 
 __version__ = package_version()
 __all__ = [
@@ -66,11 +71,15 @@ __all__ = [
     "wrench",
 ]
 
+# The modules that users import by these names: `from lierb.joints import revolute`.
+for _module in (animation, bodies, forces, joints, noise):
+    sys.modules[f"lierb.{_module.__name__.rpartition('.')[2]}"] = _module
+
 _STUDIES = {
-    "Study": "lierb.studies.study",
-    "integrate_batches": "lierb.studies.running",
-    "run": "lierb.studies.running",
-    "study_of": "lierb.studies.from_python",
+    "Study": "lierb.studies.description.study",
+    "integrate_batches": "lierb.studies.execution.running",
+    "run": "lierb.studies.execution.running",
+    "study_of": "lierb.studies.description.from_python",
 }
 
 

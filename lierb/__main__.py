@@ -4,7 +4,7 @@ import sys
 import warnings
 from typing import Any
 
-from lierb.extras import MissingExtraError, require
+from lierb.support.extras import MissingExtraError, require
 
 
 def main() -> None:

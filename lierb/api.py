@@ -10,59 +10,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
-    MemoryLimitError,
-    items_of,
-    require_name,
     told,
 )
-from lierb.joints import JOINTS
-from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.stepping.formulations import FORMULATIONS
-from lierb.kernels.stepping.mechanism import Stabilisation
-from lierb.kernels.stepping.plan import AnyPlan
-from lierb.mechanism import Mechanism
-from lierb.mechanism_checks import violation
-from lierb.mechanism_plan import cspaces_of
-from lierb.model import Problem
-from lierb.result import Result
-from lierb.runs import checks, engine, lanes
+from lierb.kernels.systems.plan import Stabilisation
+from lierb.methods import ButcherTableau
+from lierb.model.functions.in_time import Event
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.failures import STATUS_NAMES, Failures, warn_of
+from lierb.results.result import Result
+from lierb.results.tables import (
+    _no_room,
+    _require_memory,
+    events_table,
+    history_table,
+    summary_table,
+)
+from lierb.runs import engine
+from lierb.runs import lane_engine as lanes
+from lierb.runs import start_checks as checks
 from lierb.runs.continuation import End
-from lierb.runs.failures import STATUS_NAMES, Failures, warn_of
-from lierb.runs.lanes import LaneTime
-from lierb.runs.mechanisms import (
-    check_mechanism_options,
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.mechanism_checks import violation
+from lierb.runs.options import check_options
+from lierb.runs.provenance import described_array, provenance
+from lierb.runs.starts import (
+    ready_body,
     ready_mechanism,
     told_cspace,
     told_stabilisation,
 )
-from lierb.runs.memory import available, is_free, too_large
-from lierb.runs.progress import Progress, check_progress
-from lierb.runs.provenance import described_array, provenance
-from lierb.runs.starts import ready_body
-from lierb.runs.tables import events_table, history_table, size_of_tables, summary_table
 from lierb.runs.timing import (
-    Timing,
-    check_periods,
     checked_numbers,
     checked_seed,
     has_jumps,
-    has_own_time,
-    timing_of,
 )
-from lierb.tableaus import ButcherTableau
-from lierb.user_signals import Event
-
-CSPACE_NAMES = (*CSPACES, "reduced")
-UPDATES = ("local", "global")
-SOLVER_NAMES = ("auto", *FORMULATIONS)
-RECORDS = ("state", "energy", "multipliers", "reaction")
-ADAPTIVE = ("rtol", "atol", "dt_min", "dt_max", "max_steps")
-CHECKS = ("raise", "warn", "off")
+from lierb.support.arrays import Array
+from lierb.support.progress import Progress, check_progress
 
 
 def integrate(
@@ -314,136 +302,6 @@ def integrate(
 
 
 # ---- arguments ---------------------------------------------------------------------------------
-
-
-def check_options(
-    problem: Problem | Mechanism,
-    *,
-    t_end: float,
-    cspace: str | Mapping[str, str],
-    update: str,
-    record: Iterable[str],
-    save_every: int | None,
-    measure_every: int,
-    dt: float | None = None,
-    method: str | ButcherTableau | None = None,
-    check: str = "raise",
-    solver: str = "auto",
-    t0: float = 0.0,
-    stabilise: str | Stabilisation | None = None,
-    save_at: ArrayLike | None = None,
-    discontinuities: ArrayLike | None = None,
-    **adaptive: Any,
-) -> tuple[tuple[str, ...], Timing, str]:
-    """Raise what `integrate` would; columns to record, when the run is, and what finds V̇.
-
-    adaptive : rtol, atol, dt_min, dt_max, max_steps.
-    """
-    check_names(update=update, check=check, solver=solver)
-    recorded = _checked_record(record, save_every is not None or save_at is not None)
-    timing = timing_of(
-        dt=dt, t_end=t_end, t0=t0, method=method, update=update, save_every=save_every,
-        measure_every=measure_every, save_at=save_at, discontinuities=discontinuities,
-        has_own_time=has_own_time(problem),
-        **dict.fromkeys(ADAPTIVE) | adaptive,
-    )  # fmt: skip
-    check_periods(problem.controllers, timing)
-    if isinstance(problem, Mechanism):
-        cspaces_of(problem, cspace)
-        check_mechanism_options(problem, update, solver, stabilise)
-        return recorded, timing, "auto"
-    if stabilise is not None:
-        raise ArgumentError(
-            f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
-            "lierb.Mechanism([lierb.Link(name, body, joint)])"
-        )
-    if not isinstance(cspace, str):
-        raise ArgumentError(f"cspace={told(cspace)}; expected one name for one body")
-    check_names(cspace=cspace)
-    if cspace == "SO3xR3":
-        checks.require_central_com(problem)
-    return recorded, timing, _solver(problem, cspace, check, solver)
-
-
-CHOICES = {"cspace": CSPACE_NAMES, "update": UPDATES, "check": CHECKS, "solver": SOLVER_NAMES}
-
-
-def check_names(**given: str) -> None:
-    """Raise UnknownNameError for a value that its argument does not have."""
-    for argument, got in given.items():
-        require_name(argument, got, CHOICES[argument])
-
-
-def _solver(problem: Problem, cspace: str, check: str, solver: str) -> str:
-    """What finds accelerations, "saddle" or "subgroup"."""
-    joint = problem.joint
-    added = [element.name for element in problem.elements if element.kind.rows]
-    is_proper = joint.subgroup is not None and bool(joint.rows)
-    has_subgroup = cspace == "reduced" or (cspace == "SE3" and check == "raise")
-    if has_subgroup and is_proper and not added and solver == "auto":
-        return "subgroup"
-    if cspace != "reduced" and solver != "subgroup":
-        return "saddle"
-    asked = 'cspace="reduced"' if cspace == "reduced" else 'solver="subgroup"'
-    if solver == "saddle":
-        raise ArgumentError(f"{asked} has no saddle point to solve; leave solver out")
-    if added:
-        other = 'cspace="SE3"' if cspace == "reduced" else 'solver="saddle"'
-        raise ArgumentError(f"{asked} has no constraints, but {added[0]} is one; use {other}")
-    if not is_proper:
-        kept = ", ".join(n for n, j in JOINTS.items() if j.subgroup and j.rows)
-        raise ArgumentError(
-            f"{asked} needs a joint whose motions are a proper subgroup of SE(3) ({kept}), not a "
-            f"{joint.name} joint"
-        )
-    if not has_subgroup:
-        raise ArgumentError(
-            f'{asked} needs cspace="SE3" or "reduced" and check="raise", got cspace="{cspace}" and '
-            f'check="{check}"; leave solver out'
-        )
-    return "subgroup"
-
-
-def _checked_record(record: Iterable[str], saves: bool) -> tuple[str, ...]:
-    expected = f"names out of {', '.join(RECORDS)}"
-    names = (record,) if isinstance(record, str) else items_of("record", record, expected)
-    for name in names:
-        require_name("record", name, RECORDS)
-    if names and not saves:
-        raise ArgumentError(
-            f"record={told(names)} adds columns to the history; give save_every= or save_at= as "
-            "well"
-        )
-    return tuple(name for name in RECORDS if name in names)
-
-
-def _require_memory(
-    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
-) -> None:
-    """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
-    if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
-        raise _no_room(plan, clock, count, recorded)
-
-
-def _no_room(
-    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
-) -> MemoryLimitError:
-    free = available()
-    whole = size_of_tables(plan, count, clock.saved_rows, recorded)
-    summary = size_of_tables(plan, count, 0, ())
-    apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"
-    if summary >= free or not clock.saved_rows:
-        what, remedy = f"the summary of {count} bodies", f"take fewer at a time, or {apart}"
-    else:
-        rows = clock.saved_rows
-        fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
-        fits = f"{fitting} times fit"
-        if isinstance(clock, Clock):
-            fits = f"save_every={-(-clock.steps // (fitting - 1))} fits"
-        what = f"the history of {rows} times × {count} bodies"
-        more = ", record less" if recorded else ""
-        remedy = f"save less often ({fits}){more}, take fewer bodies, or {apart}"
-    return too_large(what, whole, free, remedy)
 
 
 def _report(error: ValueError | None, check: str, stacklevel: int) -> None:

@@ -11,6 +11,30 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
+__all__ = [
+    "LierbError",
+    "ArgumentError",
+    "UnknownNameError",
+    "InertiaError",
+    "ForceError",
+    "PoseError",
+    "TwistError",
+    "StudyError",
+    "StudyFileError",
+    "TimeGridError",
+    "MemoryLimitError",
+    "InconsistentStateWarning",
+    "FailedTrajectoryWarning",
+    "ScalarFunctionWarning",
+    "StudyWarning",
+    "LeftOutWarning",
+    "ForkError",
+]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
 
 class LierbError(ValueError):
     """Base of all of lierb's errors about arguments."""

@@ -13,21 +13,23 @@ import llvmlite
 import numba
 import pyarrow as pa
 
-from lierb.api import check_names, integrate
+from lierb.api import integrate
 from lierb.compiler import disk_cache
 from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.compiler.entries import kernels_loaded
 from lierb.compiler.internals import cache_of
 from lierb.errors import ArgumentError, items_of, require_name, told
-from lierb.joints import JOINTS, Joint
 from lierb.kernels.groups.lie_functions import apply
+from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.mechanics.rows import parameters_of
-from lierb.kernels.numbers.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
-from lierb.kernels.stepping.driver import integrate_blocks
-from lierb.model import Body, Problem
-from lierb.runs.engine import threading_layer
+from lierb.kernels.tracing.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
+from lierb.methods import ButcherTableau, tableau_of
+from lierb.model.bodies.body import Body
+from lierb.model.joints.joint import JOINTS, Joint
+from lierb.model.problem import Problem
+from lierb.runs.options import check_names
 from lierb.runs.provenance import machine
-from lierb.tableaus import ButcherTableau, tableau_of
+from lierb.runs.threads import threading_layer
 
 VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
 

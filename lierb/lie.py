@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import FEWER, Array, as_floats, as_matrix
 from lierb.compiler.code import compiled, is_ready
 from lierb.errors import ArgumentError
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.runs.forks import check_compiler
-from lierb.runs.memory import require_memory
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.support.arrays import FEWER, Array, as_floats, as_matrix
+from lierb.support.forks import check_compiler
+from lierb.support.memory import require_memory
 
 
 @dataclass(frozen=True)
@@ -291,3 +291,9 @@ class Group:
 so3 = Group("so3", 3, 3)
 se3 = Group("se3", 4, 6)
 so3xr3 = Group("so3xr3", 4, 6)
+
+__all__ = ["Group", "se3", "so3", "so3xr3"]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

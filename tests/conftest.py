@@ -32,7 +32,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """One worker for the tests that share kernels: two would compile them at the same time."""
     from xdist.scheduler import LoadScopeScheduling
 
-    from lierb.joints import JOINTS
+    from lierb.model.joints.joint import JOINTS
 
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
@@ -75,18 +75,18 @@ def interruptible() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def papers_kernels() -> Iterator[None]:
-    """`lierb.paper` records as `cases.integrate` does, and so takes the kernels of the other tests.
+    """Let `lierb.analysis.paper` record as `cases.integrate` does: they share kernels.
 
     What is recorded changes no bit (test_determinism.py).
     """
     from cases import RECORD
 
-    import lierb.paper
+    import lierb.analysis.paper
 
     def recording(*given: Any, **options: Any) -> lierb.Result:
         found = lierb.integrate(*given, **options | {"record": RECORD})
         return lierb.Result(found.summary, found.history.drop_columns(["lambda", "reaction"]))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lierb.paper, "integrate", recording)
+        patch.setattr(lierb.analysis.paper, "integrate", recording)
         yield

@@ -12,7 +12,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from lierb.studies.dataset import Dataset
-from lierb.studies.study import Study
+from lierb.studies.description.study import Study
 
 TEXT = """\
 [body]

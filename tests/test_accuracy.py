@@ -24,7 +24,7 @@ from cases import (
 )
 
 import lierb
-from lierb.tableaus import TABLEAUS
+from lierb.methods import TABLEAUS
 
 CSPACES = ("SE3", "SO3xR3")
 UPDATES = ["local", pytest.param("global", marks=pytest.mark.slow)]

@@ -17,11 +17,11 @@ import pytest
 from cases import integrate, joint, tilted, top
 
 import lierb
-from lierb.animation import shapes
-from lierb.animation.gaps import gap_of
-from lierb.animation.page import FRAMES, MOST_VIEWS
-from lierb.colours import CSPACE_COLOURS
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, StudyFileError
+from lierb.results.animation import shapes
+from lierb.results.animation.gaps import gap_of
+from lierb.results.animation.page import FRAMES, MOST_VIEWS
+from lierb.results.colours import CSPACE_COLOURS
 
 MOST_BYTES = 40_000  # of the page without its scene
 PLAYER = Path(lierb.animation.__file__).parent / "player.js"
@@ -283,7 +283,7 @@ def test_of_many_trajectories_the_first_are_shown_and_counted():
 
 @pytest.mark.parametrize("name", sorted(lierb.joints.JOINTS))
 def test_axes_of_every_joint_are_those_it_turns_about_or_slides_along(name):
-    from lierb.animation.scene import _axes, _slides
+    from lierb.results.animation.scene import _axes, _slides
 
     turns = {
         "revolute": ([2], [2]), "cylindrical": ([2], [2]), "screw": ([2], [2]),

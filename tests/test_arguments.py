@@ -14,7 +14,6 @@ import pytest
 
 import lierb
 from lierb import errors, joints
-from lierb.arrays import as_numbers
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
@@ -25,8 +24,10 @@ from lierb.errors import (
     TwistError,
     UnknownNameError,
 )
+from lierb.kernels.loops.job import UNSEEN
+from lierb.kernels.loops.record import load_given, store_start
 from lierb.kernels.stepping.clock import time_of
-from lierb.kernels.stepping.driver import UNSEEN, load_given, store_start
+from lierb.support.arrays import as_numbers
 
 POINT = (-0.15, 0.0375, 0.0)
 BOX = (0.0126563, 0.0468281, 0.0569531)

@@ -23,8 +23,8 @@ import lierb
 from lierb.compiler import disk_cache, entries, sealed
 from lierb.compiler.code import cached, compiled
 from lierb.compiler.tags import Tag
-from lierb.compiler.trace import kernel
 from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.tracing.trace import kernel
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"

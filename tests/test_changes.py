@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from studies import TEXT, study
 
-import lierb.studies.changes
+import lierb.studies.description.changes
 from lierb.errors import StudyError
-from lierb.studies.changes import applied, parsed, path_of, written
-from lierb.studies.study import Study
+from lierb.studies.description.changes import applied, parsed, path_of, written
+from lierb.studies.description.study import Study
 
 READ = {
     "integrate.dt=1e-4": ("integrate.dt", 1e-4),
@@ -70,7 +70,7 @@ def test_written_changes_are_read_back(value):
 
 
 def test_examples_in_the_text_run():
-    assert doctest.testmod(lierb.studies.changes).failed == 0
+    assert doctest.testmod(lierb.studies.description.changes).failed == 0
 
 
 def test_path_of_quoted_keys():

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-import lierb.paper
-from lierb.extras import EXTRAS, MissingExtraError, remedy, require
+import lierb.analysis.paper
+from lierb.support.extras import EXTRAS, MissingExtraError, remedy, require
 
 pytest.importorskip("rich")
 pytest.importorskip("click")
@@ -38,21 +38,23 @@ main()
 """
 
 
-EXAMPLES = lierb.paper.EXAMPLES
+EXAMPLES = lierb.analysis.paper.EXAMPLES
 
 
 @pytest.fixture
 def short_run(monkeypatch):
     """`lierb paper` over 0.1 s instead of 10 s, with three of its examples."""
-    run = functools.partial(lierb.paper.run_paper, t_end=0.1)
-    monkeypatch.setattr(lierb.paper, "run_paper", run)
-    chosen = [e for e in lierb.paper.EXAMPLES if e.key in ("spherical", "hook_R32", "hook_R23")]
-    monkeypatch.setattr(lierb.paper, "EXAMPLES", chosen)
+    run = functools.partial(lierb.analysis.paper.run_paper, t_end=0.1)
+    monkeypatch.setattr(lierb.analysis.paper, "run_paper", run)
+    chosen = [
+        e for e in lierb.analysis.paper.EXAMPLES if e.key in ("spherical", "hook_R32", "hook_R23")
+    ]
+    monkeypatch.setattr(lierb.analysis.paper, "EXAMPLES", chosen)
 
 
 @pytest.fixture
 def every_example(short_run, monkeypatch):
-    monkeypatch.setattr(lierb.paper, "EXAMPLES", EXAMPLES)
+    monkeypatch.setattr(lierb.analysis.paper, "EXAMPLES", EXAMPLES)
 
 
 def run_without(modules, *arguments):
@@ -93,7 +95,7 @@ class TestPaper:
         for word in ("joint", "c-space", "dt/s", "position", "rotation", "observed", "agrees"):
             assert word in output
         blocks = [line for line in table if " 1e-2 " in line]
-        assert len(blocks) == 2 * len(lierb.paper.EXAMPLES)
+        assert len(blocks) == 2 * len(lierb.analysis.paper.EXAMPLES)
 
     @pytest.mark.slow
     @pytest.mark.usefixtures("every_example")
@@ -130,7 +132,7 @@ class TestPaper:
         def interrupted(*args, **kwargs):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(lierb.paper, "run_paper", interrupted)
+        monkeypatch.setattr(lierb.analysis.paper, "run_paper", interrupted)
         result = invoke("paper", "--out", tmp_path)
         assert result.exit_code == 130
         assert "Interrupted" in result.stderr
@@ -273,9 +275,9 @@ def test_figures_without_their_extra_are_one_sentence(tmp_path):
 
 def test_importing_plots_without_matplotlib_is_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "lierb.plots", raising=False)
+    monkeypatch.delitem(sys.modules, "lierb.results.plots", raising=False)
     with pytest.raises(MissingExtraError, match="needs matplotlib, which is not installed: "):
-        import lierb.plots  # noqa: F401
+        import lierb.results.plots  # noqa: F401
 
 
 # ---------------------------------------------------------------- examples

@@ -21,9 +21,9 @@ from studies import TEXT, bits, errors_when_stopped, hashes, start_long, study
 import lierb
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, StudyWarning
-from lierb.studies import cluster
 from lierb.studies.dataset import Dataset
-from lierb.studies.parts import parts_of
+from lierb.studies.execution import cluster
+from lierb.studies.storage.parts import parts_of
 
 pytest.importorskip("distributed")
 import dask

@@ -16,6 +16,8 @@ from reference_numbers import BOX_INERTIA, BOX_MASS, BOX_POINT
 from scipy.integrate import solve_ivp
 
 import lierb
+from lierb.analysis import comparing, reference
+from lierb.analysis.comparison import ESCAPED
 from lierb.errors import (
     ArgumentError,
     FailedTrajectoryWarning,
@@ -23,10 +25,8 @@ from lierb.errors import (
     TimeGridError,
     UnknownNameError,
 )
-from lierb.kernels.stepping.plan import plan_of
-from lierb.studies import comparing, reference
-from lierb.studies.comparison import ESCAPED
-from lierb.tableaus import TABLEAUS
+from lierb.kernels.systems.system_of import plan_of
+from lierb.methods import TABLEAUS
 
 OMEGA = np.array([[6.28, 3.14, 0.63], [5.0, -2.0, 1.0], [-1.0, 4.0, 7.0]])
 DTS = (8e-3, 4e-3, 2e-3)
@@ -70,7 +70,7 @@ def exact() -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def found(exact) -> lierb.studies.comparison.Comparison:
+def found(exact) -> lierb.analysis.comparison.Comparison:
     return lierb.convergence(
         box_top(), METHODS, DTS, twist0=twists(), t_end=T_END, reference=exact, repeats=1
     )

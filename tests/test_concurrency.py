@@ -18,7 +18,7 @@ import pytest
 
 import lierb
 from lierb.errors import ForkError
-from lierb.kernels.stepping.driver import take_share
+from lierb.kernels.loops.blocks import take_share
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="there are no threads with the JIT off"

@@ -12,9 +12,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "CONTRIBUTING.md"
 IN_PACKAGE = (
-    "lierb/joints.py", "lierb/kernels/mechanics/rows.py", "lierb/forces.py",
-    "lierb/tableaus/classical.py", "lierb/kernels/stepping/measures.py",
-    "lierb/kernels/stepping/mechanism.py",
+    "lierb/model/joints/catalogue.py", "lierb/kernels/mechanics/rows.py", "lierb/model/forces.py",
+    "lierb/methods/classical.py", "lierb/kernels/systems/measures.py",
+    "lierb/kernels/systems/tree_system.py",
 )  # fmt: skip
 CATALOGUES = (
     "test_joints", "test_oracle", "test_initial_conditions", "test_prediction", "test_scale",
@@ -51,7 +51,7 @@ d = np.linalg.inv(problem.joint.ground_frame) @ pose @ problem.joint.body_frame
 np.testing.assert_allclose(np.hypot(d[..., 1, 3], d[..., 2, 3]), 0.5, rtol=1e-12)
 rate = problem.project([1.0, 2.0, 3.0, 0.3, 0.4, 0.5], pose)
 
-assert lierb.tableaus.TABLEAUS["Heun3"].stages == 3
+assert lierb.methods.TABLEAUS["Heun3"].stages == 3
 for cspace in ("SE3", "SO3xR3"):
     run = lierb.integrate(problem, twist0=rate, pose0=pose, dt=1e-3, t_end=0.5, cspace=cspace)
     assert run.summary["spin_max"].to_numpy().min() > 1.0, run.summary["spin_max"]

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from lierb.analysis.convergence import ROUNDING_FLOOR, fitted_order, observed_order, verdict
 from lierb.errors import ArgumentError
-from lierb.studies.convergence import ROUNDING_FLOOR, fitted_order, observed_order, verdict
 
 DTS = (1e-2, 1e-3, 1e-4)
 HALVED = (0.4, 0.2, 0.1, 0.05)

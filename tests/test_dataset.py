@@ -22,11 +22,12 @@ from studies import TEXT, hashes, study
 
 import lierb
 from lierb.errors import ArgumentError, StudyError, StudyFileError, StudyWarning
-from lierb.studies import dataset as dataset_module
-from lierb.studies.dataset import Dataset, parquet_files
-from lierb.studies.files import folder_of, write_whole
-from lierb.studies.manifest import read_manifest, sealed
-from lierb.studies.parts import parts_of
+from lierb.studies.dataset import Dataset
+from lierb.studies.storage import store as store_module
+from lierb.studies.storage.manifest import read_manifest, sealed
+from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.store import parquet_files
+from lierb.support.files import folder_of, write_whole
 
 SMALL = {"sample": {"n": 20}, "integrate": {"cspace": ["SE3"], "dt": [1e-3], "save_every": 10}}
 PARTS = 3  # of SMALL
@@ -227,7 +228,7 @@ def test_an_edited_study_is_noticed(text, copy):
 
 def report_of(folder):
     pytest.importorskip("plotly")
-    from lierb.studies.report import write_report
+    from lierb.studies.pages.report import write_report
 
     dataset = Dataset(folder)
     dataset.read()
@@ -436,9 +437,9 @@ def test_a_file_is_read_for_its_checksum_once(copy, monkeypatch):
     dataset = Dataset(copy)
     dataset.read()
     read = []
-    digest = dataset_module.sha256_of
+    digest = store_module.sha256_of
     monkeypatch.setattr(
-        dataset_module, "sha256_of", lambda path: (read.append(path), digest(path))[1]
+        store_module, "sha256_of", lambda path: (read.append(path), digest(path))[1]
     )
     for _ in range(2):
         assert dataset.table().count_rows() == 20
@@ -486,9 +487,9 @@ def test_a_full_disk_ends_a_command_in_a_sentence(name, copy, monkeypatch):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("lierb.studies.figures.figures", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.studies.report.sheets", lambda _dataset: iter(()))
-    monkeypatch.setattr("lierb.studies.figures.draw_all", full)
+    monkeypatch.setattr("lierb.studies.pages.figures.figures", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.pages.report.sheets", lambda _dataset: iter(()))
+    monkeypatch.setattr("lierb.studies.pages.figures.draw_all", full)
     monkeypatch.setattr(os, "fsync", full)
     file = {"report": "report.html", "plot": "figures"}[name]
     assert f"{copy / file} cannot be written: No space left on device; " in refused(name, copy)
@@ -680,7 +681,7 @@ def test_a_run_from_a_pipe_goes_on_with_the_folders_study(tmp_path, monkeypatch)
     def stopped(*_args, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lierb.studies.running.run", stopped)
+    monkeypatch.setattr("lierb.studies.execution.running.run", stopped)
     done = invoke("run", "-", "--n", 10, input=TEXT)
     assert done.exit_code == 130
     line = "go on with:  lierb run results/study/study.toml --out results/study --resume\n"
@@ -710,7 +711,7 @@ def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
         return called
 
     made = {part.name: part.tables(small(), small().design, 1) for part in parts_of(small())}
-    monkeypatch.setattr("lierb.studies.parts.Part.tables", lambda part, *_: made[part.name])
+    monkeypatch.setattr("lierb.studies.storage.parts.Part.tables", lambda part, *_: made[part.name])
     wanted = hashes(whole)
     for n in itertools.count(1, stride):
         out, left[0] = tmp_path / str(n), n

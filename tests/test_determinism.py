@@ -9,9 +9,9 @@ from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_bu
 import lierb
 from lierb.errors import FailedTrajectoryWarning, PoseError, TwistError
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.stepping.driver import NON_FINITE, OK, SINGULAR
-from lierb.kernels.stepping.layout import inputs_of
-from lierb.kernels.stepping.plan import Plan
+from lierb.kernels.systems.layout import inputs_of
+from lierb.kernels.systems.plan import Plan
+from lierb.kernels.systems.state import NON_FINITE, OK, SINGULAR
 from lierb.runs import engine, starts
 
 # At dt = 1e-2 some of the fastest of TWISTS fail: in any batch at the same step, or bits differ.
@@ -180,7 +180,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     twists[victim, 1] = fault
     plan = Plan(
         starts.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
-        lierb.tableaus.TABLEAUS["RK4"].A, lierb.tableaus.TABLEAUS["RK4"].b, multipliers=False,
+        lierb.methods.TABLEAUS["RK4"].A, lierb.methods.TABLEAUS["RK4"].b, multipliers=False,
     )  # fmt: skip
     problem = _problem()
     inputs = engine.Inputs(problem, inputs_of(problem.kinds), {"twist": twists}, 17)

@@ -97,7 +97,7 @@ def _with_examples() -> list[str]:
     return sorted(name.removesuffix(".__init__") for name in names)
 
 
-SLOW = {"lierb.paper"}  # all of its section 5
+SLOW = {"lierb.analysis.paper"}  # all of its section 5
 
 
 @pytest.mark.usefixtures("papers_kernels")

@@ -14,17 +14,20 @@ import pytest
 from studies import sorted_rows, study
 
 import lierb
-from lierb.colours import CSPACE_COLOURS
 from lierb.errors import FailedTrajectoryWarning, UnknownNameError
-from lierb.studies.files import sha256_of
-from lierb.studies.sizes import as_array
-from lierb.studies.study import Setting
+from lierb.results.colours import CSPACE_COLOURS
+from lierb.studies.description.study import Setting
+from lierb.studies.findings.sizes import as_array
+from lierb.support.files import sha256_of
 
 pytest.importorskip("matplotlib")
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from lierb.studies import figures, panels, replays, statistics, symbols
+from lierb.results import panels
+from lierb.studies.findings import statistics, symbols
+from lierb.studies.pages import figures, replays
+from lierb.studies.pages.looks import Look, looks
 
 SAVED = {"save_every": 10}
 
@@ -114,7 +117,7 @@ def test_shares_begin_at_the_share_of_zeros():
     figure = Figure()
     key = panels.Key("a", "#000000")
     row = panels.Ridge(key, np.array([0.0, 0.0, 1e-9, 1e-7, 1e-8]), np.empty(0))
-    look = panels.Look(Setting("SE3", "RK4", 1e-3), key, 1.0)
+    look = Look(Setting("SE3", "RK4", 1e-3), key, 1.0)
     axes = figure.subplots()
     figures._draw_shares([row], [look], 1e-18, "error", axes)
     np.testing.assert_allclose(axes.lines[0].get_xdata(), (1e-9, 1e-8, 1e-7))
@@ -146,19 +149,19 @@ def test_more_lines_than_a_legend_has_room_for_are_labelled_where_they_end(datas
     assert len(places) == 9
     assert np.diff(places).min() > 0.04
     many = given.changed({"integrate.dt": [1e-3, 2e-3, 5e-3, 1e-2, 5e-4]})
-    assert len(panels.looks(many)) > panels.MOST_KEYS
-    sheet = panels.Sheet("", [lambda axes: None], [look.key for look in panels.looks(many)])
+    assert len(looks(many)) > panels.MOST_KEYS
+    sheet = panels.Sheet("", [lambda axes: None], [look.key for look in looks(many)])
     assert not panels.figure_of(sheet, many).legends
-    with_legend = panels.Sheet("", [lambda axes: None], [panels.looks(given)[0].key])
+    with_legend = panels.Sheet("", [lambda axes: None], [looks(given)[0].key])
     assert panels.figure_of(with_legend, given).legends
 
 
 def test_a_cspace_has_its_colour_whatever_stands_before_it(given):
     for spaces in (["SE3", "SO3xR3"], ["SO3xR3", "SE3"], ["SO3xR3"], ["reduced", "SO3xR3", "SE3"]):
-        for look in panels.looks(given.changed({"integrate.cspace": spaces})):
+        for look in looks(given.changed({"integrate.cspace": spaces})):
             assert look.key.colour == CSPACE_COLOURS[look.setting.cspace]
     several = given.changed({"integrate.method": ["RK4", "Heun"], "integrate.cspace": ["SE3"]})
-    by_method = {look.setting.method: look.key.colour for look in panels.looks(several)}
+    by_method = {look.setting.method: look.key.colour for look in looks(several)}
     assert by_method["RK4"] == CSPACE_COLOURS["SE3"]
     assert by_method["Heun"] not in (CSPACE_COLOURS["SE3"], CSPACE_COLOURS["SO3xR3"])
 

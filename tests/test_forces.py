@@ -497,7 +497,7 @@ def test_constraints_see_their_body():
     )
     poses = problem.close(np.array(GROUND_FRAME))
     ends = poses[:, :3, 3] + np.einsum("bij,bj->bi", poses[:, :3, :3], bodies.com)
-    # CLOSED, of lierb.model, over the slope
+    # CLOSED, of lierb.model.problem, over the slope
     np.testing.assert_allclose(np.linalg.norm(ends, axis=1), bodies.mass, atol=1e-12)
     twists = problem.project((1.0, 2.0, 0.5, 0.1, 0.2, 0.3), poses)
     summary = lierb.integrate(problem, twist0=twists, pose0=poses, dt=1e-3, t_end=0.1).summary

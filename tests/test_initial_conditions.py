@@ -78,11 +78,13 @@ def test_factors_are_subgroups_of_one_freedom_whose_product_is_the_joint(name):
     numbers = np.array([0.4, -1.1])
     parts = [f.motion(x) for f, x in zip(held.factors, numbers, strict=True)]
     for factor, part, alone in zip(held.factors, parts, (a, b), strict=True):
-        pose = lierb.arrays.pose_matrix(part)
+        pose = lierb.support.arrays.pose_matrix(part)
         free = lierb.Problem(BODY, alone).close(pose)
         np.testing.assert_allclose(free, pose, rtol=0, atol=1e-15)  # its own rows: nothing to close
         assert np.flatnonzero(np.array(factor.twist(1.0), dtype=float)).tolist() == [factor.slot]
-    product = lierb.arrays.pose_matrix(parts[0]) @ lierb.arrays.pose_matrix(parts[1])
+    product = lierb.support.arrays.pose_matrix(parts[0]) @ lierb.support.arrays.pose_matrix(
+        parts[1]
+    )
     np.testing.assert_allclose(held.pose(numbers), product, rtol=0, atol=1e-15)
     closed = lierb.Problem(BODY, held).close(product)
     np.testing.assert_allclose(closed, product, rtol=0, atol=1e-14)

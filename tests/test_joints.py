@@ -10,10 +10,11 @@ import pytest
 from scipy.linalg import expm
 
 import lierb
-from lierb.joints import JOINTS, from_rows
 from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
 from lierb.kernels.mechanics.newton_euler import CSPACES, Parameters
 from lierb.kernels.mechanics.rows import JOINT_ROWS, parameters_of
+from lierb.model.joints.catalogue import from_rows
+from lierb.model.joints.joint import JOINTS
 
 mp = mpmath.mp.clone()
 mp.dps = 50

@@ -24,7 +24,7 @@ from lierb.errors import (
 )
 from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.rows import Row
-from lierb.mechanism_checks import violation
+from lierb.runs.mechanism_checks import violation
 
 RNG = np.random.default_rng(19)
 WITH_COORDINATES = [n for n, e in lierb.joints.JOINTS.items() if e.subgroup or e.factors]
@@ -373,7 +373,7 @@ def jacobian(mechanism, pose):
             return p[0] @ np.linalg.inv(parent) @ poses[names[at.body]] @ p[1]
 
         def values(D, at=at, body=body):
-            x = SE3.kinematics(body, lierb.arrays.pose_components(D), (0.0,) * 6)
+            x = SE3.kinematics(body, lierb.support.arrays.pose_components(D), (0.0,) * 6)
             return np.array([float(r.value(x, body)) if r.has_value else 0.0 for r in at.rows])
 
         columns = []

@@ -71,7 +71,7 @@ def test_gap_of_a_loop_is_how_far_its_ends_are_apart(turning):
 
 def test_gap_between_links_is_what_the_child_is_moved_by():
     """Of poses that are off, as on SE(3)²: along the pin, and across it."""
-    from lierb.animation.gaps import gap_between
+    from lierb.results.animation.gaps import gap_between
 
     pendulum = double_pendulum()
     poses = pendulum.pose({"upper": [0.3, 0.7], "lower": 0.4})
@@ -183,7 +183,7 @@ def test_plot_of_a_pickled_mechanism_has_the_motion_of_its_links(turning):
 
 def test_failed_trajectories_of_mechanisms_end(turning):
     """Of a history whose last states are lost, as after a failure."""
-    from lierb.runs.columns import as_array, vectors
+    from lierb.results.columns import as_array, vectors
 
     history = turning.history
     for number, field in enumerate(history.schema):

@@ -10,9 +10,9 @@ import pytest
 from mechanisms.shared import double_pendulum
 
 import lierb
-from lierb.column_names import COMPONENTS
 from lierb.errors import ArgumentError, UnknownNameError
-from lierb.runs.columns import as_array, numbers
+from lierb.model.functions.column_names import COMPONENTS
+from lierb.results.columns import as_array, numbers
 
 LINKS = ("upper", "lower")
 STATE = {"rotation": (3, 3), "position": (3,), "omega": (3,), "v": (3,)}
@@ -96,7 +96,9 @@ def test_result_shows_its_links(result):
     assert shown.startswith("lierb.Result: 3 trajectories of 2 links to t = 0.2 s (reduced, RK4")
     assert "result['upper'], result['lower']" in shown
     assert "errors, state, energy, work, lambda, reaction" in shown
-    assert repr(result["upper"]).startswith("lierb.result.LinkResult 'upper': 3 trajectories")
+    assert repr(result["upper"]).startswith(
+        "lierb.results.states.LinkResult 'upper': 3 trajectories"
+    )
 
 
 def test_result_shows_the_joint_with_the_largest_error(result):

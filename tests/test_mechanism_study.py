@@ -14,9 +14,9 @@ from studies import study as one_body
 import lierb
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, UnknownNameError
-from lierb.runs.columns import as_array
-from lierb.studies.running import replay
-from lierb.studies.study import Study
+from lierb.results.columns import as_array
+from lierb.studies.description.study import Study
+from lierb.studies.execution.running import replay
 
 # Of four_bar, as a file says it; one length is drawn at each end, so that no two loops are alike.
 TEXT = """\
@@ -316,7 +316,7 @@ def test_replay_of_a_mechanism_has_the_studys_row(whole):
 
 @pytest.mark.slow
 def test_workers_give_the_same_bytes_of_mechanisms(whole, tmp_path):
-    from lierb.studies.cluster import local_client
+    from lierb.studies.execution.cluster import local_client
 
     with local_client(2) as client:
         lierb.run(
@@ -342,7 +342,7 @@ def test_command_predicts_joint_by_joint(whole):
 @pytest.mark.slow
 def test_report_of_a_study_of_mechanisms_is_complete(whole, tmp_path):
     from lierb.studies.dataset import Dataset
-    from lierb.studies.report import write_report
+    from lierb.studies.pages.report import write_report
 
     dataset = Dataset(whole)
     dataset.read()
@@ -353,8 +353,8 @@ def test_report_of_a_study_of_mechanisms_is_complete(whole, tmp_path):
 
 def test_units_and_symbols_of_a_mechanism(whole):
     from lierb.studies.dataset import Dataset
-    from lierb.studies.findings import drawn_columns
-    from lierb.studies.symbols import labelled
+    from lierb.studies.findings.findings import drawn_columns
+    from lierb.studies.findings.symbols import labelled
 
     dataset = Dataset(whole)
     dataset.read()

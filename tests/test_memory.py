@@ -9,11 +9,13 @@ import pytest
 from cases import RECORD, integrate, top
 
 import lierb
-from lierb import api
 from lierb.errors import LierbError, MemoryLimitError
-from lierb.runs import engine, lanes, memory
-from lierb.runs.tables import size_of_tables
+from lierb.results import tables as tables_module
+from lierb.results.tables import size_of_tables
+from lierb.runs import engine
+from lierb.runs import lane_engine as lanes
 from lierb.sampling import Design, Rotation
+from lierb.support import memory
 
 GB = 10**9
 
@@ -28,7 +30,7 @@ def nothing_runs(monkeypatch):
 
 @pytest.fixture
 def four_gigabytes(monkeypatch):
-    for module in (memory, api):
+    for module in (memory, tables_module):
         monkeypatch.setattr(module, "available", lambda: 4 * GB)
 
 
@@ -105,7 +107,7 @@ def test_estimate_is_what_the_tables_hold(monkeypatch):
         estimated.append(size_of_tables(*given))
         return estimated[-1]
 
-    monkeypatch.setattr(api, "size_of_tables", seen)
+    monkeypatch.setattr(tables_module, "size_of_tables", seen)
     problem, twist0 = top()
     result = integrate(problem, twist0=np.tile(twist0, (64, 1)), dt=1e-2, t_end=0.2, save_every=1)
     before = pa.total_allocated_bytes()
@@ -140,8 +142,8 @@ def test_estimate_of_lanes_is_what_the_tables_hold(options, record, monkeypatch)
             array.fill(0.0)
         return outputs[-1]
 
-    monkeypatch.setattr(api, "size_of_tables", seen)
-    monkeypatch.setattr(api.lanes, "integrate", made)
+    monkeypatch.setattr(tables_module, "size_of_tables", seen)
+    monkeypatch.setattr(lanes, "integrate", made)
     plain, twist0 = top()
     problem = lierb.Problem(
         plain.body, plain.joint, plain.gravity, states=stored(), controllers=held()

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb.composed_joints import SimpleJoint, composed
 from lierb.errors import ArgumentError, LeftOutWarning
+from lierb.model.files.composed_joints import SimpleJoint, composed
 
 mujoco = pytest.importorskip("mujoco")
 

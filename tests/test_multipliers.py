@@ -19,9 +19,9 @@ from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.stepping.formulations import accelerate
-from lierb.kernels.stepping.plan import Plan
-from lierb.tableaus import TABLEAUS
+from lierb.kernels.systems.formulations import accelerate
+from lierb.kernels.systems.plan import Plan
+from lierb.methods import TABLEAUS
 
 
 def test_steady_pendulum_pulls_with_weight_and_centrifugal_force():

@@ -9,9 +9,9 @@ import pytest
 from cases import column, tilted
 
 import lierb
-from lierb.column_names import TAKEN
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, ForceError, ScalarFunctionWarning
-from lierb.kernels.stepping.observables import Kept, columns_of, with_value
+from lierb.kernels.systems.observables import Kept, columns_of, with_value
+from lierb.model.functions.column_names import TAKEN
 from lierb.runs import engine
 
 COUNT = 19  # some blocks, the last one not full

@@ -9,7 +9,17 @@ import pytest
 from cases import integrate
 
 import lierb
-from lierb.paper import AS_STATED, CSPACES, DTS, EXAMPLES, INERTIA, MASS, P, examples, run_paper
+from lierb.analysis.paper import (
+    AS_STATED,
+    CSPACES,
+    DTS,
+    EXAMPLES,
+    INERTIA,
+    MASS,
+    P,
+    examples,
+    run_paper,
+)
 
 imread = pytest.importorskip("matplotlib.image").imread
 
@@ -54,8 +64,8 @@ def test_every_claim_of_the_paper_is_confirmed(report):
 @pytest.mark.long
 def test_se3_keeps_the_lower_pairs_with_global_updates_and_gravity(monkeypatch):
     pairs = [e for e in EXAMPLES if e.key in ("spherical", "revolute", "cylindrical", "planar")]
-    monkeypatch.setattr(lierb.paper, "EXAMPLES", pairs)
-    monkeypatch.setattr(lierb.paper, "CSPACES", ["SE3"])
+    monkeypatch.setattr(lierb.analysis.paper, "EXAMPLES", pairs)
+    monkeypatch.setattr(lierb.analysis.paper, "CSPACES", ["SE3"])
     report = run_paper(update="global", gravity=9.81, dts=(1e-2,))
     kept = [f.verdict for f in report.findings]
     assert kept == ["exact"] * 7  # spherical has one error; the others two
@@ -275,7 +285,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_progress_counts_up_to_the_total(tmp_path, monkeypatch):
-    monkeypatch.setattr(lierb.paper, "_draw", lambda *args: [])  # drawing takes seconds
+    monkeypatch.setattr(lierb.analysis.paper, "_draw", lambda *args: [])  # drawing takes seconds
     calls = []
 
     def note(done, total, what):

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-plots = pytest.importorskip("lierb.plots")
+plots = pytest.importorskip("lierb.results.plots")
 from matplotlib.image import imread  # noqa: E402
 
 DTS = (1e-2, 1e-3, 1e-4)

@@ -14,7 +14,8 @@ from studies import study
 
 import lierb
 from lierb.errors import ArgumentError
-from lierb.runs import engine, progress
+from lierb.runs import engine
+from lierb.support import progress
 
 STEPS = 6
 TOTAL = 50 * 2 * (50 + 25)  # body-steps of the study: bodies, c-spaces, steps at either dt

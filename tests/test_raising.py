@@ -15,9 +15,9 @@ from numba.core.runtime import _nrt_python, rtsys
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning
+from lierb.results.failures import Failures
 from lierb.runs import engine
-from lierb.runs.failures import Failures
-from lierb.studies.dataset import parquet_files
+from lierb.studies.storage.store import parquet_files
 
 pytestmark = [
     pytest.mark.slow,  # kernels of their own

@@ -20,9 +20,9 @@ from lierb.errors import FailedTrajectoryWarning
 from lierb.studies.dataset import Dataset
 
 pytest.importorskip("plotly")
-from lierb.studies.figures import figures, omitted
-from lierb.studies.files import require_page
-from lierb.studies.report import POINTS, write_report
+from lierb.studies.pages.figures import figures, omitted
+from lierb.studies.pages.report import POINTS, write_report
+from lierb.support.files import require_page
 
 BODIES = 50
 

@@ -18,10 +18,10 @@ from studies import TEXT, sorted_rows, study
 import lierb
 from lierb.cli import cli
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, UnknownNameError
-from lierb.extras import MissingExtraError
-from lierb.result import COMPONENTS
-from lierb.runs.columns import as_array, as_codes, numbers, texts, vectors
-from lierb.runs.failures import FINE, REMEDIES, STATUS_NAMES, Failures
+from lierb.model.functions.column_names import COMPONENTS
+from lierb.results.columns import as_array, as_codes, numbers, texts, vectors
+from lierb.results.failures import FINE, REMEDIES, STATUS_NAMES, Failures
+from lierb.support.extras import MissingExtraError
 
 COUNT, STEPS, DT = 5, 6, 1e-2
 TIMES = 4  # steps 0, 2, 4, 6

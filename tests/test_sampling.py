@@ -22,9 +22,7 @@ from scipy.stats import qmc
 
 import lierb
 from lierb import sampling
-from lierb.arrays import SLICE
 from lierb.errors import ArgumentError, LierbError, UnknownNameError
-from lierb.extras import MissingExtraError
 from lierb.sampling import (
     Constant,
     Design,
@@ -40,6 +38,8 @@ from lierb.sampling import (
     inertia_of,
 )
 from lierb.sampling import design as designs
+from lierb.support.arrays import SLICE
+from lierb.support.extras import MissingExtraError
 
 LEVEL = 1e-4
 LIMIT = stats.norm.isf(LEVEL / 2.0)  # of a normal of mean 0 and std 1
@@ -668,7 +668,7 @@ print(Design({"u": Uniform(0.0, 1.0), "r": Rotation(), "d": Direction()}, 3).dra
 for design in (Design({"z": Normal(0.0, 1.0)}, 1), Design({"u": Uniform(0, 1)}, 1, 0, "sobol")):
     try:
         design.draw()
-    except lierb.extras.MissingExtraError as error:
+    except lierb.support.extras.MissingExtraError as error:
         print(error)
 """
 

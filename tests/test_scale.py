@@ -15,7 +15,7 @@ from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, LENGTH, PITCH, box, column,
 
 import lierb
 from lierb.errors import PoseError, TwistError
-from lierb.runs.checks import require_consistent
+from lierb.runs.start_checks import require_consistent
 
 
 class Scale(NamedTuple):
@@ -363,7 +363,7 @@ def results(request, tmp_path_factory):
 
 
 def test_orders_show_whatever_the_units(results):
-    from lierb.studies.findings import findings, orders
+    from lierb.studies.findings.findings import findings, orders
 
     _, _, done = results
     found = findings(done)
@@ -381,7 +381,7 @@ def test_orders_show_whatever_the_units(results):
 def test_sizes_are_those_of_the_motion(results):
     """A top of 0.155 m and 6 kg at 7 rad/s: ℓ and as much again from pivot to centre; m g ℓ = 9 J,
     to which kinetic energy, some J, and m g times the centre's height add."""
-    from lierb.studies.sizes import sizes_of
+    from lierb.studies.findings.sizes import sizes_of
 
     scale, study, done = results
     for setting in study.settings:
@@ -395,8 +395,8 @@ def test_sizes_are_those_of_the_motion(results):
 @pytest.mark.slow
 def test_errors_of_small_bodies_are_drawn(results):
     """The drift on SO(3)×R³, 1e-7 of the top's length, where figures would draw none."""
-    study_plots = pytest.importorskip("lierb.studies.figures")
-    from lierb.studies.findings import errors_seen, least_drawn
+    study_plots = pytest.importorskip("lierb.studies.pages.figures")
+    from lierb.studies.findings.findings import errors_seen, least_drawn
 
     scale, study, done = results
     assert list(errors_seen(done, study)) == ["position", "energy"]

@@ -10,8 +10,9 @@ import pytest
 from studies import study
 
 import lierb
-from lierb import joints, shown
+from lierb import joints
 from lierb.studies.dataset import Dataset
+from lierb.support import shown
 
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
 JOINT = joints.spherical(body_point=(-0.15, 0.0375, 0.0))

@@ -7,16 +7,15 @@ import pytest
 from cases import box
 
 import lierb
-from lierb.column_names import TAKEN
 from lierb.errors import ArgumentError, ForceError, ScalarFunctionWarning, UnknownNameError
 from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.mechanics.newton_euler import Motion
 from lierb.kernels.numbers.vec import IDENTITY
-from lierb.kernels.stepping.mechanism import UNSTABILISED, MechanismPlan
-from lierb.kernels.stepping.one_body import OneBody
-from lierb.kernels.stepping.plan import Plan
-from lierb.mechanism_plan import plan_of
-from lierb.user_binding import Column
+from lierb.kernels.systems.plan import UNSTABILISED, Plan
+from lierb.kernels.systems.system_of import system_of
+from lierb.model.functions.binding import Column
+from lierb.model.functions.column_names import TAKEN
+from lierb.runs.plans import mechanism_plan_of
 
 FREE = lierb.joints.free()
 
@@ -197,9 +196,9 @@ def test_mechanism_has_all_of_it_on_its_links():
         lierb.Mechanism(links, controllers=blinking())
 
 
-def system_of(plan, numbers):
+def of_plan(plan, numbers):
     """The plan's system, and its constants, in plain Python.   numbers : by the names of inputs."""
-    system = plan.formulation if isinstance(plan, MechanismPlan) else OneBody(plan)
+    system = system_of(plan)
     flat: list[float] = []
     for field, _ in system.inputs:
         given = np.broadcast_to(np.asarray(numbers.get(field.name, 0.0)), field.shape).ravel()
@@ -212,17 +211,19 @@ def of_problem(problem, pose, twist):
     numbers = problem.quantities | {"pose": pose, "twist": twist}
     for i, element in enumerate(problem.elements):
         numbers |= {f"{i}.{name}": x for name, x in element.parameters.items()}
-    return system_of(plan, numbers)
+    return of_plan(plan, numbers)
 
 
 def of_mechanism(mechanism, cspace, pose, twist):
     described = {"update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
     cspaces = (cspace,) * len(mechanism.links)
-    plan = plan_of(mechanism, cspaces, UNSTABILISED, elements=mechanism.kinds, **described)
+    plan = mechanism_plan_of(
+        mechanism, cspaces, UNSTABILISED, elements=mechanism.kinds, **described
+    )
     numbers = dict(mechanism.quantities)
     for i, name in enumerate(mechanism.names):
         numbers |= {f"{i}.pose": pose[name], f"{i}.twist": twist[name]}
-    return system_of(plan, numbers)
+    return of_plan(plan, numbers)
 
 
 def asked(system, body, numbers):

@@ -26,16 +26,10 @@ DIRECTIVE = re.compile(
 def _public() -> dict[str, object]:
     """Everything that a user is to find, by its dotted name."""
     names = {f"lierb.{name}": getattr(lierb, name) for name in (*lierb.__all__, *lierb._STUDIES)}
-    for module in (lierb.joints, lierb.forces, lierb.noise, lierb.sampling):
-        names |= {f"{module.__name__}.{name}": getattr(module, name) for name in module.__all__}
-    for module in (lierb.bodies, lierb.errors):
-        for name, item in vars(module).items():
-            is_own = getattr(item, "__module__", "") == module.__name__ and name[0] != "_"
-            is_error = name.endswith(("Error", "Warning"))
-            if is_own and (is_error or module is lierb.bodies):
-                names[f"{module.__name__}.{name}"] = item
-    groups = ("so3", "se3", "so3xr3")
-    return names | {f"lierb.lie.{name}": getattr(lierb.lie, name) for name in groups}
+    for module in ("bodies", "errors", "forces", "joints", "lie", "noise", "sampling"):
+        face = getattr(lierb, module)
+        names |= {f"lierb.{module}.{name}": getattr(face, name) for name in face.__all__}
+    return names
 
 
 def _item(name: str) -> typing.Any:

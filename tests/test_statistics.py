@@ -13,12 +13,12 @@ from studies import hashes, sorted_rows, tables
 
 import lierb
 from lierb.errors import StudyError, UnknownNameError
-from lierb.studies import cluster
 from lierb.studies.dataset import Dataset
-from lierb.studies.findings import findings, indices, quantities
-from lierb.studies.quantiles import quantile_of, share_width
-from lierb.studies.statistics import percentiles_over_time
-from lierb.studies.study import Study
+from lierb.studies.description.quantiles import quantile_of, share_width
+from lierb.studies.description.study import Study
+from lierb.studies.execution import cluster
+from lierb.studies.findings.findings import findings, indices, quantities
+from lierb.studies.findings.statistics import percentiles_over_time
 
 RULE = "width of 50% of energy_drift_max < 12%"
 
@@ -221,7 +221,7 @@ def test_percentiles_over_time_are_those_of_the_history(tmp_path, monkeypatch):
     history = dataset.table("history").to_table().to_pandas()
     (setting,) = changed.settings
     whole = percentiles_over_time(dataset, "energy_drift", setting, (5, 50, 97.5))
-    monkeypatch.setattr(lierb.studies.statistics, "MOST_NUMBERS", 60)  # two times at once
+    monkeypatch.setattr(lierb.studies.findings.statistics, "MOST_NUMBERS", 60)  # two times at once
     assert percentiles_over_time(dataset, "energy_drift", setting, (5, 50, 97.5)) == whole
     for row in whole.to_pylist():
         values = np.sort(history[history["step"] == row["step"]]["energy_drift"])

@@ -44,16 +44,16 @@ from studies import (
 import lierb
 from lierb.cli import cli
 from lierb.errors import StudyError, StudyWarning
-from lierb.studies import dataset as dataset_module
-from lierb.studies import running
 from lierb.studies.dataset import Dataset
-from lierb.studies.manifest import sealed
-from lierb.studies.parts import _with_draws
-from lierb.studies.running import parts_of, replay
-from lierb.studies.sections import KEYS
-from lierb.studies.study import Study
-from lierb.studies.study_file import line_of
-from lierb.studies.units import UNITS
+from lierb.studies.description.sections import KEYS
+from lierb.studies.description.study import Study
+from lierb.studies.description.study_file import line_of
+from lierb.studies.description.units import UNITS
+from lierb.studies.execution import running
+from lierb.studies.execution.running import parts_of, replay
+from lierb.studies.storage import store as store_module
+from lierb.studies.storage.manifest import sealed
+from lierb.studies.storage.parts import _with_draws
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
 
@@ -734,8 +734,8 @@ def test_two_runs_into_one_folder_are_refused(tmp_path):
 
 
 def test_a_large_manifest_is_not_written_for_every_part(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(dataset_module, "MANIFEST_SHARE", 1e-9)
-    monkeypatch.setattr(dataset_module, "QUICK_SECONDS", 0.0)
+    monkeypatch.setattr(store_module, "MANIFEST_SHARE", 1e-9)
+    monkeypatch.setattr(store_module, "QUICK_SECONDS", 0.0)
     written = []
     write = Dataset.write
     monkeypatch.setattr(
@@ -755,7 +755,7 @@ def test_full_disk_leaves_what_is_there(whole, tmp_path, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device")
         sync(handle)
 
-    monkeypatch.setattr(dataset_module.os, "fsync", fills_up)
+    monkeypatch.setattr(store_module.os, "fsync", fills_up)
     with pytest.raises(OSError, match=r"/part-.* written: No space left.*--resume") as caught:
         lierb.run(study(), tmp_path)
     assert isinstance(caught.value, StudyError)
@@ -798,7 +798,7 @@ def test_ctrl_c_finishes_the_part_and_says_how_to_go_on(tmp_path, interruptible)
 
 
 def test_summary_of_a_study(whole):
-    from lierb.studies.findings import findings, orders
+    from lierb.studies.findings.findings import findings, orders
 
     rows = Dataset(whole)
     rows.read()
@@ -838,7 +838,7 @@ def test_errors_that_a_joint_has_no_rows_for_are_dashes(whole, tmp_path):
 
 @pytest.mark.slow
 def test_figures_of_a_study_are_complete(tmp_path):
-    study_plots = pytest.importorskip("lierb.studies.figures")
+    study_plots = pytest.importorskip("lierb.studies.pages.figures")
     given = study(integrate={"save_every": 10}, sample={"n": 8})
     done = lierb.run(given, tmp_path / "out")
     written = study_plots.draw_all(done, tmp_path / "figures")

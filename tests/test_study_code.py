@@ -19,12 +19,12 @@ from studies import hashes, sorted_rows
 
 import lierb
 from lierb.errors import ArgumentError, ForceError, StudyError, StudyWarning, UnknownNameError
-from lierb.studies import cluster
 from lierb.studies.dataset import Dataset
-from lierb.studies.findings import findings
-from lierb.studies.manifest import sealed
-from lierb.studies.running import replay
-from lierb.studies.study import Study
+from lierb.studies.description.study import Study
+from lierb.studies.execution import cluster
+from lierb.studies.execution.running import replay
+from lierb.studies.findings.findings import findings
+from lierb.studies.storage.manifest import sealed
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 CODE = (EXAMPLES / "pointing.py").read_text(encoding="utf-8")

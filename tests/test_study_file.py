@@ -25,8 +25,8 @@ from lierb.errors import StudyError
 from lierb.sampling import Constant, Direction, LogNormal, Normal, TruncatedNormal, Values
 from lierb.sampling.distributions import DISTRIBUTIONS, Distribution, Uniform
 from lierb.studies.dataset import Dataset
-from lierb.studies.study import Study
-from lierb.studies.study_file import DEEPEST, LONGEST_STUDY, plain
+from lierb.studies.description.study import Study
+from lierb.studies.description.study_file import DEEPEST, LONGEST_STUDY, plain
 
 
 def load(tmp_path, text):
@@ -328,7 +328,7 @@ def test_changes_that_are_none_are_refused(changes):
 
 
 def test_no_more_is_taken_than_can_be_read_again(monkeypatch):
-    monkeypatch.setattr("lierb.studies.study.LONGEST_STUDY", 20_000)
+    monkeypatch.setattr("lierb.studies.description.study.LONGEST_STUDY", 20_000)
     values = {"distribution": "values", "values": np.random.default_rng(0).uniform(size=1000)}
     with pytest.raises(StudyError, match="larger than 4 MiB, the most for a study"):
         study(sample={"body": {"mass": values}})

@@ -20,18 +20,18 @@ from studies import bits, errors_when_stopped, hashes, start, study
 
 import lierb
 from lierb.errors import ArgumentError, StudyError
-from lierb.runs import tables as run_tables
-from lierb.runs.columns import as_array
-from lierb.studies import cluster
+from lierb.results import tables as run_tables
+from lierb.results.columns import as_array
 from lierb.studies.dataset import Dataset
-from lierb.studies.findings import findings, happened
-from lierb.studies.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
-from lierb.studies.running import compile_for, replay
-from lierb.studies.statistics import percentiles_over_time
-from lierb.studies.stopping import rule_of
-from lierb.studies.study import Study
-from lierb.studies.times import saved_times
-from lierb.studies.units import unit_of
+from lierb.studies.description.stopping import rule_of
+from lierb.studies.description.study import Study
+from lierb.studies.description.times import saved_times
+from lierb.studies.description.units import unit_of
+from lierb.studies.execution import cluster
+from lierb.studies.execution.running import compile_for, replay
+from lierb.studies.findings.findings import findings, happened
+from lierb.studies.findings.statistics import percentiles_over_time
+from lierb.studies.storage.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 CODE = (EXAMPLES / "attitude.py").read_text(encoding="utf-8")
@@ -381,7 +381,7 @@ def test_events_are_counted_and_their_first_times_ranked(whole):
 @pytest.mark.slow
 def test_report_tells_the_events(ending, tmp_path):
     pytest.importorskip("plotly")
-    from lierb.studies.report import write_report
+    from lierb.studies.pages.report import write_report
 
     dataset = Dataset(ending)
     dataset.read()
@@ -706,7 +706,7 @@ def test_error_names_the_line(tmp_path):
 
 def test_manifest_knows_its_tables(whole, tmp_path):
     """A part without its events is none."""
-    from lierb.studies.manifest import sealed
+    from lierb.studies.storage.manifest import sealed
 
     out = tmp_path / "out"
     shutil.copytree(whole, out)

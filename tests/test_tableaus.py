@@ -10,7 +10,7 @@ import pytest
 
 import lierb
 from lierb.errors import ArgumentError, LierbError, UnknownNameError
-from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
+from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
 
 # ---------------------------------------------------------------- checks of a user's tableau
 

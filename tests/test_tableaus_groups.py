@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lierb.tableaus import TABLEAUS
+from lierb.methods import TABLEAUS
 
 METHODS = {name: tableau for name, tableau in TABLEAUS.items() if tableau.exponentials}
 T_END = 1.0

@@ -11,7 +11,7 @@ import pytest
 from mpmath import mp, mpf
 from rooted_trees import Stages, defect, trees, weights_at, worst_defect
 
-from lierb.tableaus import TABLEAUS
+from lierb.methods import TABLEAUS
 
 EVERY = pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
 PAIRS = {name: tableau for name, tableau in TABLEAUS.items() if tableau.error}

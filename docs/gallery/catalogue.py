@@ -5,7 +5,7 @@ import sys
 import matplotlib.pyplot as plt
 
 import lierb
-from lierb.colours import CSPACE_COLOURS
+from lierb.results.colours import CSPACE_COLOURS
 
 NEEDS = {"pitch": 0.07, "length": 0.35}
 box = lierb.bodies.box((0.3, 0.15, 0.05), density=2700.0)

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import lierb
-from lierb.colours import CSPACE_COLOURS
+from lierb.results.colours import CSPACE_COLOURS
 
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))  # kg, kg m²
 PIVOT = lierb.joints.spherical(body_point=(-0.15, 0.0375, 0.0))  # m

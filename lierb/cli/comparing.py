@@ -10,13 +10,13 @@ import click
 
 from lierb.cli.studies import SET, STUDY, Changes, UserPath
 from lierb.cli.terminal import print_whole, progress_of_cases, wrapped
-from lierb.extras import require
-from lierb.studies.files import folder_of
+from lierb.support.extras import require
+from lierb.support.files import folder_of
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lierb.studies.study import Study
+    from lierb.studies.description.study import Study
 
 MOST_BODIES = 64  # of a study, unless --n says another number
 
@@ -97,8 +97,8 @@ def compare(
     lierb compare heavy_top.toml --methods Heun,RK4,DOP853 --dts 4e-3,2e-3,1e-3
     """
     require("study")
-    from lierb.studies.comparing import convergence
-    from lierb.studies.study import Study
+    from lierb.analysis.comparing import convergence
+    from lierb.studies.description.study import Study
 
     loaded = Study.load(study, changes)
     name = loaded.name
@@ -165,7 +165,7 @@ def _steps(study: Study) -> list[float]:
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """For a terminal."""
-    from lierb.studies.findings import empty_table
+    from lierb.studies.findings.findings import empty_table
 
     words = [name for name in header if name in ("method", "c-space", "over")]
     table = empty_table(words, header[len(words) :])

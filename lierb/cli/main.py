@@ -17,12 +17,12 @@ from lierb.cli import studies as study_cli
 from lierb.cli.comparing import compare
 from lierb.cli.terminal import INTERRUPTED, print_whole, progress_of_cases, wrapped
 from lierb.errors import LierbError
-from lierb.extras import MissingExtraError, require
+from lierb.support.extras import MissingExtraError, require
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lierb.paper import Finding, PaperReport
+    from lierb.analysis.paper import Finding, PaperReport
 
 
 NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of the cache's folder
@@ -91,7 +91,7 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
     Every joint in both c-spaces, RK4 with three step sizes over 10 s: how well does each keep its
     constraints, and does that agree with the paper's claims? (A. Müller, BIT 56, 2016)
     """
-    from lierb.paper import T_END, run_paper
+    from lierb.analysis.paper import T_END, run_paper
 
     with progress_of_cases() as progress:
         report = run_paper(
@@ -114,9 +114,9 @@ def info(as_json: bool) -> None:
     """What lierb runs with here: versions, CPU, lanes, threads, compiled kernels."""
     import json
 
-    import lierb
+    from lierb.installation import info as found_by
 
-    found = lierb.info()
+    found = found_by()
     if as_json:
         click.echo(json.dumps(found, indent=2))
         return
@@ -142,8 +142,7 @@ def info(as_json: bool) -> None:
 @click.option("--clear", is_flag=True, help="Delete them all, whatever version they are of.")
 def cache(clear: bool) -> None:
     """Compiled kernels on the disk: where they are, how many, how large."""
-    import lierb
-    from lierb.installation import clear_cache
+    from lierb.installation import clear_cache, info
 
     if clear:
         try:
@@ -154,7 +153,7 @@ def cache(clear: bool) -> None:
             ) from error
         click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
         return
-    found = lierb.info()["cache"]
+    found = info()["cache"]
     told = f"{found['kernels']} kernels of this version, {found['bytes'] / 1e6:.1f} MB"
     click.echo(f"{told}; folder: {found['folder'] or NO_CACHE}")
 
@@ -186,11 +185,12 @@ def warmup(
     JOINT is a name such as spherical (the default), or several. Every option but --solver may be
     given more than once: each combination is compiled. Or it is the TOML file of a study.
     """
-    import lierb
+    from lierb.installation import info as found_by
+    from lierb.installation import warmup as made_ready
 
     if len(joint) == 1 and joint[0].endswith(".toml"):
         require("study")
-        from lierb.studies.running import compile_for
+        from lierb.studies.execution.running import compile_for
 
         for setting, seconds in compile_for(joint[0], changes):
             click.echo(f"{setting.label:40}{seconds:6.2f} s")
@@ -198,14 +198,14 @@ def warmup(
     if changes:
         raise click.UsageError("--set changes a study; name its TOML file")
     with progress_of_cases() as progress:
-        kernels = lierb.warmup(
+        kernels = made_ready(
             joint or ("spherical",), methods=method, cspaces=cspace, updates=update,
             solver=solver, multipliers=multipliers, progress=progress,
         )  # fmt: skip
     for kernel in kernels:
         name = f"{kernel.joint}, {kernel.method}, {kernel.cspace}, {kernel.update}"
         click.echo(f"{name:40}{kernel.seconds:6.2f} s")
-    folder = lierb.info()["cache"]["folder"]
+    folder = found_by()["cache"]["folder"]
     click.echo(f"{len(kernels)} kernels are ready; folder: {folder or NO_CACHE}")
 
 
@@ -217,7 +217,7 @@ def _findings_table(report: PaperReport) -> Table:
     from rich import box
     from rich.table import Table
 
-    from lierb.paper import AS_STATED
+    from lierb.analysis.paper import AS_STATED
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for column in (

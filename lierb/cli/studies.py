@@ -13,22 +13,22 @@ import click
 
 from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
 from lierb.errors import StudyError
-from lierb.extras import require
-from lierb.runs.failures import told_elsewhere
-from lierb.studies.changes import parsed, written
-from lierb.studies.files import folder_of, naming, write_whole
-from lierb.studies.shipped import example as text_of
-from lierb.studies.shipped import examples
-from lierb.studies.sources import as_file
+from lierb.results.failures import told_elsewhere
+from lierb.studies.description.changes import parsed, written
+from lierb.studies.description.shipped import example as text_of
+from lierb.studies.description.shipped import examples
+from lierb.studies.description.sources import as_file
+from lierb.support.extras import require
+from lierb.support.files import folder_of, naming, write_whole
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from lierb.studies.dataset import Dataset
-    from lierb.studies.study import Study
+    from lierb.studies.description.study import Study
 
 Changes = dict[str, Any]
-FILE = "study.toml"  # lierb.studies.dataset.STUDY, without what that imports
+FILE = "study.toml"  # lierb.studies.storage.store.STUDY, without what that imports
 MOST_EVENTS = 20  # of a trajectory, that are printed
 COPIED = "lierb.copied"  # in a context: the study is from a pipe
 
@@ -139,8 +139,8 @@ def run(
     require("study")
     if report:
         require("report")  # now, rather than after the run
-    from lierb.studies.running import run as run_study
-    from lierb.studies.study import Study
+    from lierb.studies.description.study import Study
+    from lierb.studies.execution.running import run as run_study
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
@@ -196,7 +196,7 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | Non
         yield None
         return
     require("cluster")
-    from lierb.studies.cluster import client_of, local_client
+    from lierb.studies.execution.cluster import client_of, local_client
 
     click.echo(f"Joining {scheduler} ..." if scheduler else "Starting the workers ...", err=True)
     with local_client(workers) if workers else client_of(str(scheduler)) as client:
@@ -223,7 +223,7 @@ def plot(folder: Path) -> None:
     require("study")
     require("plot")
     from lierb.studies.dataset import Dataset
-    from lierb.studies.figures import draw_all, omitted
+    from lierb.studies.pages.figures import draw_all, omitted
 
     dataset, figures = Dataset(folder), folder / "figures"
     dataset.read()
@@ -260,12 +260,12 @@ def predict(study: Path, changes: Changes) -> None:
     Of its first body: where the joint is on the body can make a difference.
     """
     require("study")
-    import lierb
-    from lierb.prediction import joint_by_joint
-    from lierb.studies.study import Study
+    from lierb.analysis.prediction import joint_by_joint
+    from lierb.analysis.prediction import predict as predict_joints
+    from lierb.studies.description.study import Study
 
     batch = Study.load(study, changes).batch(0, 1)
-    found = lierb.predict(*batch.first)
+    found = predict_joints(*batch.first)
     click.echo(str(found))
     for joint, each in joint_by_joint(found):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))
@@ -276,7 +276,7 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from lierb.studies.running import replay
+    from lierb.studies.execution.running import replay
 
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
         path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"
@@ -297,14 +297,14 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
 
 def _report(dataset: Dataset, path: Path) -> None:
     require("report")
-    from lierb.studies.report import write_report
+    from lierb.studies.pages.report import write_report
 
     click.echo("Writing the report ...", err=True)
     click.echo(str(write_report(dataset, path)))
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings import (
+    from lierb.studies.findings.findings import (
         findings,
         happened,
         indices,

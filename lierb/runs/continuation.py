@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from lierb.arrays import Array
 from lierb.errors import ArgumentError
+from lierb.kernels.loops.record import state_columns
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.stepping.driver import state_columns
-from lierb.kernels.stepping.mechanism import MechanismPlan
-from lierb.kernels.stepping.plan import AnyPlan, Plan
-from lierb.kernels.stepping.signals import lane_end, states_of
-from lierb.kernels.stepping.status import EVENT, OK
-from lierb.mechanism import Mechanism
-from lierb.model import Problem
-from lierb.runs.engine import Output, Times
-from lierb.runs.lanes import LaneTime
-from lierb.user_elements import Element
+from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
+from lierb.kernels.systems.signals import lane_end, states_of
+from lierb.kernels.systems.state import EVENT, OK
+from lierb.model.functions.elements import Element
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.output import Output, Times
+from lierb.support.arrays import Array
 
 NAMED = 5  # failed trajectories in a message
 

@@ -15,14 +15,15 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 
-from lierb.arrays import Array, slices
 from lierb.compiler.threads import begun
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.kernels.stepping.plan import AnyPlan
-from lierb.links import Loop
-from lierb.mechanism import BODY, JOINT, Mechanism
-from lierb.model import Problem
-from lierb.user_elements import Element
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.model.functions.elements import Element
+from lierb.model.mechanism.links import Loop
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.mechanism.tree import BODY, JOINT
+from lierb.model.problem import Problem
+from lierb.support.arrays import Array, slices
 
 LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
 LARGE = 1 << 16  # numbers of a start whose digest takes longer than to start a thread for it

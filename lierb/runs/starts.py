@@ -6,14 +6,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lierb.arrays import Array, as_numbers, as_poses
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
+from lierb.errors import ArgumentError, told
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.stepping.plan import AnyPlan, plan_of
-from lierb.kernels.stepping.systems import system_of
-from lierb.model import Problem
+from lierb.kernels.systems.plan import AnyPlan, Stabilisation
+from lierb.kernels.systems.system_of import plan_of, system_of
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
 from lierb.runs.continuation import continuation_of, continuing
-from lierb.runs.engine import Inputs
+from lierb.runs.inputs import Inputs
+from lierb.runs.plans import CSpace, cspaces_of, mechanism_plan_of
+from lierb.support.arrays import Array, as_number, as_numbers, as_poses
 
 
 class Ready(NamedTuple):
@@ -64,3 +67,115 @@ def ready_body(
     starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
     inputs = Inputs(problem, system_of(plan).inputs, starts, count, t0, state)
     return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
+
+
+def ready_mechanism(
+    mechanism: Mechanism,
+    pose0: Any,
+    twist0: Any,
+    clock: Clock | None,
+    t0: float,
+    cspace: CSpace,
+    stabilise: Any,
+    described: dict[str, Any],
+) -> Ready:
+    """described : what of the plan does not depend on what hangs on what."""
+    poses = arrays_of(mechanism, "pose0", mechanism.pose() if pose0 is None else pose0)
+    twists = arrays_of(mechanism, "twist0", twist0)
+    sizes = {f"pose0[{name!r}]": (array, 2) for name, array in poses.items()}
+    sizes |= {f"twist0[{name!r}]": (array, 1) for name, array in twists.items()}
+    count = mechanism.batch_size(**sizes) or 1
+    plan = mechanism_plan_of(
+        mechanism, cspaces_of(mechanism, cspace), stabilisation_of(stabilise), **described
+    )
+    starts = {f"{i}.pose": poses[name] for i, name in enumerate(mechanism.names)}
+    starts |= {f"{i}.twist": twists[name] for i, name in enumerate(mechanism.names)}
+    known = continuing(pose0, mechanism, plan, twist0, t0)
+    if known is not None and clock is not None:
+        clock = known.clock_of(clock)
+    state = None if known is None else known.state_of(plan)
+    inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)
+    return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
+
+
+def arrays_of(mechanism: Mechanism, argument: str, given: Any) -> dict[str, Array]:
+    """Poses or twists of all links, checked."""
+    given = mechanism.by_link(argument, given)
+    if argument == "pose0":
+        return {n: as_poses(f"pose0[{n!r}]", given[n], copy=None) for n in mechanism.names}
+    return {n: as_numbers(f"twist0[{n!r}]", given[n], (6,), copy=None) for n in mechanism.names}
+
+
+def baumgarte(alpha: float, beta: float) -> Stabilisation:
+    """Baumgarte's stabilisation, for `lierb.integrate(…, stabilise=…)`.
+
+    In place of ḧ = 0 the constraints obey ḧ + 2α ḣ + β² h = 0, so that errors decay like e^(−αt)
+    where β = α.
+
+    Parameters
+    ----------
+    alpha : float
+        Rate α, 1/s. Values beyond 1/dt make steps unstable.
+    beta : float
+        Rate β, 1/s.
+
+    Returns
+    -------
+    Stabilisation
+        Value of the argument `stabilise`.
+
+    References
+    ----------
+    J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972) 1–16.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.baumgarte(10.0, 10.0)
+    Stabilisation(kind='baumgarte', alpha=10.0, beta=10.0)
+    """
+    rates = {}
+    for name, given in (("alpha", alpha), ("beta", beta)):
+        rates[name] = float(as_number(name, given))
+        if rates[name] < 0.0:
+            raise ArgumentError(f"{name}={told(given)}; expected zero or a positive number, 1/s")
+    return Stabilisation("baumgarte", **rates)
+
+
+def stabilisation_of(given: Any) -> Stabilisation:
+    """Of the argument `stabilise`. Raises ArgumentError for anything else."""
+    if given is None:
+        return Stabilisation()
+    if isinstance(given, Stabilisation):
+        return given
+    if isinstance(given, str) and given == "project":
+        return Stabilisation("project")
+    raise ArgumentError(
+        f'stabilise={told(given)}; expected None, "project" or lierb.baumgarte(alpha, beta)'
+    )
+
+
+def told_stabilisation(given: Any) -> str | None:
+    """As metadata have it."""
+    kept = stabilisation_of(given)
+    rates = f"({kept.alpha!r}, {kept.beta!r})" if kept.kind == "baumgarte" else ""
+    return None if kept.kind == "none" else f"{kept.kind}{rates}"
+
+
+def told_cspace(given: CSpace) -> str:
+    """As metadata have it."""
+    return given if isinstance(given, str) else ", ".join(f"{k}: {v}" for k, v in given.items())
+
+
+def check_mechanism_options(mechanism: Mechanism, update: str, solver: str, stabilise: Any) -> None:
+    kept = stabilisation_of(stabilise)
+    if solver != "auto":
+        raise ArgumentError(
+            f'solver="{solver}" is for a lierb.Problem; a mechanism has none to choose: '
+            "leave solver out"
+        )
+    if kept.kind == "project" and update == "global":
+        raise ArgumentError(
+            'stabilise="project" needs update="local": it moves poses, and a global update keeps '
+            "them in one chart"
+        )

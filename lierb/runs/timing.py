@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.arrays import Array, are_finite, as_floats, is_whole
 from lierb.errors import ArgumentError, TimeGridError, told, unknown_name
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.lane_clock import Span
-from lierb.kernels.stepping.plan import Embedded, Extension
 from lierb.kernels.stepping.step_size import Tolerances
-from lierb.mechanism import Mechanism
-from lierb.model import Problem
+from lierb.kernels.systems.plan import Embedded, Extension
+from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
+from lierb.model.functions.in_time import Controller, Event
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
 from lierb.runs.continuation import counted
-from lierb.runs.lanes import LaneTime
+from lierb.runs.lane_engine import LaneTime
 from lierb.runs.provenance import described_array
-from lierb.tableaus import TABLEAUS, ButcherTableau, tableau_of
-from lierb.user_signals import Controller, Event
+from lierb.support.arrays import Array, are_finite, as_floats, is_whole
 
 MOST_STEPS = 2.0**53  # beyond, not every step has a number
 MOST_TICKS = 2.0**48  # beyond, steps between them would be a few roundings of t long

@@ -48,3 +48,7 @@ __all__ = [
     "Values",
     "inertia_of",
 ]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

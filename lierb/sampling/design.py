@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.arrays import SLICE, Array, as_positive, components, is_whole
 from lierb.errors import ArgumentError, unknown_name
-from lierb.extras import require
-from lierb.runs.memory import require_memory
 from lierb.sampling.distributions import (
     Constant,
     Distribution,
     Values,
     as_distribution,
 )
+from lierb.support.arrays import SLICE, Array, as_positive, components, is_whole
+from lierb.support.extras import require
+from lierb.support.memory import require_memory
 
 METHODS = ("random", "sobol", "saltelli", "grid")
 SEED_BITS = 64

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.arrays import Array, as_floats, as_matrix
 from lierb.errors import ArgumentError
-from lierb.extras import require
 from lierb.kernels.groups import so3
+from lierb.support.arrays import Array, as_floats, as_matrix
+from lierb.support.extras import require
 
 LARGEST = 1e300  # of a parameter: sums of a few, and 39 of a normal's std, are numbers still
 FARTHEST_Z = 8.3  # of the uniforms next to 1, in std

@@ -10,7 +10,8 @@ from cases import tiered
 
 import lierb
 from clocks.shared import bits, spread_tops, table_bits, top_problem
-from lierb.runs import engine, lanes, starts
+from lierb.runs import engine, starts
+from lierb.runs import lane_engine as lanes
 
 TWISTS = spread_tops()
 TIMES = (0.0, 0.05, 0.1234567, 0.25)

@@ -24,7 +24,7 @@ from lierb.compiler.code import OPTIONS
 from lierb.compiler.entries import call, entry_of, raise_again
 from lierb.compiler.internals import ALLOCATES_NOTHING, INT64, cgutils
 from lierb.compiler.tags import Tag
-from lierb.compiler.trace import kernel
+from lierb.kernels.tracing.trace import kernel
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="nothing is compiled with the JIT off"

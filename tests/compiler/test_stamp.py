@@ -14,7 +14,8 @@ from lierb.compiler import sealed, stamp
 from lierb.compiler.stamp import described, parts, source_stamp
 from lierb.compiler.tags import Tag, TagType
 from lierb.kernels.functions.fingerprint import modules_named
-from lierb.kernels.stepping import driver, plan
+from lierb.kernels.loops import blocks as driver
+from lierb.kernels.systems import plan
 
 DRIVER = driver.__name__
 
@@ -183,7 +184,7 @@ def test_kernels_are_made_of_what_they_import_and_no_more():
     found = parts(DRIVER).keys()
     rooms = ("numbers", "groups", "mechanics", "stepping", "functions")
     assert all(any(f"lierb.kernels.{room}." in name for name in found) for room in rooms)
-    assert {"lierb.compiler.trace", "lierb.kernels.mechanics.constraints"} <= found
+    assert {"lierb.kernels.tracing.trace", "lierb.kernels.mechanics.constraints"} <= found
     assert all(name.startswith(("lierb.kernels", "lierb.compiler")) for name in found)
     assert found <= stamp.SOURCES.keys()  # none by a name that is made at run time
     lie = parts("lierb.kernels.groups.lie_functions").keys()
@@ -231,7 +232,7 @@ def twice(x, by=(lierb.log,)):
 
 
 def test_functions_of_the_user_are_made_of_what_they_name_of_lierb():
-    vocabulary = "lierb.kernels.numbers.vocabulary"
+    vocabulary = "lierb.kernels.functions.vocabulary"
     assert modules_named(limited, set(), []) == {vocabulary, "lierb.lie"}
     assert modules_named(lambda x: x + 1.0, set(), []) == set()
     force = lierb.wrench(lambda t, R, r, omega, v: ((0.0,) * 3, lierb.clip(v, -1.0, 1.0)))()

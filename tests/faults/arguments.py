@@ -31,10 +31,11 @@ from cases import RECORD
 from scipy.spatial.transform import Rotation
 
 import lierb
-from lierb import errors, tableaus
+from lierb import errors
+from lierb import methods as tableaus
+from lierb.analysis import convergence
 from lierb.kernels.mechanics.rows import JOINT_ROWS, Point
-from lierb.mechanism_plan import cspaces_of
-from lierb.studies import convergence
+from lierb.runs.plans import cspaces_of
 
 SECONDS = 5.0  # that a call may take
 MESSAGE = 2000  # characters that an error's message may have

@@ -14,7 +14,7 @@ from typing import Any
 import lierb
 from faults.crash import ENDS, Child, Points, in_child, killed_in_child, points_of, told_with
 from faults.folders import Space
-from lierb.studies.cluster import client_of, local_client
+from lierb.studies.execution.cluster import client_of, local_client
 
 STUDY = "history"
 WORKERS = 2

@@ -14,8 +14,8 @@ from studies import TEXT, hashes
 
 from faults.crash import in_child
 from lierb.cli import cli
-from lierb.studies.manifest import read_manifest
-from lierb.studies.study import Study
+from lierb.studies.description.study import Study
+from lierb.studies.storage.manifest import read_manifest
 
 FEW = {
     "n = 50": "n = 4",

@@ -14,9 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lierb.errors import StudyError
-from lierb.studies.parts import part_size
-from lierb.studies.study import Study
-from lierb.studies.study_file import LONGEST_STUDY
+from lierb.studies.description.study import Study
+from lierb.studies.description.study_file import LONGEST_STUDY
+from lierb.studies.storage.parts import part_size
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_SECONDS = 20.0  # of a file, of this process's own time: what takes longer hangs

@@ -9,9 +9,9 @@ from lierb.kernels.functions.function import Function, traceable
 from lierb.kernels.functions.noise import normal
 from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.mechanics import elements as kinds
-from lierb.kernels.stepping.one_body import OneBody, Seen
-from lierb.kernels.stepping.plan import Plan
-from lierb.user_functions import ARGUMENTS
+from lierb.kernels.systems.one_body import OneBody, Seen
+from lierb.kernels.systems.plan import Plan
+from lierb.model.functions.tracing import ARGUMENTS
 
 LAMP = (("brightness", ()),)
 TORQUE = (("torque", (3,)), ("lamp", ()))

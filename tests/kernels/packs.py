@@ -7,12 +7,12 @@ from numba import njit
 
 from lierb.compiler.code import OPTIONS
 from lierb.compiler.tags import Tag
-from lierb.compiler.trace import kernel
 from lierb.kernels.groups.coefficients import coefficients, half_angle_coefficients
 from lierb.kernels.numbers.arithmetic import gather, scatter
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.numbers.trigonometry import atan2, sincos
 from lierb.kernels.numbers.vec import inverse_symmetric, principal_axes
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.trace import kernel
 
 FORMULAS = {
     "coefficients": coefficients,

@@ -13,11 +13,11 @@ from oracle import mp
 
 from kernels.packs import FORMULAS, on_lanes
 from lierb.kernels.functions import user_number as module
+from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.user_number import Condition, UserNumber, raw, where
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.kernels.numbers.object_arrays import numbers
-from lierb.kernels.numbers.vocabulary import clip, log, quaternion, table
+from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
 from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
 
 
 def matrix(x):

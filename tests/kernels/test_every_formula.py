@@ -1,4 +1,4 @@
-"""Every public formula of lierb's groups, mechanics and stepping, on every number type.
+"""Every public formula of the kernels, from groups to loops, on every number type.
 
 What there is, is read off the modules; what a formula is given, is recorded while small runs in
 plain Python go through all of them. There each one is differentiated by dual numbers, on floats and
@@ -31,14 +31,14 @@ import lierb
 from kernels import controlled_body
 from kernels.exact import Exact
 from lierb import forces
-from lierb.kernels import groups, mechanics, stepping
+from lierb.kernels import groups, loops, mechanics, stepping, systems
 from lierb.kernels.groups import so3
 from lierb.kernels.groups.lie_functions import GROUPS
 from lierb.kernels.numbers.arithmetic import alike, plain
 from lierb.kernels.numbers.dual import Dual, parts_of, value_of
-from lierb.kernels.numbers.lanes import DOUBLE, Lane, Trace
 from lierb.kernels.numbers.zero import Zero
 from lierb.kernels.stepping.clock import TIDY_EVERY
+from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace
 
 ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 8)
@@ -48,8 +48,8 @@ STEP = mp.mpf(10) ** -20
 POINT, ANCHOR = (0.05, 0.02, 0.01), (0.1, 0.2, 0.3)
 
 LOOPS = {  # code of Numba's, and what it works on
-    "groups.lie_functions.apply", "stepping.driver.integrate_blocks",
-    "stepping.driver.integrate_on_threads", "stepping.driver.pack", "stepping.driver.job_of",
+    "groups.lie_functions.apply", "loops.blocks.integrate_blocks",
+    "loops.blocks.integrate_on_threads", "loops.blocks.pack", "loops.job.job_of",
     "stepping.clock.Clock.end", "stepping.clock.Clock.saved_times", "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
@@ -61,9 +61,8 @@ NO_NUMBERS = {  # abstract, or of other things
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind",
     "mechanics.rows.Row.holds_slide", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection", "mechanics.rows.slides",
-    "stepping.formulations.SaddlePoint.is_light", "stepping.formulations.Subgroup.is_homogeneous",
-    "stepping.plan.AnyPlan.formulation",
-    "stepping.signals.Watching.motions",
+    "systems.formulations.SaddlePoint.is_light", "systems.formulations.Subgroup.is_homogeneous",
+    "systems.signals.Watching.motions",
 }  # fmt: skip
 
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
@@ -73,9 +72,9 @@ OF_MECHANISMS = (
     "mechanics.spatial.",
     "mechanics.tree.",
     "mechanics.tree_dynamics.",
-    "stepping.mechanism.",
-    "stepping.mechanism_inputs.",
-    "stepping.systems.",
+    "systems.tree_system.",
+    "systems.tree_inputs.",
+    "systems.system_of.",
 )
 
 # What lanes with clocks of their own ask: what chooses steps and finds crossings decides, and is no
@@ -87,18 +86,18 @@ OF_CLOCKS = (
     "mechanics.elements.UserEvent.value_nearby",
     "mechanics.elements.UserWrench.jumps",
     "mechanics.elements.travel_to_kink",
-    "stepping.formulations.OnOneChart.places",
-    "stepping.held.",
-    "stepping.signals.Watching.events_nearby",
-    "stepping.signals.Watching.jumps",
-    "stepping.signals.Watching.travel",
+    "systems.formulations.OnOneChart.places",
+    "systems.extra_states.",
+    "systems.signals.Watching.events_nearby",
+    "systems.signals.Watching.jumps",
+    "systems.signals.Watching.travel",
     "stepping.stepper.between",
     "stepping.stepper.extended",
-    "stepping.crossings.",
-    "stepping.desk.",
+    "loops.event_search.",
+    "loops.workspace.",
     "stepping.lane_clock.",
-    "stepping.lane_driver.",
-    "stepping.lane_formulas.",
+    "loops.lanes.",
+    "loops.lane_steps.",
     "stepping.step_size.",
 )
 
@@ -140,7 +139,7 @@ def public(package):
 
 FUNCTIONS = {
     name: f
-    for package in (groups, mechanics, stepping)
+    for package in (groups, mechanics, systems, stepping, loops)
     for name, f in public(package)
     if not name.startswith((*OF_MECHANISMS, *OF_CLOCKS))
 }
@@ -192,7 +191,11 @@ def runs():
         ("free", pulling()),
     ):
         problem, twist = tilted(name)
-        added = "constraints" if isinstance(force, lierb.user_elements.Constraint) else "forces"
+        added = (
+            "constraints"
+            if isinstance(force, lierb.model.functions.elements.Constraint)
+            else "forces"
+        )
         problem = lierb.Problem(problem.body, problem.joint, problem.gravity, **{added: [force]})
         options = {"check": "off"} if added == "constraints" else {}
         yield problem, problem.project(twist), options

@@ -12,11 +12,12 @@ import pytest
 from cases import slow_but
 
 from lierb.compiler.code import OPTIONS
-from lierb.joints import JOINTS
-from lierb.kernels.numbers.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
-from lierb.kernels.stepping.driver import JOB, integrate_blocks
-from lierb.kernels.stepping.plan import plan_of
-from lierb.tableaus import TABLEAUS
+from lierb.kernels.loops.blocks import integrate_blocks
+from lierb.kernels.loops.job import JOB
+from lierb.kernels.systems.system_of import plan_of, takes_gentle_steps
+from lierb.kernels.tracing.lanes import DEFAULT_LANES, HAS_FMA, IS_X86
+from lierb.methods import TABLEAUS
+from lierb.model.joints.joint import JOINTS
 
 pytestmark = [
     pytest.mark.slow,
@@ -73,7 +74,7 @@ def hot_loop(request) -> SimpleNamespace:
     loops = [Counter(loop) for loop in innermost_loops(assembly)]
     # A step of these plans takes no root; a loop over blocks, which looks at starts, does.
     loops = [loop for loop in loops if not count(loop, "vsqrtpd")]
-    if plan.takes_gentle_steps:
+    if takes_gentle_steps(plan):
         # The way of tiny angles: one branch, out of it, and the jump back.
         loops = [
             loop for loop in loops

@@ -22,8 +22,8 @@ from lierb.kernels.functions.noise import (
     uniform,
 )
 from lierb.kernels.functions.signals import Noise
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
-from lierb.kernels.numbers.words import LOW
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.words import LOW
 
 COUNT = 5  # three blocks, the last one half used
 FORMULAS["normals"] = lambda *noise: normals(Noise(*noise), "gyro", COUNT)

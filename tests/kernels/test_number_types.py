@@ -17,13 +17,13 @@ from numba import config, njit
 import lierb
 from kernels.packs import on_lanes
 from kernels.samples import GROUPS, dim, twists, unpacked
-from lierb.compiler.trace import kernel, trial
 from lierb.kernels.groups import se3, so3, so3xr3
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
 from lierb.kernels.numbers.arithmetic import apart, flatten, fma, rounded_as_numpy, sqrt
 from lierb.kernels.numbers.dual import Dual, raw
-from lierb.kernels.numbers.lanes import DEFAULT_LANES
 from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.trace import kernel, trial
 
 ROOT = Path(__file__).parents[2]
 LANES = (1, 2, 4, 8)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.compiler.trace import trial
 from lierb.kernels.functions.function import traceable
+from lierb.kernels.functions.object_arrays import UntraceableError, has_traced, numbers
 from lierb.kernels.functions.user_number import UserNumber, raw
-from lierb.kernels.numbers.object_arrays import UntraceableError, has_traced, numbers
+from lierb.kernels.tracing.trace import trial
 
 RNG = np.random.default_rng(1)
 GIVEN = {"t": 0.7, "R": RNG.normal(size=(3, 3)), "r": RNG.normal(size=3), "v": RNG.normal(size=3)}

@@ -38,10 +38,10 @@ from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.function import outputs_of, trial
 from lierb.kernels.functions.noise import normals
 from lierb.kernels.functions.signals import Noise, Signals
-from lierb.kernels.stepping import signals as sides
-from lierb.kernels.stepping.formulations import accelerate
-from lierb.kernels.stepping.mechanism import MechanismPlan
-from lierb.kernels.stepping.one_body import Seen
+from lierb.kernels.systems import signals as sides
+from lierb.kernels.systems.formulations import accelerate
+from lierb.kernels.systems.one_body import Seen
+from lierb.kernels.systems.plan import MechanismPlan
 
 
 def test_shapes_of_plan_are_in_the_order_of_elements():

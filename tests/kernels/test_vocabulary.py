@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from kernels.packs import FORMULAS, on_lanes
+from lierb.kernels.functions import object_arrays
 from lierb.kernels.functions.function import COMPILED, traceable
 from lierb.kernels.functions.user_number import Condition, UserNumber
-from lierb.kernels.numbers import object_arrays
 from lierb.kernels.numbers.dual import Dual
 
 VECTORS = np.random.default_rng(3).uniform(-1.7, 1.7, (2, 5, 3))  # ‖ξ‖ < π

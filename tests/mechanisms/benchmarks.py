@@ -451,8 +451,8 @@ def spherical_double_pendulum() -> Benchmark:
     A. Müller, Z. Terze, The significance of the configuration space Lie group for the constraint
     satisfaction in numerical time integration of multibody systems, Mechanism and Machine Theory
     82 (2014), 173–202, has such a mechanism; its numbers were not to be found in public, so both
-    bodies are the box of Müller (2016), `lierb.paper`, hung at the corner that it hangs at there,
-    with gravity. y is (R₁, R₂, ω₁, ω₂), rotations row by row and ω in axes of the bodies.
+    bodies are the box of Müller (2016), `lierb.analysis.paper`, hung at the corner that it hangs at
+    there, with gravity. y is (R₁, R₂, ω₁, ω₂), rotations row by row and ω in axes of the bodies.
     """
     mass, moments = 6.075, (0.0126563, 0.0468281, 0.0569531)
     s = np.array([0.15, -0.0375, 0.0])  # from the upper joint to the centre of mass

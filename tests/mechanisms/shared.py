@@ -11,9 +11,11 @@ import numpy as np
 
 import lierb
 from lierb.kernels.mechanics.tree import TreeConstants
-from lierb.kernels.stepping.mechanism import UNSTABILISED, TreeFormulation
-from lierb.kernels.stepping.state import State
-from lierb.mechanism_plan import plan_of
+from lierb.kernels.systems.plan import UNSTABILISED
+from lierb.kernels.systems.state import State
+from lierb.kernels.systems.system_of import formulation_of
+from lierb.kernels.systems.tree_system import TreeFormulation
+from lierb.runs.plans import mechanism_plan_of
 
 GRAVITY = (0.0, 0.0, -9.81)
 TURNING = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
@@ -68,7 +70,7 @@ def in_python(
     mechanism: lierb.Mechanism, cspace: str, pose0: dict[str, Any], twist0: dict[str, Any]
 ) -> tuple[TreeFormulation, TreeConstants, State]:
     """Formulas, constants and start of a mechanism, or of the first of a batch, on floats."""
-    plan = plan_of(
+    plan = mechanism_plan_of(
         mechanism, (cspace,) * len(mechanism.links), UNSTABILISED, elements=mechanism.kinds,
         update="local", stages=((),), weights=(1.0,), multipliers=False,
     )  # fmt: skip
@@ -76,9 +78,9 @@ def in_python(
     for i, name in enumerate(mechanism.names):
         given |= {f"{i}.pose": pose0[name], f"{i}.twist": twist0[name]}
     flat: list[float] = []
-    for field, _ in plan.formulation.inputs:
+    for field, _ in formulation_of(plan).inputs:
         first = np.ravel(given.get(field.name, 0.0))[: int(np.prod(field.shape))]
         numbers = np.broadcast_to(first.reshape(-1), int(np.prod(field.shape)))
         flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
-    body = plan.formulation.body(flat)
-    return plan.formulation, body, plan.formulation.start(body, (), flat)
+    body = formulation_of(plan).body(flat)
+    return formulation_of(plan), body, formulation_of(plan).start(body, (), flat)

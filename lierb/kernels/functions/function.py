@@ -20,7 +20,6 @@ import numba
 import numpy as np
 from numba.extending import is_jitted
 
-from lierb.compiler import calls, trace
 from lierb.compiler.code import OPTIONS, undisturbed
 from lierb.compiler.integers import CheckedIntegers
 from lierb.kernels.functions.fingerprint import (
@@ -37,18 +36,19 @@ from lierb.kernels.functions.fingerprint import (
     references,
 )
 from lierb.kernels.functions.noise import drawing
-from lierb.kernels.functions.purity import MARK, require_pure_code, require_repeatable
-from lierb.kernels.functions.signals import NAMES, NO_SIGNALS, Noise, Signals
-from lierb.kernels.functions.user_number import REPLACEMENTS, Condition, UserNumber
-from lierb.kernels.numbers.arithmetic import flatten, plain
-from lierb.kernels.numbers.lanes import Lane
-from lierb.kernels.numbers.object_arrays import (
+from lierb.kernels.functions.object_arrays import (
     UntraceableError,
     for_traces,
     has_traced,
     is_numpy,
     numbers,
 )
+from lierb.kernels.functions.purity import MARK, require_pure_code, require_repeatable
+from lierb.kernels.functions.signals import NAMES, NO_SIGNALS, Noise, Signals
+from lierb.kernels.functions.user_number import REPLACEMENTS, Condition, UserNumber
+from lierb.kernels.numbers.arithmetic import flatten, plain
+from lierb.kernels.tracing import calls, trace
+from lierb.kernels.tracing.lanes import Lane
 
 Shape = tuple[int, ...]
 Shapes = tuple[tuple[str, Shape], ...]

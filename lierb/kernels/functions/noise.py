@@ -17,11 +17,11 @@ from functools import cache
 from typing import Any
 
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, minimum, sqrt, where
-from lierb.kernels.numbers.object_arrays import numbers
-from lierb.kernels.numbers.words import LOW, real_of, words_of
+from lierb.kernels.tracing.words import LOW, real_of, words_of
 
 MOST = 4096  # numbers of one draw: what the counter has room for
 BLOCK_BITS = 11  # of the number of a block of two of them

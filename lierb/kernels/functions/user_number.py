@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels.functions.fingerprint import TEXT, UnfitFunctionError
-from lierb.kernels.numbers import lanes
 from lierb.kernels.numbers.arithmetic import (
     PI,
     absolute,
@@ -29,9 +28,10 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.arithmetic import sqrt as root
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of, side_by_side
-from lierb.kernels.numbers.lanes import Lane, Mask
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.numbers.zero import ZERO, Zero, is_zero
+from lierb.kernels.tracing import lanes
+from lierb.kernels.tracing.lanes import Lane, Mask
 
 FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
 HUGE = 2.0**1000  # beyond, sums of two numbers may overflow

@@ -9,9 +9,9 @@ from typing import Any
 
 from lierb.compiler.code import cached
 from lierb.compiler.tags import Tag
-from lierb.compiler.trace import kernel
 from lierb.kernels.groups import se3, so3, so3xr3
 from lierb.kernels.numbers.arithmetic import gather, scatter
+from lierb.kernels.tracing.trace import kernel
 
 GROUPS: dict[str, ModuleType] = {"so3": so3, "se3": se3, "so3xr3": so3xr3}
 

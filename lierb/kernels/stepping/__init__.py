@@ -1,1 +1,1 @@
-"""What is compiled: a plan, its steps, and the loops over steps and blocks."""
+"""Steps: clocks, the stepper of all methods, and the choice of adaptive steps."""

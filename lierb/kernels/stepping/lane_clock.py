@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lierb.compiler import calls
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     all_lanes,
@@ -20,10 +19,6 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.clock import TIDY_EVERY
-from lierb.kernels.stepping.layout import LANE_END
-from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.state import State
-from lierb.kernels.stepping.status import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
 from lierb.kernels.stepping.step_size import (
     EPS,
     LEAST_ULPS,
@@ -32,6 +27,10 @@ from lierb.kernels.stepping.step_size import (
     first_step,
     within,
 )
+from lierb.kernels.systems.layout import LANE_END
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.state import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR, State
+from lierb.kernels.tracing import calls
 
 INF = float("inf")
 PASSED = 1.1  # by so much of `longest` a step may be longer, as velocities change in it

@@ -21,14 +21,14 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.vec import Vec, dot
-from lierb.kernels.numbers.words import rough_exp2, rough_log2
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.held import in_states
-from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import events_of
-from lierb.kernels.stepping.state import Stabilised, State
 from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
-from lierb.kernels.stepping.systems import system_of
+from lierb.kernels.systems.extra_states import in_states
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of
+from lierb.kernels.systems.state import Stabilised, State
+from lierb.kernels.systems.system_of import formulation_of, system_of
+from lierb.kernels.tracing.words import rough_exp2, rough_log2
 
 EPS = 2.0**-52
 SAFETY = 0.8
@@ -142,7 +142,7 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
     order have weights of zero for their first stages: then neither the step nor its error estimate
     has any trace of the stop.
     """
-    velocity = plan.formulation.velocity
+    velocity = formulation_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
     first, *rest = slopes.v_or_mu
     changes = [
@@ -203,7 +203,7 @@ def _defect(
     x_unit, unit = units_of(plan, h)
     x, v_or_mu = times(x_unit, slopes.x), times(unit, slopes.v_or_mu)
     states = times(h, slopes.states)
-    formulation = plan.formulation
+    formulation = formulation_of(plan)
     return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
 
 
@@ -273,7 +273,7 @@ def _scales(
 
 def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:
     """‖y‖² of position, ω, v, and of each of the user's states."""
-    formulation = plan.formulation
+    formulation = formulation_of(plan)
     place = formulation.places(state.chart)
     twist = formulation.velocity(body, state.v_or_mu)
     states = tuple(dot(part, part) for part in in_states(plan, state.states))
@@ -348,7 +348,7 @@ def first_step(
     length : of the run, s.
     """
     scales = _scales(plan, body, state, state, limits)
-    falling = plan.formulation.before_step(body, state.chart)
+    falling = formulation_of(plan).before_step(body, state.chart)
 
     def at(x: Vec, v_or_mu: Vec, states: Vec, time: Any) -> Any:
         return rates_at(plan, body, state.chart, falling, x, v_or_mu, states, time)
@@ -363,7 +363,7 @@ def first_step(
     x, v_or_mu, states = (
         tuple(fma(h, k, y) for k, y in zip(rate, y0, strict=True)) for y0, h, rate in pairs
     )
-    there = at(plan.formulation.in_algebra(body, x), v_or_mu, states, time + guess)
+    there = at(formulation_of(plan).in_algebra(body, x), v_or_mu, states, time + guess)
     change = tuple(
         tuple(after - before for before, after in zip(*pair, strict=True))
         for pair in zip(_parts(start), _parts(there), strict=True)
@@ -398,5 +398,5 @@ def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> An
 
 def _rate_against(plan: AnyPlan, body: Any, rates: Any, scales: _Scales) -> Any:
     x, v_or_mu, states = rates
-    twist = plan.formulation.velocity(body, v_or_mu)
+    twist = formulation_of(plan).velocity(body, v_or_mu)
     return _largest(plan, body, _Defect(x, twist, states), scales)

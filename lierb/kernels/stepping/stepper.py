@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.arithmetic import fma, maximum, where
 from lierb.kernels.numbers.vec import Vec, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.held import rates_of_states, with_states
-from lierb.kernels.stepping.plan import AnyPlan
-from lierb.kernels.stepping.signals import states_of
-from lierb.kernels.stepping.state import Stabilised, State
+from lierb.kernels.systems.extra_states import rates_of_states, with_states
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import states_of
+from lierb.kernels.systems.state import Stabilised, State
+from lierb.kernels.systems.system_of import formulation_of
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -80,7 +81,7 @@ def trial_step(
     )
     end = plan.exponentials[-1] if plan.exponentials else None
     stepped = _combined(plan, body, state, h, slopes, plan.weights, end)
-    kept = plan.formulation.stabilised(body, state, stepped, time + span, h)
+    kept = formulation_of(plan).stabilised(body, state, stepped, time + span, h)
     if not is_zero(kept.singular):
         singular = maximum(singular, kept.singular)
     return Step(kept.state, slopes, singular, kept)
@@ -118,7 +119,7 @@ def between(
     weights = tuple(_polynomial(theta, terms) for terms in extension.weights)
     found = _combined(plan, body, state, h, slopes, weights, None)
     time, h = fma(theta, span, time), theta * h
-    kept: State = plan.formulation.stabilised(body, state, found, time, h).state
+    kept: State = formulation_of(plan).stabilised(body, state, found, time, h).state
     return kept
 
 
@@ -145,7 +146,7 @@ def _stages(
     products: tuple[Rows | None, ...],
 ) -> tuple[Slopes, Any]:
     """The slopes of further stages behind those `known`, and the mark of a singular one."""
-    formulation = plan.formulation
+    formulation = formulation_of(plan)
     before, start = formulation.before_step(body, state.chart), state.v_or_mu
     x_unit, unit = 0.5 * h, h
     if counts_in_steps(plan):
@@ -180,7 +181,7 @@ def _combined(
     factors: Rows | None,
 ) -> State:
     """The state with h Σ weights · slopes, its pose by so many exponentials, or by one."""
-    formulation = plan.formulation
+    formulation = formulation_of(plan)
     x_unit, unit = units_of(plan, h)
     v_or_mu = _ended(plan, state.v_or_mu, unit, weights, slopes.v_or_mu)
     (work,) = _ended(plan, (state.work,), h, weights, slopes.work)
@@ -199,7 +200,7 @@ def _combined(
 
 def _product(plan: AnyPlan, body: Any, chart: Any, h: Any, factors: Rows, slopes: Any) -> Any:
     """C₀ exp(h Σ a¹ V) exp(h Σ a² V) …"""
-    formulation = plan.formulation
+    formulation = formulation_of(plan)
     for weights in factors:
         if any(weights):
             still = tuple(0.0 * x for x in slopes[0])
@@ -214,7 +215,7 @@ def counts_in_steps(plan: AnyPlan) -> bool:
     products are made but once.
     """
     is_own = plan.embedded is not None and not plan.exponentials and not states_of(plan)
-    return is_own and plan.formulation.is_homogeneous
+    return is_own and formulation_of(plan).is_homogeneous
 
 
 def units_of(plan: AnyPlan, h: Any) -> tuple[Any, Any]:
@@ -246,7 +247,7 @@ def rates_at(
     time: Any,
 ) -> StageRates:
     """At C₀ exp X.   chart : C₀.   falling : the formulation's `before_step` of it."""
-    formulation, own = plan.formulation, states
+    formulation, own = formulation_of(plan), states
     if states:
         body = with_states(body, states)
         there = State(formulation.moved(chart, x), (ZERO,) * len(x), v_or_mu, ZERO, states)

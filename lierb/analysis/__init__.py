@@ -1,0 +1,1 @@
+"""Predictions, completion, orders of convergence, comparison of methods, the paper's section 5."""

@@ -1,0 +1,294 @@
+"""C-space of a mechanism for `lierb.analysis.completion`: configurations, rows, Jacobians.
+
+A configuration has a pose for each node of the tree that is integrated, and the group is the direct
+product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from
+one frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
+configurations are looked at together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from lierb.kernels.groups import se3, so3xr3
+from lierb.kernels.mechanics.constraints import residuals
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants
+from lierb.kernels.mechanics.rows import PITCHED, Rows
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
+from lierb.kernels.systems.plan import UNSTABILISED
+from lierb.model.joints.coordinates import motions_of
+from lierb.model.mechanism.links import Connection
+from lierb.runs.plans import mechanism_plan_of
+from lierb.support.arrays import Array, Pose, assembled, components, pose_components
+
+if TYPE_CHECKING:
+    from lierb.model.mechanism.mechanism import Mechanism
+
+Configurations = Array  # (n, nodes, 12): rotations row by row, places
+Motions = dict[int, tuple[Pose, Vec]]  # of nodes: their frames, (n, 1), and twists, (n, freedoms)
+GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
+
+
+class Place(NamedTuple):
+    """Of rows between two nodes: their frames on both, and what they are made of.
+
+    inner, outer : seen from the nodes' own frames; `outer` of the ground, where it is one of it.
+    """
+
+    at: Connection
+    body: int
+    parent: int
+    inner: Pose
+    outer: Pose
+    constants: BodyConstants
+    rows: Rows
+
+
+class Seen(NamedTuple):
+    """Of all rows at some configurations; lengths in units of the mechanism's own.
+
+    values : h, (n, rows).   gradients : (n, rows, freedoms), over their `lengths` as rows on D,
+    (n, rows).   far : ‖d‖, (n, rows).   upright : (n, places), whether no joint is held half a turn
+    the wrong way round, which no row sees.
+    """
+
+    values: Array
+    gradients: Array
+    lengths: Array
+    far: Array
+    upright: Any
+
+
+class Space:
+    """Lengths are in units of the mechanism's own, so that nothing depends on the unit of length.
+
+    length : m.   rows : that say something of the pose, of all places.
+    """
+
+    def __init__(self, mechanism: Mechanism, cspace: str) -> None:
+        self.mechanism, self.cspace = mechanism, cspace
+        cspaces = (cspace,) * len(mechanism.links)
+        self.tree: tuple[Node, ...] = mechanism_plan_of(
+            mechanism,
+            cspaces,
+            UNSTABILISED,
+            update="local",
+            stages=((),),
+            weights=(1.0,),
+            multipliers=False,
+        ).tree
+        self.nodes = {node.link: i for i, node in enumerate(self.tree) if node.link != MASSLESS}
+        self.nodes[GROUND] = GROUND
+        self.length = self._length()
+        self.units = np.repeat((1.0, self.length), 3)
+        self.frames = [pose_components(link.joint.body_frame) for link in mechanism.links]
+        root = next(link for link in mechanism.links if link.parent == "ground")
+        self.ground = pose_components(root.joint.ground_frame)
+        self.hangs = [self._hang(i) for i in range(len(self.tree))]
+        self.bases = [self._basis(node) for node in self.tree]
+        ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
+        self.columns = [slice(*pair) for pair in pairwise(ends)]
+        self.freedoms = max(int(ends[-1]), 1)  # of links that are all fixed one that moves nothing
+        acting = tuple(at for at in mechanism.places if at.rows)
+        self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
+        self.rows: Rows = tuple(r for place in self.places for r in place.rows)
+        translational = [r.is_translational for r in self.rows]
+        self.row_units = np.where(np.array(translational, dtype=bool), self.length, 1.0)
+
+    # ---- what does not move --------------------------------------------------------------------
+
+    def _length(self) -> float:
+        """The largest length of a link, m: with the arms from its centre of mass to all joints."""
+        mechanism = self.mechanism
+        found = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
+        for at in mechanism.joints:
+            if at.parent >= 0:
+                other = mechanism.parameters(mechanism.joints[at.parent])
+                found.append(length_of(other._replace(body=mechanism.parameters(at).ground)))
+        return float(max(found))
+
+    def _outer(self, link: int, frame: Pose) -> Pose:
+        """A frame on a link, or on the ground, seen from the node's own."""
+        return se3.compose(se3.inverse(self.ground if link < 0 else self.frames[link]), frame)
+
+    def _hang(self, i: int) -> Pose:
+        """A reduced node's joint frame on what it hangs on."""
+        node = self.tree[i]
+        if node.parent >= 0 and self.tree[node.parent].link == MASSLESS:
+            return HERE
+        at = self.mechanism.joints[self.tree[i + 1 if node.link == MASSLESS else i].link]
+        assert at.joint is not None
+        return self._outer(at.parent, pose_components(at.joint.ground_frame))
+
+    def _basis(self, node: Node) -> Array:
+        """Unit velocities, (k, 6), of a node's algebra."""
+        found = np.eye(6)[[slot >= 0 for slot in node.slots]]
+        if PITCHED in node.slots:
+            found[:, 5] = found[:, 2] * self.mechanism.links[node.link].joint.pitch / self.length
+        scaled: Array = found / np.linalg.norm(found, axis=1, keepdims=True)
+        return scaled
+
+    def _place(self, at: Connection) -> Place:
+        frames = (HERE, HERE)
+        if at.joint is not None:
+            frames = pose_components(at.joint.body_frame), pose_components(at.joint.ground_frame)
+        inner, outer = self._outer(at.body, frames[0]), self._outer(at.parent, frames[1])
+        rows = tuple(r for r in at.rows if r.is_holonomic)
+        nodes = self.nodes[at.body], self.nodes[at.parent]
+        return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows)
+
+    def path(self, place: Place) -> list[int]:
+        """The nodes that its rows depend on."""
+        if self.cspace != "reduced":
+            return sorted(i for i in (place.body, place.parent) if i != GROUND)
+        above = [set(self._above(i)) for i in (place.body, place.parent)]
+        return sorted(above[0] ^ above[1])
+
+    def _above(self, i: int) -> list[int]:
+        return [] if i == GROUND else [i, *self._above(self.tree[i].parent)]
+
+    # ---- configurations ------------------------------------------------------------------------
+
+    def of_poses(self, poses: list[Pose]) -> Configurations:
+        """The one of the links' poses in the ground's frame, on the subgroups of their joints."""
+        seats: dict[int, Pose] = {GROUND: HERE}
+        found: list[Pose] = []
+        for i, node in enumerate(self.tree):
+            if node.link == MASSLESS:
+                continue  # with the node after it
+            seat = self._outer(GROUND, se3.compose(poses[node.link], self.frames[node.link]))
+            if node.cspace == "SO3xR3":
+                seat = seat[0], self._outer(GROUND, poses[node.link])[1]
+            own = self._factors(i, seat, seats) if node.is_reduced else [seat]
+            for k, pose in enumerate(own, i + 1 - len(own)):
+                base = self._base(k, seats) if node.is_reduced else HERE
+                seats[k] = se3.compose(base, pose)
+            found += own
+        return np.array([[assembled(q + d) for q, d in found]])
+
+    def _factors(self, i: int, seat: Pose, seats: dict[int, Pose]) -> list[Pose]:
+        """D of a reduced node, or of both that make up its joint."""
+        joint = self.mechanism.links[self.tree[i].link].joint
+        base = self._base(i - 1 if joint.factors else i, seats)
+        relative = se3.compose(se3.inverse(base), seat)
+        motions = motions_of(joint)
+        if motions is None:
+            return [relative if len(self.bases[i]) else HERE]
+        numbers = motions.coordinates(relative)
+        if joint.factors:
+            return [f.motion(x) for f, x in zip(joint.factors, numbers, strict=True)]
+        return [motions.pose(numbers)]
+
+    def _base(self, i: int, seats: Mapping[int, Pose]) -> Pose:
+        """The frame that a reduced node's pose is seen from."""
+        return se3.compose(seats[self.tree[i].parent], self.hangs[i])
+
+    def moved(self, at: Configurations, motions: Array) -> Configurations:
+        """C exp X, node by node; motions are (n, 6 nodes)."""
+        found = []
+        for i, node in enumerate(self.tree):
+            group = GROUPS[node.cspace]
+            x = components(motions[:, 6 * i : 6 * i + 6] * self.units)
+            pose = components(at[:, i, :9]), components(at[:, i, 9:])
+            q, d = group.compose(pose, group.exp(x))
+            found.append(assembled(q + d))
+        return np.stack(found, axis=1)
+
+    def lifted(self, velocities: Array) -> Array:
+        """(n, freedoms) → (n, 6 nodes)."""
+        parts = [velocities[:, c] @ b for c, b in zip(self.columns, self.bases, strict=True)]
+        return np.hstack(parts)
+
+    def bracket(self, a: Array, b: Array) -> Array:
+        """Of elements of the algebra, (n, 6 nodes) each."""
+        parts = []
+        for i, node in enumerate(self.tree):
+            x, y = (components(v[:, 6 * i : 6 * i + 6]) for v in (a, b))
+            parts.append(assembled(GROUPS[node.cspace].ad(x, y)))
+        return np.hstack(parts)
+
+    # ---- rows ----------------------------------------------------------------------------------
+
+    def _motions(self, at: Configurations) -> Motions:
+        """Of every node its frame, and how unit velocities move it, body-fixed."""
+        found: Motions = {GROUND: (HERE, ZERO6)}
+        for i, node in enumerate(self.tree):
+            pose: Pose = components(at[:, None, i, :9]), components(at[:, None, i, 9:])
+            columns = np.zeros((1, self.freedoms, 6))
+            columns[:, self.columns[i]] = self.bases[i] * self.units
+            own = components(columns)
+            if node.cspace == "SO3xR3":
+                frame = self.frames[node.link]
+                arm = mat_t_vec(frame[0], frame[1])
+                own = own[:3] + cross_add(own[:3], arm, mat_t_vec(pose[0], own[3:]))
+                pose = pose[0], mat_vec_add(pose[0], arm, pose[1])
+            elif node.is_reduced:
+                carrying = se3.inverse(se3.compose(self.hangs[i], pose))
+                own = add(own, se3.Ad(carrying, found[node.parent][1]))
+                pose = se3.compose(se3.compose(found[node.parent][0], self.hangs[i]), pose)
+            found[i] = pose, own
+        return found
+
+    def _between(self, place: Place, motions: Motions) -> tuple[Pose, Vec]:
+        """D, and how unit velocities move it, D⁻¹Ḋ."""
+        (body, moving), (parent, carrying) = motions[place.body], motions[place.parent]
+        seen = se3.inverse(se3.compose(parent, place.outer))
+        relative = se3.compose(seen, se3.compose(body, place.inner))
+        carried = se3.inverse(se3.compose(place.outer, relative))
+        own = se3.Ad(se3.inverse(place.inner), moving)
+        return relative, sub(own, se3.Ad(carried, carrying))
+
+    def at(self, at: Configurations) -> Seen:
+        """All rows there."""
+        n, motions = len(at), self._motions(at)
+        values, gradients, lengths, far = [], [], [], []
+        upright = np.ones((n, len(self.places)), dtype=bool)
+        for number, place in enumerate(self.places):
+            relative, moving = self._between(place, motions)
+            x = SE3.kinematics(place.constants, relative, ZERO6)
+            for bearing in bearings(place.rows, relative[0]):
+                upright[:, number] &= np.ravel(bearing > 0.0)
+            twists, away = assembled(moving), plain(norm(relative[1]))
+            for r, h in zip(place.rows, residuals(place.rows, x, place.constants), strict=True):
+                row = assembled(r.jacobian(x, place.constants))
+                size = np.sqrt(np.sum((row * self.units) ** 2, axis=-1))
+                size = np.where(size == 0.0, 1.0, size)
+                gradients.append(np.sum(twists * row, axis=-1) / size)
+                values.append(h)
+                lengths.append(size)
+                far.append(away)
+        return Seen(
+            self._columns(n, values) / self.row_units,
+            np.swapaxes(self._columns(n, gradients, self.freedoms), 1, 2),
+            self._columns(n, lengths) / self.row_units,
+            self._columns(n, far) / self.length,
+            upright,
+        )
+
+    def _columns(self, n: int, of_rows: list[Any], *shape: int) -> Array:
+        """(n, rows), or (n, freedoms, rows), from what may be the same for all configurations."""
+        found = np.zeros((n, *(shape or (1,)), len(of_rows)))
+        for number, column in enumerate(of_rows):
+            found[..., number] = plain(column)
+        return found if shape else found[:, 0]
+
+    def rounding(self, poses: list[Pose]) -> Array:
+        """What rounding may leave of every row, (rows,): places are rounded as far away as they
+        are, which rows of joints see where loops ask for one thing twice."""
+        found = []
+        for place in self.places:
+            joint = self.mechanism.joints[place.at.body]
+            total = rounding_of(self.mechanism.parameters(joint), poses[place.at.body])
+            if place.at.parent >= 0:
+                total = total + ROUNDING * norm(poses[place.at.parent][1])
+            is_seen = len(self.mechanism.loops) > 0
+            found += [float(total) * (is_seen or not r.is_of_joint) for r in place.rows]
+        return np.array(found) / self.length

@@ -1,0 +1,324 @@
+"""What a comparison's errors are errors of: the states at t_end, and how well they are known."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from lierb.analysis.magnitudes import magnitudes
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, LierbError, told
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.columns import as_array
+from lierb.results.failures import Failures, has_failed
+from lierb.results.result import Result
+from lierb.runs.options import check_options
+from lierb.runs.starts import arrays_of
+from lierb.support.arrays import Array, as_numbers, as_poses
+from lierb.support.shown import counted
+
+Model = Problem | Mechanism
+
+ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
+NORMS: dict[str, Callable[[Array], Any]] = {"largest": np.max, "median": np.median}
+METHOD = "DOP853"  # of a reference, whatever is compared
+CSPACES = ("reduced", "SE3", "SO3xR3")  # of a reference, the first that the problem has
+MARGIN = 10.0  # an error counts from so many times the reference's own: it is then true to 10 %
+EPSILON = float(np.finfo(float).eps)
+LEAST_STEPS = 64  # whose rounding adds up to what the data and the ends themselves are rounded by
+RESOLVED = 1e-6  # differences above this, relative to the motion, are no rounding
+GIVEN = "given"
+
+
+def rounding(steps: Any) -> Any:
+    """What rounding makes of so many steps, relative to the numbers: half a unit in each, twice."""
+    return EPSILON * np.maximum(steps, LEAST_STEPS)
+
+
+# ---- ends --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Ends:
+    """States at t_end.
+
+    states : of each link, "" of one body: rotation (n, 3, 3), position, omega and v (n, 3).
+    failed : (n,), which trajectories have none.
+    """
+
+    states: dict[str, dict[str, Array]]
+    failed: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, summary: pa.Table, links: tuple[str, ...]) -> Ends:
+        """Those in a result's summary."""
+        states = {
+            link: {
+                name: as_array(summary[f"{link}.{name}" if link else name]).reshape(-1, *shape)
+                for name, shape in (
+                    ("rotation", (3, 3)), ("position", (3,)), ("omega", (3,)), ("v", (3,)),
+                )
+            }
+            for link in links or ("",)
+        }  # fmt: skip
+        return cls(states, has_failed(summary))
+
+    @classmethod
+    def at(cls, problem: Model, poses: Any, twists: Any) -> Ends:
+        """Of poses and twists as `integrate` takes them."""
+        placed, moving = _by_link(problem, "reference: pose0", poses, "reference: twist0", twists)
+        states = {
+            link: {
+                "rotation": pose[..., :3, :3].reshape(-1, 3, 3),
+                "position": pose[..., :3, 3].reshape(-1, 3),
+                "omega": moving[link][..., :3].reshape(-1, 3),
+                "v": moving[link][..., 3:].reshape(-1, 3),
+            }
+            for link, pose in placed.items()
+        }
+        counts = {len(array) for state in states.values() for array in state.values()}
+        if len(counts) > 1:  # nothing is broadcast
+            raise ArgumentError(
+                f"reference has poses and twists of {', '.join(map(str, sorted(counts)))} "
+                "trajectories; expected a pose and a twist for each"
+            )
+        return cls(states, np.zeros(counts.pop(), dtype=bool))
+
+    @property
+    def poses(self) -> dict[str, Array]:
+        """(n, 4, 4), by link."""
+        found = {}
+        for link, state in self.states.items():
+            found[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
+            found[link][:, :3, :3] = state["rotation"]
+            found[link][:, :3, 3] = state["position"]
+        return found
+
+    @property
+    def twists(self) -> dict[str, Array]:
+        """(n, 6), by link."""
+        return {k: np.hstack((state["omega"], state["v"])) for k, state in self.states.items()}
+
+    def errors(self, exact: Ends) -> dict[str, Array]:
+        """How far they are from others, (n,) by ERRORS: of a mechanism that of the farthest link.
+
+        NaN for trajectories that have failed in either.
+        """
+        found = {}
+        for name in ERRORS:
+            distance = _angle if name == "rotation" else _distance
+            each = [distance(s[name], exact.states[link][name]) for link, s in self.states.items()]
+            largest = np.max(np.broadcast_arrays(*each, self.failed)[:-1], axis=0)
+            found[name] = np.where(self.failed | exact.failed, np.nan, largest)
+        return found
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Of the rotation AᵀB, rad: ‖A − B‖ = 2√2 sin(θ/2), which keeps its digits at either end."""
+    norm = np.sqrt(((a - b) ** 2).sum(axis=(1, 2)))
+    return np.asarray(2.0 * np.arcsin(np.minimum(norm / np.sqrt(8.0), 1.0)))
+
+
+def _distance(a: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.norm(a - b, axis=1))
+
+
+def _by_link(
+    problem: Model, pose_name: str, poses: Any, twist_name: str, twists: Any
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    if isinstance(problem, Mechanism):
+        by_link = (
+            problem.by_link(pose_name, poses),
+            problem.by_link(twist_name, twists),
+        )
+        return (
+            {k: as_poses(f"{pose_name}[{k!r}]", by_link[0][k]) for k in problem.names},
+            {k: as_numbers(f"{twist_name}[{k!r}]", by_link[1][k], (6,)) for k in problem.names},
+        )
+    return {"": as_poses(pose_name, poses)}, {"": as_numbers(twist_name, twists, (6,))}
+
+
+# ---- sizes -------------------------------------------------------------------------------------
+
+
+def sizes_of(problem: Model, ends: Ends, twist0: Any) -> dict[str, float]:
+    """What errors and drifts are relative to, medians over the trajectories, by their names."""
+    poses, twists = ends.poses, ends.twists
+    is_tree = isinstance(problem, Mechanism)
+    starts = arrays_of(problem, "twist0", twist0) if isinstance(problem, Mechanism) else {
+        "": as_numbers("twist0", twist0, (6,))
+    }  # fmt: skip
+    with np.errstate(all="ignore"):  # a trajectory may run away
+        placed, moving = (poses, twists) if is_tree else (poses[""], twists[""])
+        length, energy = (float(np.nanmedian(each)) for each in magnitudes(problem, placed, moving))
+        speeds = {}
+        for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
+            each = [
+                float(np.nanmedian(np.linalg.norm(twist[..., part], axis=-1)))
+                for twist in (*starts.values(), *twists.values())
+            ]
+            speeds[name] = max(each)
+    speeds["v"] = max(speeds["v"], length * speeds["omega"])
+    return {
+        "error.rotation": 1.0, "error.position": length, "error.omega": speeds["omega"],
+        "error.v": speeds["v"],
+        "drift.position": length, "drift.rotation": 1.0, "drift.energy": energy,
+    }  # fmt: skip
+
+
+# ---- references --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the trajectories are at t_end.
+
+    errors : how far off it may be itself, by ERRORS, in the norm of the comparison.
+    what : in words.
+    """
+
+    ends: Ends
+    errors: dict[str, float]
+    what: str
+
+
+def given_reference(given: Any, problem: Model, t_end: float) -> Reference:
+    """A user's: a Result, `Result.end`, a mapping with pose0 and twist0, or (pose, twist)."""
+    expected = (
+        "the lierb.Result of another run, its `end`, or a pair of poses and twists at t_end, as "
+        "pose0 and twist0 of integrate"
+    )
+    links = problem.names if isinstance(problem, Mechanism) else ()
+    if isinstance(given, Result):
+        if given.links != tuple(links):
+            raise ArgumentError(f"reference has the links {given.links}; expected {tuple(links)}")
+        ends = Ends.of(given.summary, given.links)
+        if ends.failed.all():
+            raise ArgumentError(f"reference: {Failures.of(given.summary)}; none is left to compare")
+        went_on = pc.equal(given.summary["status"].cast(pa.string()), "ok").to_numpy()
+        for t in as_array(given.summary["t"])[went_on][:1].tolist():
+            _require_time(t, t_end)
+        return Reference(ends, dict.fromkeys(ERRORS, 0.0), GIVEN)
+    if isinstance(given, Mapping) and {"pose0", "twist0"} <= given.keys():
+        _require_time(given.get("t0", t_end), t_end)
+        given = given["pose0"], given["twist0"]
+    if not (isinstance(given, tuple) and len(given) == 2):
+        raise ArgumentError(f"reference={told(given)}; expected {expected}")
+    return Reference(Ends.at(problem, *given), dict.fromkeys(ERRORS, 0.0), GIVEN)
+
+
+def _require_time(t: Any, t_end: float) -> None:
+    is_time = isinstance(t, (float, int)) and abs(t - t_end) <= 1e-9 * max(1.0, abs(t_end))
+    if not is_time:
+        raise ArgumentError(f"reference is of t = {told(t)} s; expected t_end = {t_end!r} s")
+
+
+def found_reference(
+    problem: Model,
+    run: Callable[[str, float], Result],
+    length: float,
+    dt: float,
+    halvings: int,
+    norm: str,
+    sizes: Callable[[Ends], dict[str, float]],
+    tell: Callable[[str], None],
+) -> Reference:
+    """The problem's own solution by METHOD, its step halved until that no longer helps.
+
+    run : of a c-space and a step.   length : from t0 to t_end, s.   dt : where it begins, s.
+    halvings : at most.
+
+    Its error is its difference from the run with the double step, or, where the problem has
+    another c-space, from that there, if this is larger: they share neither equations nor charts.
+    """
+    own, *others = _cspaces_of(problem)
+    steps = max(round(length / dt), 1)
+    tell(f"reference: {own}, {METHOD}, dt = {length / steps:g} s")
+    before = _ends_of(run(own, length / steps))
+    best: tuple[float, dict[str, float], Ends, int] | None = None
+    for _ in range(halvings):
+        steps *= 2
+        tell(f"reference: {own}, {METHOD}, dt = {length / steps:g} s")
+        ends = _ends_of(run(own, length / steps))
+        errors = normed(ends.errors(before), norm)
+        is_alike = before.failed.sum() == ends.failed.sum()
+        relative = _relative(errors, sizes(ends)) if is_alike else np.inf
+        has_settled = best is not None and relative > 0.5 * best[0] and best[0] < RESOLVED
+        if best is None or relative < best[0]:
+            best = relative, errors, ends, steps
+        if has_settled or relative <= rounding(steps):
+            break
+        before = ends
+    assert best is not None
+    _, errors, ends, steps = best
+    what = f"{METHOD} on {own} with dt = {length / steps:g} s"
+    for other in others:
+        tell(f"reference: {other}, {METHOD}, dt = {length / steps:g} s")
+        apart = normed(ends.errors(_ends_of(run(other, length / steps))), norm)
+        errors = {name: max(error, apart[name]) for name, error in errors.items()}
+        what += f", beside {other}"
+    _require_numbers(ends, errors, what)
+    return Reference(ends, errors, what)
+
+
+def _ends_of(result: Result) -> Ends:
+    return Ends.of(result.summary, result.links)
+
+
+def _relative(errors: dict[str, float], sizes: dict[str, float]) -> float:
+    """The largest of them, relative to what they are errors of; ∞ where there are none."""
+    each = [error / (sizes[f"error.{name}"] or 1.0) for name, error in errors.items()]
+    return max(each) if np.isfinite(each).all() else np.inf
+
+
+def _require_numbers(ends: Ends, errors: dict[str, float], what: str) -> None:
+    if not np.isfinite(list(errors.values())).all():
+        raise ArgumentError(
+            f"the reference ({what}) failed: {int(ends.failed.sum())} of {len(ends.failed)} "
+            "trajectories did not get to t_end; choose an earlier t_end, or give reference="
+        )
+
+
+def _cspaces_of(problem: Model) -> list[str]:
+    """That of a reference, and one to hold it against: equations as different as there are."""
+    known = [cspace for cspace in CSPACES if _has(problem, cspace)]
+    return [known[0], *known[:0:-1][:1]]
+
+
+def _has(problem: Model, cspace: str) -> bool:
+    try:
+        check_options(
+            problem, dt=1.0, t_end=1.0, method=METHOD, cspace=cspace, update="local",
+            save_every=None, measure_every=1, record=(),
+        )  # fmt: skip
+    except LierbError:
+        return False
+    return True
+
+
+def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
+    """Over the trajectories that have numbers; NaN where none has."""
+    found = {}
+    for name, each in errors.items():
+        finite = each[np.isfinite(each)]
+        found[name] = float(NORMS[norm](finite)) if finite.size else np.nan
+    return found
+
+
+def warn_of_runs(failed: list[str]) -> None:
+    """One warning for the runs of a comparison in which trajectories failed, told in words."""
+    if failed:
+        more = f" and in {counted(len(failed) - 3, 'more run')}" if len(failed) > 3 else ""
+        warnings.warn(
+            f"trajectories failed in {'; in '.join(failed[:3])}{more}; they are left out of the "
+            "errors, and their runs of the orders: see the column failed",
+            FailedTrajectoryWarning,
+            stacklevel=3,
+        )

@@ -1,0 +1,279 @@
+"""What functions of the user's may call beside NumPy: rotations, bounds, tables, choices.
+
+Each takes traced numbers, plain NumPy arrays of any batch shape, and, body by body, what Numba
+compiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+from numpy.typing import ArrayLike
+
+from lierb.kernels.functions import user_number as user
+from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.object_arrays import Spoken, has_traced, numbers
+from lierb.kernels.functions.user_number import UserNumber, choice, raw, where
+from lierb.kernels.groups import so3
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.kernels.numbers.dual import parts_of
+from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
+from lierb.kernels.tracing.trace import kernel
+
+SMALL = 0.25  # (sin/cos of half an angle)², up to which its series is as good as atan2
+TERMS = 30  # of that series: the first left out is below 1e-18, and so in two derivatives
+
+
+class UnfitArgumentError(UnfitFunctionError, ValueError):
+    """An argument that has no value, in a function of the user's or outside of one."""
+
+
+def clip(x: Any, lower: Any, upper: Any) -> Any:
+    """Limit x to the interval from `lower` to `upper`.
+
+    Parameters
+    ----------
+    x : float or array_like
+        Numbers, limited element by element.
+    lower : float or array_like
+        Lower bound.
+    upper : float or array_like
+        Upper bound.
+
+    Returns
+    -------
+    float or ndarray
+        The limited numbers.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.clip([-3.0, 0.5, 2.0], 0.0, 1.0).tolist()
+    [0.0, 0.5, 1.0]
+    """
+    return _clip(x, lower, upper)
+
+
+def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
+    """Interpolate linearly between the points (xs, ys); constant beyond the first and the last.
+
+    In a kernel each point costs a comparison and three choices; of more than 32 constant points the
+    right interval is searched.
+
+    Parameters
+    ----------
+    x : float or array_like
+        Where to interpolate, of any shape.
+    xs : array_like, shape (n,)
+        Increasing abscissas of the points.
+    ys : array_like, shape (n,)
+        Ordinates of the points.
+
+    Returns
+    -------
+    float or ndarray
+        Interpolated values, of the shape of x.
+
+    Raises
+    ------
+    ValueError
+        The points make no table.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.table([-1.0, 0.5, 9.0], (0.0, 1.0, 2.0), (0.0, 10.0, 40.0)).tolist()
+    [0.0, 5.0, 40.0]
+    """
+    if not any(map(has_traced, (x, xs, ys))):
+        x, xs, ys = _real("x", x), _real("xs", xs), _real("ys", ys)
+    shapes = np.shape(xs), np.shape(ys)
+    if len(shapes[0]) != 1 or shapes[0] != shapes[1] or shapes[0] == (0,):
+        raise UnfitArgumentError(
+            f"a table's xs and ys have shapes {shapes[0]} and {shapes[1]}; expected (n,) both"
+        )
+    if not has_traced(xs) and not np.all(np.diff(np.asarray(xs, dtype=np.float64)) > 0.0):
+        raise UnfitArgumentError("a table's xs must increase; sort the points by x")
+    return _interp(x, xs, ys)
+
+
+_clip, _interp = Spoken(np.clip), Spoken(np.interp)
+
+
+def quaternion(R: Any) -> Any:
+    """Convert a rotation matrix to a unit quaternion (w, x, y, z) with w ≥ 0.
+
+    Parameters
+    ----------
+    R : array_like, shape (…, 3, 3)
+        Rotation matrix.
+
+    Returns
+    -------
+    ndarray, shape (…, 4)
+        Unit quaternion.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.quaternion(lierb.lie.so3.exp((0.0, 0.0, 2.0))).round(4).tolist()
+    [0.5403, 0.0, 0.0, 0.8415]
+    """
+    return _of_rotation(R, unit_quaternion)
+
+
+def log(R: Any) -> Any:
+    """Convert a rotation matrix to its rotation vector, axis times angle, of length π at most.
+
+    Parameters
+    ----------
+    R : array_like, shape (…, 3, 3)
+        Rotation matrix.
+
+    Returns
+    -------
+    ndarray, shape (…, 3)
+        Rotation vector, rad.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.log(lierb.lie.so3.exp((0.1, -0.2, 0.3))).round(4).tolist()
+    [0.1, -0.2, 0.3]
+    """
+    return _of_rotation(R, rotation_vector)
+
+
+def _of_rotation(R: Any, formula: Any) -> Any:
+    given = R.as_matrix() if hasattr(R, "as_matrix") else R
+    matrices = numbers(given) if has_traced(given) else _real("R", given)
+    if matrices.shape[-2:] != (3, 3):
+        raise UnfitArgumentError(f"R has shape {matrices.shape}; expected (…, 3, 3)")
+    if matrices.dtype == object:
+        return numbers(formula(tuple(matrices.ravel())))
+    flat = matrices.reshape(*matrices.shape[:-2], 9)
+    with np.errstate(all="ignore"):  # of what is no rotation, as where the same is compiled
+        return np.stack(formula(tuple(flat[..., i] for i in range(9))), axis=-1)
+
+
+def _real(argument: str, given: Any) -> np.ndarray:
+    """Plain numbers as float64."""
+    try:
+        found = np.asanyarray(given)
+        if found.dtype.kind in "iufO" and not np.ma.is_masked(found):
+            return np.asarray(found, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UnfitArgumentError(f"{argument} must be real numbers: {error}") from None
+    raise UnfitArgumentError(f"{argument} must be real numbers, got {type(given).__name__}")
+
+
+def unit_quaternion(r: Mat) -> Vec:
+    """(w, x, y, z), w ≥ 0. Its derivative is ½ q ⊗ (0, ω), with Ṙ = R ω̂."""
+    if not _has_parts(r):
+        q = so3.quaternion(tuple(map(raw, r)))
+        return _as_traced(r, scale(1.0 / norm(q), q))
+    values = tuple(user.value_of(x) for x in r)
+    q = unit_quaternion(values)
+    rates = [_rate(q, values, rate) for rate in _along_each(r)]
+    return tuple(UserNumber(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
+
+
+def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
+    turning = mat_t_mat(r, rate)
+    omega = (
+        0.5 * (turning[7] - turning[5]),
+        0.5 * (turning[2] - turning[6]),
+        0.5 * (turning[3] - turning[1]),
+    )
+    w, v = q[0], q[1:]
+    bent = cross(v, omega)
+    return (
+        -0.5 * dot(v, omega),
+        *(0.5 * (w * o + b) for o, b in zip(omega, bent, strict=True)),
+    )
+
+
+def rotation_vector(r: Mat) -> Vec:
+    """ξ with exp ξ = R, ‖ξ‖ ≤ π."""
+    if not _has_parts(r):
+        return _as_traced(r, so3.log(tuple(map(raw, r))))
+    w, *v = unit_quaternion(r)
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    # ξ = v · 2 atan2(‖v‖, w)/‖v‖, which near ‖v‖ = 0 is a series in (‖v‖/w)²
+    near = raw(square) <= SMALL * raw(w) * raw(w)
+    ratio = choice(near, square, 0.0) / choice(near, w * w, 1.0)
+    series: Any = 0.0
+    for k in reversed(range(TERMS)):
+        series = 1.0 / (2 * k + 1) - ratio * series
+    size = user.sqrt(choice(near, 1.0, square))
+    factor = choice(near, 2.0 * series / choice(near, w, 1.0), 2.0 * user.arctan2(size, w) / size)
+    return tuple(factor * x for x in v)
+
+
+def _has_parts(members: Sequence[Any]) -> bool:
+    return any(isinstance(x, UserNumber) and x.parts for x in members)
+
+
+def _along_each(members: Sequence[Any]) -> list[Vec]:
+    """The members' derivatives, direction by direction."""
+    count = max(len(parts_of(x)) for x in members)
+    parts = [parts_of(x) or (0.0,) * count for x in members]
+    return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
+
+
+def _as_traced(given: Sequence[Any], found: Vec) -> Vec:
+    return tuple(map(UserNumber, found)) if any(isinstance(x, UserNumber) for x in given) else found
+
+
+# ---- the same in functions that Numba compiles -------------------------------------------------
+
+kernel(unit_quaternion, numbers_only=True)
+kernel(rotation_vector, numbers_only=True)
+
+
+@overload(quaternion)
+def _quaternion_of_one_body(R):  # no annotations: Numba compares signatures
+    return lambda R: np.array(
+        unit_quaternion(
+            (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2])
+        )
+    )
+
+
+@overload(log)
+def _log_of_one_body(R):
+    return lambda R: np.array(
+        rotation_vector(
+            (R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2])
+        )
+    )
+
+
+@overload(clip)
+def _clip_of_one_body(x, lower, upper):
+    return lambda x, lower, upper: np.minimum(np.maximum(x, lower), upper)
+
+
+@overload(table)
+def _table_of_one_body(x, xs, ys):
+    return lambda x, xs, ys: np.interp(x, np.asarray(xs), np.asarray(ys))
+
+
+@overload(where)
+def _where_of_one_body(condition, a, b):
+    if any(isinstance(x, types.Array) for x in (condition, a, b)):
+        return lambda condition, a, b: np.where(condition, a, b)
+    if isinstance(a, types.BaseTuple) and isinstance(b, types.BaseTuple):
+        if len(a) != len(b):
+            return None
+        if not len(a):
+            return lambda condition, a, b: ()
+        return lambda condition, a, b: (
+            where(condition, a[0], b[0]),
+            *where(condition, a[1:], b[1:]),
+        )
+    return lambda condition, a, b: a if condition else b

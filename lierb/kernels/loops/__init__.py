@@ -1,0 +1,1 @@
+"""Loops over steps and blocks: jobs, workspace, records, and lanes with their own clocks."""

@@ -1,0 +1,1 @@
+"""Systems of one body and of mechanisms: plan, state, inputs, rates, measures and stabilisation."""

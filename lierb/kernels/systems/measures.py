@@ -1,0 +1,134 @@
+"""What is observed along a trajectory: how well it keeps its constraints, its energy, its rotation.
+
+A measure is one entry of MEASURES. From it follow what is remembered of it, the columns that it has
+in a history and in a summary, and their units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from lierb.kernels.mechanics.constraints import (
+    position_error_squared,
+    rate_errors_squared,
+    rotation_error_squared,
+)
+from lierb.kernels.mechanics.elements import potential_energy
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Pose
+from lierb.kernels.numbers.arithmetic import absolute, fma, sqrt
+from lierb.kernels.numbers.vec import IDENTITY, Mat, Vec, mat_t_mat
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.plan import Plan
+
+
+class Seen(NamedTuple):
+    """What measures are made of, at one time."""
+
+    plan: Plan
+    body: BodyConstants
+    pose: Pose
+    x: Kinematics
+    rate_errors: tuple[Any, Any]
+    energy: Any
+    first_energy: Any
+    work: Any
+
+
+class Observed(NamedTuple):
+    """At one time: every measure's value or square, by name, and the errors of each joint.
+
+    joints : squares of JOINT_ERRORS, of every joint of a mechanism; of one body, nothing.
+    """
+
+    values: dict[str, Any]
+    joints: tuple[tuple[Any, ...], ...] = ()
+
+
+class Measure(NamedTuple):
+    """A column `name` of a history, and `name_max` or `name_final` of a summary.
+
+    of : its value, or its square: the root is taken once, of the largest.
+    keeps : "max", the largest size, and "final", the value at the end.
+    asked_by : what has to be recorded for it to be in a history, if it is not always.
+    """
+
+    name: str
+    unit: str
+    of: Callable[[Seen], Any]
+    is_square: bool = False
+    keeps: tuple[str, ...] = ()
+    asked_by: str | None = None
+
+    def shown(self, found: Any) -> Any:
+        return sqrt(found) if self.is_square else found
+
+    def size(self, found: Any) -> Any:
+        return found if self.is_square else absolute(found)
+
+
+def orthogonality_squared(q: Mat) -> Any:
+    """‖QᵀQ − I‖², Frobenius."""
+    total: Any = ZERO
+    for entry, one in zip(mat_t_mat(q, q), IDENTITY, strict=True):
+        excess = entry - one
+        total = fma(excess, excess, total)
+    return total
+
+
+MEASURES = (
+    Measure(
+        "position_error", "m", lambda s: position_error_squared(s.plan.rows, s.x, s.body),
+        is_square=True, keeps=("max", "final"),
+    ),
+    Measure(
+        "rotation_error", "1", lambda s: rotation_error_squared(s.plan.rows, s.x, s.body),
+        is_square=True, keeps=("max", "final"),
+    ),
+    Measure("velocity_error", "m/s", lambda s: s.rate_errors[0], is_square=True, keeps=("max",)),
+    Measure(
+        "rotation_rate_error", "rad/s", lambda s: s.rate_errors[1], is_square=True, keeps=("max",)
+    ),
+    # E(t) − E(0) − W(t), W being the work of what has no potential.
+    Measure("energy_drift", "J", lambda s: s.energy - s.first_energy - s.work, keeps=("max",)),
+    Measure("energy", "J", lambda s: s.energy, asked_by="energy"),
+    Measure("work", "J", lambda s: s.work, keeps=("final",), asked_by="energy"),
+    Measure(
+        "orthogonality_error", "1", lambda s: orthogonality_squared(s.pose[0]),
+        is_square=True, keeps=("max",),
+    ),
+)  # fmt: skip
+KEPT = tuple((measure, how) for measure in MEASURES for how in measure.keeps)
+JOINT_ERRORS = tuple(m for m in MEASURES[:4])
+JOINT_KEPT = tuple((m, how) for m in JOINT_ERRORS for how in m.keeps)
+SUMMARY = Columns(
+    *(Field(f"{measure.name}_{how}", (), measure.unit) for measure, how in KEPT),
+    Field("status"),
+    Field("failed_step"),
+    Field("raised"),  # the mark of what a function of the user's has raised
+    Field("starts"),  # 1 where the start, as given, is on the joint, and 0 elsewhere
+)
+MUST_BE_FINITE = tuple(m.name for m in MEASURES if m.is_square or m.name == "energy_drift")
+
+
+def measured(
+    plan: Plan,
+    body: BodyConstants,
+    pose: Pose,
+    velocity: Vec,
+    kinetic_energy: Any,
+    work: Any,
+    time: Any,
+    first_energy: Any = ZERO,
+) -> dict[str, Any]:
+    """Every measure's value or square, by name."""
+    x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
+    potential = plan.space.potential_energy(body, pose)
+    if plan.elements:
+        still = x._replace(time=ZERO)  # a potential does not depend on it
+        potential = potential + potential_energy(plan.elements, body, still.motion)
+    energy = kinetic_energy + potential
+    rates = rate_errors_squared(plan.rows, x, body, velocity)
+    seen = Seen(plan, body, pose, x, rates, energy, first_energy, work)
+    return {measure.name: measure.of(seen) for measure in MEASURES}

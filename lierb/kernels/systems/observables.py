@@ -1,0 +1,85 @@
+"""Functions of the user's that watch the motion, and what is kept of their values.
+
+They are asked at the times at which measures are taken, and nothing of the motion depends on them.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from lierb.kernels.mechanics.elements import UserObservable
+from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.systems.plan import AnyPlan
+
+INF, NAN = float("inf"), float("nan")
+KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observable
+
+
+class Kept(NamedTuple):
+    """What is remembered of an observable along a trajectory.
+
+    total, lost : the mean so far, a sum, and what rounding took of it (Kahan's).
+    """
+
+    least: Any
+    largest: Any
+    total: Any
+    lost: Any
+    last: Any
+
+
+@lru_cache(64)
+def observables_of(plan: AnyPlan) -> tuple[UserObservable, ...]:
+    """In the order of their columns."""
+    return tuple(e for e in plan.elements if isinstance(e, UserObservable))
+
+
+def may_raise(plan: AnyPlan) -> bool:
+    """Whether one of them is called body by body."""
+    return any(not each.function.is_traced for each in observables_of(plan))
+
+
+def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
+    """Before the first value.   like : zero, a number of the body's own kind."""
+    fresh = Kept(like + INF, like - INF, like, like, like + NAN)
+    return (fresh,) * len(observables_of(plan))
+
+
+def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
+    """From numbers side by side."""
+    width = len(Kept._fields)
+    return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
+
+
+def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool = False) -> Kept:
+    """With one value more; a NaN stays, in the extremes as in the mean.
+
+    value : NaN after a failure, from when there is neither mean nor end.
+    share : of the run's time, which the value counts for in the mean; `by_halves`, for which it and
+        the one before it do.
+    alive : whether the body has not failed.
+    """
+    is_number = value == value
+    least = where(is_number, where(value < kept.least, value, kept.least), value)
+    largest = where(is_number, where(value > kept.largest, value, kept.largest), value)
+    counted = value
+    if by_halves:
+        counted = where(kept.last == kept.last, value + kept.last, where(is_number, 0.0, value))
+    added = fma(share, counted, -kept.lost)
+    total = kept.total + added
+    lost = (total - kept.total) - added
+    return Kept(
+        where(alive, least, kept.least),
+        where(alive, largest, kept.largest),
+        total,
+        where(lost == lost, lost, 0.0),  # ∞ − ∞: an infinite mean stays infinite
+        value,
+    )
+
+
+def columns_of(kept: Kept) -> tuple[Any, ...]:
+    """The numbers of KEEPS; NaN where there was no value."""
+    seen = kept.least <= kept.largest  # false for NaN
+    extremes = where(seen, (kept.least, kept.largest), (NAN, NAN))
+    return (*extremes, kept.total, kept.last)

@@ -1,0 +1,250 @@
+"""What is read of a mechanism: its fields, and the tree's constants and start made of them.
+
+Everything is turned to joint axes here.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+from lierb.kernels.functions.function import BODY
+from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.newton_euler import Frames, unit_inertia
+from lierb.kernels.mechanics.rows import FIXED
+from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
+from lierb.kernels.mechanics.subgroup import Slots
+from lierb.kernels.mechanics.tree import (
+    GROUND,
+    HERE,
+    MASSLESS,
+    Connection,
+    Ends,
+    Node,
+    NodeConstants,
+)
+from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.vec import (
+    IDENTITY,
+    ZERO3,
+    Mat,
+    Vec,
+    axpy,
+    column,
+    cross_add,
+    diagonal,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    mat_vec_add,
+    row,
+    scale,
+    sub,
+    transpose,
+)
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.systems.layout import POSE, Columns, Field, pose_of
+from lierb.kernels.systems.plan import MechanismPlan
+
+LINK = (  # what is known of each
+    Field("mass", (), "kg"),
+    Field("inertia", (3, 3), "kg m²"),
+    Field("com", (3,), "m"),
+)
+JOINT = (  # of each link's, and of each loop's
+    Field("ground_frame", (4, 4), "1, m", POSE),
+    Field("body_frame", (4, 4), "1, m", POSE),
+    Field("pitch", (), "m/rad"),
+    Field("length", (), "m"),
+)
+START = (Field("pose", (4, 4), "1, m", POSE), Field("twist", (6,), "rad/s, m/s"))
+GRAVITY = Field("gravity", (3,), "m/s²")
+
+
+@lru_cache(64)
+def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
+    """What is read of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
+
+    Joints are numbered as the plan's connections are: those of links, then those of loops.
+    """
+    own = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in LINK)
+    held = (f._replace(name=f"{i}.{f.name}") for i in range(links + loops) for f in JOINT)
+    parameters = (
+        Field(f"element{k}.{name}", shape)
+        for k, element in enumerate(elements)
+        for name, shape in element.shapes.items()
+    )
+    starts = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in START)
+    return Columns(*own, *held, GRAVITY, *parameters, *starts)
+
+
+def charts_of(node: Node) -> Any:
+    """The group that a node's chart is of, as a step has it."""
+    if (
+        node.is_reduced
+        and sum(slot != FIXED for slot in node.slots) == 1
+        and max(node.slots[:3]) >= 0
+    ):
+        return turns
+    return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
+
+
+def charts_side_by_side(numbers: Vec) -> tuple[Chart, ...]:
+    return tuple((numbers[i : i + 4], numbers[i + 4 : i + 7]) for i in range(0, len(numbers), 7))
+
+
+def sixes(numbers: Vec) -> list[Vec]:
+    return [numbers[i : i + 6] for i in range(0, len(numbers), 6)]
+
+
+def with_burdens(
+    tree: tuple[Node, ...], nodes: tuple[NodeConstants, ...]
+) -> tuple[NodeConstants, ...]:
+    """With what each node carries; inertia about its frame, in the pose where all slides are 0."""
+    burdens = [(n.rigid.mass, 0.5 * sum(n.rigid.inertia[::4], start=ZERO)) for n in nodes]
+    for i in reversed(range(len(tree))):
+        mass, inertia = burdens[i]
+        parent, arm = tree[i].parent, nodes[i].hang[1]
+        if parent != GROUND:
+            before, about = burdens[parent]
+            burdens[parent] = before + mass, about + fma(mass, dot(arm, arm), inertia)
+    return tuple(n._replace(burden=each) for n, each in zip(nodes, burdens, strict=True))
+
+
+def first_of_joint(plan: MechanismPlan, i: int) -> int:
+    """Of the nodes that make up the joint of a link's node, the first."""
+    parent = plan.tree[i].parent
+    return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
+
+
+def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
+    node = plan.tree[i]
+    link = node.link
+    if link == MASSLESS:  # the first motion of the next node's joint
+        nothing = Rigid(ZERO, ZERO3, diagonal(ZERO3))
+        link = plan.tree[i + 1].link
+        rigid, inertia, com, frame = nothing, nothing.inertia, ZERO3, HERE
+    else:
+        (mass,) = read[f"{link}.mass"]
+        frame = pose_of(read[f"{link}.body_frame"])
+        theta = sub(read[f"{link}.inertia"], scale(mass, unit_inertia(read[f"{link}.com"])))
+        inertia = conjugated(transpose(frame[0]), theta)
+        com = mat_t_vec(frame[0], sub(read[f"{link}.com"], frame[1]))
+        about_point = axpy(mass, unit_inertia(com), inertia)
+        rigid = Rigid(mass, scale(mass, com), about_point)
+    hang, gravity = HERE, ZERO3
+    if first_of_joint(plan, i) == i:
+        ground = pose_of(read[f"{link}.ground_frame"])
+        hang = ground
+        if node.parent == GROUND:
+            gravity = mat_t_vec(ground[0], read["gravity"])
+        else:
+            hang = se3.compose(
+                se3.inverse(pose_of(read[f"{plan.tree[node.parent].link}.body_frame"])), ground
+            )
+    (pitch,) = read[f"{link}.pitch"]
+    return NodeConstants(rigid, inertia, com, hang, gravity, frame, pitch)
+
+
+def joint_ends(
+    plan: MechanismPlan, nodes: tuple[NodeConstants, ...], number: int, read: dict[str, Vec]
+) -> Ends:
+    joint = plan.joints[number]
+    (pitch,), (length,) = read[f"{number}.pitch"], read[f"{number}.length"]
+    inner = se3.compose(se3.inverse(nodes[joint.node].frame), pose_of(read[f"{number}.body_frame"]))
+    outer = pose_of(read[f"{number}.ground_frame"])
+    if joint.other != GROUND:
+        outer = se3.compose(se3.inverse(nodes[joint.other].frame), outer)
+    if number < plan.links:
+        inner = HERE
+    return Ends(inner, outer, pitch, length)
+
+
+def placed_element(
+    element: Element, k: int, c: Connection, nodes: tuple[NodeConstants, ...], read: dict[str, Vec]
+) -> Any:
+    """An element's parameters in the frames that it acts between."""
+    given = {
+        name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
+        for name, shape in element.shapes.items()
+    }
+    if element.sees_body:
+        body = nodes[c.node]
+        turned = conjugated(body.frame[0], body.inertia)
+        com = mat_vec_add(body.frame[0], body.com, body.frame[1])
+        seen = body.rigid.mass, turned, com
+        given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
+    axes, origin = nodes[c.node].frame
+    ground = HERE if c.other == GROUND else nodes[c.other].frame
+    if c.joint >= 0:
+        ground = pose_of(read[f"{c.joint}.ground_frame"])
+        axes, origin = pose_of(read[f"{c.joint}.body_frame"])
+    return element.placed(given, Frames(ground, axes, origin))
+
+
+# ---- starts ------------------------------------------------------------------------------------
+
+
+def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
+    """A node's pose, seen from the ground, and its twist."""
+    pose = se3.compose(pose_of(read[f"{link}.pose"]), constants.frame)
+    return pose, twist_at(constants.frame, read[f"{link}.twist"])
+
+
+def apart(
+    node: Node, constants: NodeConstants, root: Pose, place: Pose, twist: Vec
+) -> tuple[Chart, Vec]:
+    """The state of a node on its own pose, seen from the ground's frame at its tree's root."""
+    q, d = se3.compose(se3.inverse(root), place)
+    if node.cspace == "SE3":
+        return quaternion.from_pose((q, d)), twist
+    com = constants.com
+    rate = mat_vec(q, cross_add(twist[:3], com, twist[3:]))
+    return quaternion.from_pose((q, mat_vec_add(q, com, d))), twist[:3] + rate
+
+
+def chart_of(node: Node, d: Pose) -> Chart:
+    """Of a node on its joint."""
+    if charts_of(node) is turns:
+        return turns.from_pose(d, node.slots.index(0))
+    return quaternion.from_pose(d)
+
+
+def factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Pose, Vec]]:
+    """The two motions of one freedom whose product D is, and D⁻¹Ḋ of both.
+
+    The first one is read off D in the ground's axes, the last one in the body's.
+    """
+    i, j = first.index(0), last.index(0)
+    q, place = d
+    if i < 3:  # Q e = F₁ e, for the axis e of the last turn
+        axis = j if j < 3 else (i + 1) % 3
+        opening = _turn(i, axis, column(q, axis)), ZERO3
+    else:
+        opening = IDENTITY, tuple(place[k] if 3 + k == i else ZERO for k in range(3))
+    if j < 3:  # Qᵀe = F₂ᵀe, for the axis e of the first
+        axis = i if i < 3 else (j + 1) % 3
+        closing = transpose(_turn(j, axis, row(q, axis))), ZERO3
+    else:
+        within = mat_t_vec(q, place)
+        closing = IDENTITY, tuple(within[k] if 3 + k == j else ZERO for k in range(3))
+    along = row(q, i % 3)
+    rates = dot(along, relative[:3] if i < 3 else relative[3:]), relative[j]
+    return [
+        (pose, tuple(rate if k == slot else ZERO for k in range(6)))
+        for pose, rate, slot in zip((opening, closing), rates, (i, j), strict=True)
+    ]
+
+
+def _turn(about: int, axis: int, seen: Vec) -> Mat:
+    """The turn about one axis that takes another one to where it is `seen`, to its length."""
+    third = 3 - about - axis
+    sign = 1.0 if axis == (about + 1) % 3 else -1.0
+    c, s = seen[axis], sign * seen[third]
+    i, j = (about + 1) % 3, (about + 2) % 3
+    matrix = list(IDENTITY)
+    matrix[4 * i], matrix[4 * j] = c, c
+    matrix[3 * j + i], matrix[3 * i + j] = s, -s
+    return tuple(matrix)

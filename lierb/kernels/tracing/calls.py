@@ -1,0 +1,313 @@
+"""Functions of the user's that are compiled by Numba, called lane by lane, and what they raise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+
+from lierb.compiler.code import OPTIONS, undisturbed
+from lierb.compiler.entries import raise_again
+from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
+from lierb.kernels.numbers.arithmetic import branch, where
+from lierb.kernels.tracing.lanes import BIT, DOUBLE, INT32, Lane, Predicate, Trace
+
+
+def call_compiled(
+    dispatcher: Any, samples: list[Any], numbers: list[Any], count: int
+) -> list[Lane]:
+    """`count` numbers from an @njit function that returns so many, called lane by lane.
+
+    samples : arguments like those that it takes: numbers, arrays, tuples of such.
+    numbers : all their members, one after the other.
+
+    NaN where it raises, and where it is not called any more: see `Marks`.
+    """
+    lanes = [x for x in numbers if isinstance(x, Lane)]
+    trace, width = lanes[0].trace, max(x.lanes for x in lanes)
+    builder, context = trace.builder, trace.target
+    if context is None:
+        pack = ir.VectorType(DOUBLE, width) if width > 1 else DOUBLE
+        return [Lane(trace, ir.Constant(pack, ir.Undefined))] * count
+    types_of = tuple(numba.typeof(sample) for sample in samples)
+    dispatcher.compile(types_of)
+    result = dispatcher.overloads[types_of]
+    link(context, result)
+
+    marks = Marks.of(trace, width)
+    code = _Lanes(context, result, types_of, samples, len(numbers), count, width)
+    traced = (x if isinstance(x, Lane) else lanes[0].constant(float(x)) for x in numbers)
+    packs = [x.widened(width).value for x in traced]
+
+    def all_called() -> tuple[Lane, ...]:
+        inward, outward = code.memory(builder)
+        code.put(builder, packs, inward)
+        code.call_each(builder, inward, outward, marks)
+        return code.taken(trace, outward)
+
+    def some_called() -> tuple[Lane, ...]:
+        inward, outward = code.memory(builder)
+        code.put(builder, packs, inward)
+        builder.call(code.apart(builder.module, marks.lanes), [inward, outward, marks.memory])
+        return code.taken(trace, outward)
+
+    found = branch(marks.are_clear, all_called, some_called)
+    fine = marks.pack == float(CLEAR)
+    return [where(fine, x, math.nan) for x in found]
+
+
+class _Lanes:
+    """The code that calls a compiled function lane by lane.
+
+    inputs, count : numbers that go in and come out.   width : lanes of these.
+    """
+
+    def __init__(
+        self,
+        context: Any,
+        compiled: Any,
+        types_of: tuple[types.Type, ...],
+        samples: list[Any],
+        inputs: int,
+        count: int,
+        width: int,
+    ) -> None:
+        self.context, self.compiled = context, compiled
+        self.types_of, self.samples = types_of, samples
+        self.inputs, self.count, self.width = inputs, count, width
+
+    def _packs(self, count: int) -> ir.Type:
+        return ir.ArrayType(ir.ArrayType(DOUBLE, self.width), count)
+
+    def memory(self, builder: ir.IRBuilder) -> tuple[ir.Value, ir.Value]:
+        """For what goes in and comes out, a pack for each number."""
+        inward = cgutils.alloca_once(builder, self._packs(self.inputs))
+        return inward, cgutils.alloca_once(builder, self._packs(self.count))
+
+    def _whole(self, builder: ir.IRBuilder, buffer: ir.Value, n: int) -> ir.Value:
+        pack = ir.VectorType(DOUBLE, self.width) if self.width > 1 else DOUBLE
+        return builder.bitcast(_place(builder, buffer, n, 0), pack.as_pointer())
+
+    def put(self, builder: ir.IRBuilder, packs: list[ir.Value], inward: ir.Value) -> None:
+        for n, value in enumerate(packs):
+            builder.store(value, self._whole(builder, inward, n), align=8)
+
+    def taken(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
+        places = (self._whole(trace.builder, outward, n) for n in range(self.count))
+        return tuple(Lane(trace, trace.builder.load(place, align=8)) for place in places)
+
+    def call_each(
+        self,
+        builder: ir.IRBuilder,
+        inward: ir.Value,
+        outward: ir.Value,
+        marks: Marks,
+        only_clear: bool = False,
+    ) -> None:
+        """Call it for each lane, or for those that are CLEAR only."""
+        one = cgutils.alloca_once(builder, ir.ArrayType(DOUBLE, self.inputs))
+        with cgutils.for_range(builder, ir.Constant(INT64, self.width)) as loop:
+            lane = loop.index if self.width == marks.lanes else None
+            is_called = marks.is_clear(lane) if only_clear else BIT(1)
+            with builder.if_then(is_called):
+                for n in range(self.inputs):
+                    number = builder.load(_place(builder, inward, n, loop.index))
+                    builder.store(number, _place(builder, one, n))
+                cells = (_place(builder, one, n) for n in range(self.inputs))
+                arguments = [
+                    _argument(self.context, builder, ty, sample, cells)
+                    for ty, sample in zip(self.types_of, self.samples, strict=True)
+                ]
+                status, found = call_linked(self.context, builder, self.compiled, arguments)
+                with builder.if_then(status.is_error, likely=False):
+                    address = builder.ptrtoint(status.excinfoptr, INT64)
+                    known = builder.select(status.is_user_exc, address, INT64(STOPPED))
+                    marks.put(lane, builder.uitofp(known, DOUBLE))
+                for n in range(self.count):
+                    number = builder.extract_value(found, n)
+                    builder.store(number, _place(builder, outward, n, loop.index))
+
+    def apart(self, module: ir.Module, lanes: int) -> ir.Function:
+        """A function (inward, outward, marks) that calls it for the lanes that are CLEAR.
+
+        Conditions for each lane keep LLVM from computing several at once: a cheap function would
+        take 1.4 times as long, and in a loop of their own, beside the other one, 1.1 times.
+        """
+        name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
+        if name in module.globals:
+            found: ir.Function = module.globals[name]
+            return found
+        marked = ir.ArrayType(DOUBLE, lanes)
+        kinds = (self._packs(self.inputs), self._packs(self.count), marked)
+        kind = ir.FunctionType(ir.VoidType(), [ty.as_pointer() for ty in kinds])
+        function = ir.Function(module, kind, name)
+        function.linkage = "internal"
+        function.attributes.add("noinline")
+        builder = ir.IRBuilder(function.append_basic_block())
+        inward, outward, memory = function.args
+        marks = Marks(Trace(builder, self.context), lanes, memory)
+        self.call_each(builder, inward, outward, marks, only_clear=True)
+        builder.ret_void()
+        return function
+
+
+def _place(builder: ir.IRBuilder, buffer: ir.Value, *index: Any) -> ir.Value:
+    steps = (i if isinstance(i, ir.Value) else ir.Constant(INT32, i) for i in (0, *index))
+    return builder.gep(buffer, list(steps))
+
+
+# ---- what functions raise ----------------------------------------------------------------------
+
+CLEAR, SILENT, HEARD, STOPPED = 0, 1, 2, 3  # marks; all beyond are addresses of exceptions
+
+
+class Marks:
+    """Memory of the code that is being emitted, with a number for each lane of a block.
+
+    CLEAR where functions are called; SILENT where they are not, as for a body that has failed. What
+    one raises is the number from then on: the address of an exception, or STOPPED, StopIteration
+    having none; HEARD once that is known outside. Numba's own way out, a status that each caller
+    hands on, would end the other lanes with it.
+
+    An address is exact as a double: it has at most 52 bits on the systems that there are.
+    """
+
+    def __init__(self, trace: Trace, lanes: int, memory: ir.Value) -> None:
+        self.trace, self.lanes, self.memory = trace, lanes, memory
+
+    @classmethod
+    def of(cls, trace: Trace, lanes: int) -> Marks:
+        """Those of the function that is being emitted; whoever asks first says how many lanes."""
+        function = trace.builder.function
+        if not hasattr(function, "lierb_marks"):
+            memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # and cleared
+            function.lierb_marks = cls(trace, lanes, memory)
+        found: Marks = function.lierb_marks
+        found.trace = trace
+        return found
+
+    @property
+    def builder(self) -> ir.IRBuilder:
+        return self.trace.builder
+
+    @property
+    def whole(self) -> ir.Value:
+        """A pointer to all of them, as a pack."""
+        pack = ir.VectorType(DOUBLE, self.lanes) if self.lanes > 1 else DOUBLE
+        return self.builder.bitcast(self.memory, pack.as_pointer())
+
+    @property
+    def pack(self) -> Lane:
+        return Lane(self.trace, self.builder.load(self.whole, align=8))
+
+    @property
+    def are_clear(self) -> Predicate:
+        """Whether all of them are CLEAR."""
+        return (self.pack == float(CLEAR)).reduced("and")
+
+    def is_clear(self, lane: ir.Value | None) -> ir.Value:
+        """Whether a lane's mark is CLEAR; without a lane, whether any is."""
+        if lane is None:
+            return (self.pack == float(CLEAR)).reduced("or").value
+        mark = self.builder.load(_place(self.builder, self.memory, lane))
+        return self.builder.fcmp_ordered("==", mark, DOUBLE(CLEAR))
+
+    def put(self, lane: ir.Value | None, mark: ir.Value) -> None:
+        """Mark a lane; without a lane, all that are CLEAR."""
+        if lane is not None:
+            self.builder.store(mark, _place(self.builder, self.memory, lane))
+            return
+        before = self.pack
+        after = where(before == float(CLEAR), Lane(self.trace, mark), before)
+        self.builder.store(after.value, self.whole, align=8)
+
+
+class _Python:
+    """The same with the JIT off, where one body is integrated after the other."""
+
+    mark = float(CLEAR)
+    exceptions: ClassVar[dict[int, Exception]] = {}
+
+
+def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> Any:
+    """As `call_compiled`, for a function of one body's plain numbers."""
+    if _Python.mark != CLEAR:
+        return (math.nan,) * count
+    try:
+        return function(arguments)
+    except Exception as error:
+        _Python.mark = float(id(error))
+        _Python.exceptions[id(error)] = error
+        return (math.nan,) * count
+
+
+def marks(like: Any) -> Any:
+    """The marks of a block, in formulas.   like : a pack of the block's."""
+    return Marks.of(like.trace, like.lanes).pack if isinstance(like, Lane) else _Python.mark
+
+
+def set_marks(numbers: Any) -> None:
+    """Write the marks of a block."""
+    if isinstance(numbers, Lane):
+        known = Marks.of(numbers.trace, numbers.lanes)
+        numbers.builder.store(numbers.value, known.whole, align=8)
+    else:
+        _Python.mark = float(numbers)
+
+
+def exception_of(mark: int) -> Exception:
+    """The exception that a mark is of. To be called once for each address: it frees its memory.
+
+    Arrays among its arguments that lie in memory of the function's caller are gone with that: they
+    are replaced by words.
+    """
+    if mark == STOPPED:
+        return StopIteration()
+    if mark in _Python.exceptions:
+        return _Python.exceptions.pop(mark)
+    undisturbed(_raise.compile, (types.int64,))
+    try:
+        _raise(mark)
+    except Exception as error:
+        error.args = tuple(map(_lasting, error.args))
+        return error
+    raise AssertionError(f"no exception at {mark:#x}")
+
+
+def _lasting(argument: Any) -> Any:
+    if isinstance(argument, (tuple, list)):
+        return tuple(map(_lasting, argument))
+    if isinstance(argument, np.ndarray) and argument.base is None and not argument.flags.owndata:
+        return f"an array of shape {argument.shape}"
+    return argument
+
+
+@numba.njit(**OPTIONS)
+def _raise(address):  # no annotations: Numba compares signatures
+    raise_again(address)
+
+
+def _argument(
+    context: Any, builder: ir.IRBuilder, ty: types.Type, sample: Any, cells: Iterator[ir.Value]
+) -> ir.Value:
+    """A value of that type, its members taken from `cells`: pointers, one after the other."""
+    if isinstance(ty, types.Array):
+        pointers = [next(cells) for _ in range(sample.size)]
+        array = context.make_array(ty)(context, builder)
+        sizes = [context.get_constant(types.intp, n) for n in (*sample.shape, *sample.strides)]
+        populate_array(
+            array, data=pointers[0], shape=sizes[: ty.ndim], strides=sizes[ty.ndim :],
+            itemsize=context.get_constant(types.intp, sample.itemsize), meminfo=None,
+        )  # fmt: skip
+        return array._getvalue()
+    if isinstance(ty, types.BaseTuple):
+        members = [
+            _argument(context, builder, t, x, cells) for t, x in zip(ty, sample, strict=True)
+        ]
+        return context.make_tuple(builder, ty, members)
+    return builder.load(next(cells))

@@ -1,0 +1,164 @@
+"""Formulas in @njit code: traced, so that Numba sees their instructions and not their Python.
+
+A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
+result's type, and then for its instructions, and both times the formula runs once on traced numbers
+(`lanes.Lane`). Loops over rows and stages, tuples and structural zeros thus cost nothing at run
+time, and Numba's type inference never sees the inside of a formula.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba import types
+from numba.extending import lower_builtin, models, register_model
+
+from lierb.compiler.internals import AbstractTemplate, infer_global, signature, tracing_context
+from lierb.compiler.tags import TagType
+from lierb.kernels.numbers.arithmetic import alike, flatten
+from lierb.kernels.numbers.dual import Dual
+from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.tracing.lanes import ArrayRef, Index, Lane, LaneType, Predicate, Trace
+
+
+class ConstantType(types.Type):
+    """Numba type of a number that the trace knows, `ZERO` above all: no data at run time."""
+
+    def __init__(self, number: Any) -> None:
+        self.number = number
+        super().__init__(name=f"Constant<{number!r}>")
+
+
+register_model(ConstantType)(models.OpaqueModel)
+
+
+def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
+    """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags.
+
+    numbers_only: take integers as numbers, and give constants and structural zeros back as plain
+    numbers, which any code can use; otherwise integers are indices, and constants stay constants on
+    their way to the next formula.
+    """
+    seen: dict[tuple[types.Type, ...], types.Type] = {}
+
+    def evaluated(*operands: Any) -> Any:
+        result = formula(*operands)
+        return _as_numbers(operands, result) if numbers_only else result
+
+    class Template(AbstractTemplate):
+        def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+            args = tuple(_floating(a) if numbers_only else types.unliteral(a) for a in args)
+            if args not in seen:
+                seen[args] = _result_type(evaluated, args)
+            return signature(seen[args], *args)
+
+    def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
+        # Otherwise packs that leave the registers lie across cache lines: LLVM aligns the stack to
+        # 16 bytes only, unless told so before it knows what it will spill.
+        builder.function.attributes.alignstack = 64
+        builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
+        trace = Trace(builder, context)
+        traced = [_to_trace(context, trace, t, v) for t, v in zip(sig.args, values, strict=True)]
+        return _from_trace(context, builder, sig.return_type, evaluated(*traced))
+
+    infer_global(formula)(Template)
+    lower_builtin(formula, types.VarArg(types.Any))(lower)
+    return formula
+
+
+def _floating(ty: types.Type) -> types.Type:
+    """float64 for integers, also inside tuples: Numba then converts the arguments."""
+    if isinstance(ty, types.BaseTuple):
+        members = [_floating(t) for t in ty]
+        return ty if members == list(ty) else types.Tuple(members)
+    return types.float64 if isinstance(ty, types.Integer) else types.unliteral(ty)
+
+
+def _as_numbers(operands: Any, result: Any) -> Any:
+    """`result` with every constant as a traced number."""
+    if isinstance(result, tuple):
+        return alike(result, (_as_numbers(operands, x) for x in result))
+    if isinstance(result, Lane):
+        return result
+    like = next(x for x in flatten(operands) if isinstance(x, Lane))
+    return like.constant(0.0 if is_zero(result) else result)
+
+
+def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
+    """Type of formula(*args), found by a trace into a function that is thrown away."""
+    return _type_of_trace(_traced_alone(formula, args)[0])
+
+
+def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
+    """formula(*args), and the function of its own that it was traced into."""
+    context = tracing_context()
+    function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
+    trace = Trace(ir.IRBuilder(function.append_basic_block()))
+    values = [ir.Constant(context.get_value_type(t), ir.Undefined) for t in args]
+    traced = [_to_trace(context, trace, t, v) for t, v in zip(args, values, strict=True)]
+    return formula(*traced), function
+
+
+def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
+    """What a formula of `count` packs returns, and all that it does, as text."""
+    operands = (LaneType(2),) * count
+    result, function = _traced_alone(formula, operands)
+    numbers = (x.value.get_reference() if isinstance(x, Lane) else repr(x) for x in flatten(result))
+    return result, f"{function.module}\n{' '.join(numbers)}"
+
+
+def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
+    builder = trace.builder
+    if isinstance(ty, TagType):
+        return ty.tag
+    if isinstance(ty, ConstantType):
+        return ty.number
+    if isinstance(ty, types.BaseTuple):
+        members = [
+            _to_trace(context, trace, t, builder.extract_value(value, i)) for i, t in enumerate(ty)
+        ]
+        is_named = isinstance(ty, types.BaseNamedTuple)
+        return ty.instance_class(*members) if is_named else tuple(members)
+    if isinstance(ty, types.Integer):
+        return Index(trace, context.cast(builder, value, ty, types.intp))
+    if isinstance(ty, types.Float):
+        return Lane(trace, context.cast(builder, value, ty, types.float64))
+    if isinstance(ty, LaneType):
+        return Lane(trace, value)
+    if isinstance(ty, types.Array) and ty.layout == "C" and ty.dtype == types.float64:
+        return ArrayRef(trace, context, ty, value)
+    raise numba.errors.TypingError(
+        f"lierb's formulas take numbers, tuples of numbers and arrays, not {ty}"
+    )
+
+
+def _members(result: Any) -> tuple[Any, ...]:
+    """Of a tuple; of a dual number, which goes from formula to formula as a named tuple does."""
+    return result if isinstance(result, tuple) else (result.value, result.parts)
+
+
+def _type_of_trace(result: Any) -> types.Type:
+    if result is None:
+        return types.none
+    if isinstance(result, (tuple, Dual)):
+        kinds = [_type_of_trace(x) for x in _members(result)]
+        is_named = hasattr(result, "_fields")
+        return types.NamedTuple(kinds, type(result)) if is_named else types.Tuple(kinds)
+    if isinstance(result, Predicate):
+        return types.boolean
+    if not isinstance(result, Lane):
+        return ConstantType(result if is_zero(result) else float(result))
+    return LaneType(result.lanes) if result.lanes > 1 else types.float64
+
+
+def _from_trace(context: Any, builder: ir.IRBuilder, ty: types.Type, result: Any) -> Any:
+    if result is None or isinstance(ty, ConstantType):
+        return context.get_dummy_value()
+    if isinstance(ty, types.BaseTuple):
+        pairs = zip(ty, _members(result), strict=True)
+        members = [_from_trace(context, builder, t, x) for t, x in pairs]
+        return context.make_tuple(builder, ty, members)
+    return result.value

@@ -1,0 +1,113 @@
+"""Whole numbers of up to 64 bits, as a formula computes with them: *, +, ^, &, >>; and a number's
+own bits, by which its logarithm is roughly known.
+
+Of a float one of Python's own, of an array one of NumPy's, of a lane pack a pack of them. Formulas
+keep products below 2⁶⁴, which no operation here looks after.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+
+from lierb.kernels.numbers.arithmetic import floor
+from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, Trace
+
+INT64 = ir.IntType(64)
+LOW = 0xFFFFFFFF  # the lower half
+
+
+def words_of(x: Any) -> Any:
+    """A number that is whole, below 2⁵³ in size; a negative one modulo 2⁶⁴."""
+    if isinstance(x, Lane):
+        kind = _like(INT64, x.value.type)
+        return Words(x.trace, x.builder.fptosi(x.value, kind))
+    if isinstance(x, np.ndarray) and x.ndim:
+        return x.astype(np.int64).astype(np.uint64)
+    return int(x) & (2**64 - 1)
+
+
+def real_of(word: Any) -> Any:
+    """The number of a word below 2⁵³."""
+    if isinstance(word, Words):
+        kind = _like(DOUBLE, word.value.type)
+        return Lane(word.trace, word.trace.builder.sitofp(word.value, kind))
+    return word.astype(np.float64) if isinstance(word, np.ndarray) else float(word)
+
+
+def bits_of(x: Any) -> Any:
+    """A number's 64 bits."""
+    if isinstance(x, Lane):
+        return Words(x.trace, x.builder.bitcast(x.value, _like(INT64, x.value.type)))
+    if isinstance(x, np.ndarray) and x.ndim:
+        return x.view(np.uint64)
+    return int(np.float64(x).view(np.uint64))
+
+
+def of_bits(word: Any) -> Any:
+    """The number of which these are the bits."""
+    if isinstance(word, Words):
+        kind = _like(DOUBLE, word.value.type)
+        return Lane(word.trace, word.trace.builder.bitcast(word.value, kind))
+    return (
+        word.view(np.float64)
+        if isinstance(word, np.ndarray)
+        else float(np.uint64(word).view(np.float64))
+    )
+
+
+def rough_log2(x: Any) -> Any:
+    """log₂ x, or up to 0.0861 less; x > 0, normal."""
+    return real_of(bits_of(x)) * 2.0**-52 - 1023.0
+
+
+def rough_exp2(x: Any) -> Any:
+    """2ˣ to 0.33 %; |x| < 1000."""
+    whole = floor(x)
+    part = x - whole
+    return of_bits(words_of((whole + 1023.0) * 2.0**52)) * (1.0 + part * (0.6565 + 0.3435 * part))
+
+
+def _like(scalar: ir.Type, pack: ir.Type) -> ir.Type:
+    return ir.VectorType(scalar, pack.count) if isinstance(pack, ir.VectorType) else scalar
+
+
+def _emits(instruction: str) -> Callable[[Words, Any], Words]:
+    def operation(self: Words, other: Any) -> Words:
+        a, b = self.widened(other), self.constant_or(other).widened(self)
+        return Words(self.trace, getattr(self.trace.builder, instruction)(a, b))
+
+    return operation
+
+
+class Words:
+    """A traced word for every lane."""
+
+    __slots__ = ("trace", "value")
+    __array_ufunc__ = None
+
+    def __init__(self, trace: Trace, value: ir.Value) -> None:
+        self.trace, self.value = trace, value
+
+    __add__ = __radd__ = _emits("add")
+    __mul__ = __rmul__ = _emits("mul")
+    __xor__ = __rxor__ = _emits("xor")
+    __and__ = __rand__ = _emits("and_")
+    __rshift__ = _emits("lshr")
+
+    def constant_or(self, other: Any) -> Words:
+        """`other`, or the pack of a constant that is no such thing yet."""
+        return other if isinstance(other, Words) else Words(self.trace, INT64(other))
+
+    def widened(self, other: Any) -> ir.Value:
+        """Its value, in as many lanes as another one has."""
+        ty = other.value.type if isinstance(other, Words) else INT64
+        if self.value.type == ty or not isinstance(ty, ir.VectorType):
+            return self.value
+        builder, pack = self.trace.builder, ir.Constant(ty, ir.Undefined)
+        first = builder.insert_element(pack, self.value, INT32(0))
+        mask = ir.Constant(ir.VectorType(INT32, ty.count), [0] * ty.count)
+        return builder.shuffle_vector(first, pack, mask)

@@ -1,0 +1,25 @@
+"""The methods: explicit Runge–Kutta methods as data. Each is one entry in one of these files."""
+
+from lierb.errors import require_name
+from lierb.methods import classical, commutator_free, dop853, pairs, verner
+from lierb.methods.tableau import MOST_STAGES, ButcherTableau
+
+__all__ = ["MOST_STAGES", "TABLEAUS", "ButcherTableau", "tableau_of"]
+
+TABLEAUS: dict[str, ButcherTableau] = {
+    tableau.name: tableau
+    for file in (classical, pairs, verner, dop853, commutator_free)
+    for tableau in file.METHODS
+}
+
+
+def tableau_of(method: str | ButcherTableau) -> ButcherTableau:
+    """The tableau of a method's name, or the given one."""
+    if isinstance(method, ButcherTableau):
+        return method
+    require_name("method", method, TABLEAUS)
+    return TABLEAUS[method]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -1,0 +1,1 @@
+"""Bodies, joints, forces, users' functions, model files, problems and mechanisms."""

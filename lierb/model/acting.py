@@ -1,0 +1,106 @@
+"""Forces, constraints and observables of a model: checked, and bound to its bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError, ForceError, TwistError, body_label, items_of, told
+from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
+from lierb.kernels.numbers.arithmetic import plain
+from lierb.model.functions.binding import bound, columns_of, require_different_events
+from lierb.model.functions.column_names import require_free
+from lierb.model.functions.elements import Constraint, Element, Force, Observable, reject_functions
+from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.joints.joint import Joint
+from lierb.support.shown import quantity
+
+# Of a problem and a mechanism: the arguments that are elements, in the order of all.
+ELEMENTS: dict[str, type[Element]] = {
+    "forces": Force,
+    "constraints": Constraint,
+    "observables": Observable,
+    "events": Event,
+    "states": ExtraStates,
+    "controllers": Controller,
+}
+
+
+def shown_element(element: Element) -> str:
+    shapes = element.kind.shapes
+    given = (f"{n} {quantity(a, item_axes=len(shapes[n]))}" for n, a in element.parameters.items())
+    return f"{element.name}: {', '.join(given) or 'no parameters'}"
+
+
+def require(argument: str, value: object, kind: type, expected: str) -> None:
+    if not isinstance(value, kind):
+        raise ArgumentError(f"{argument} must be {expected}, got {told(value)}")
+
+
+def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:
+    one, expected = (f"{words} made by lierb" for words in kind.words)
+    elements = items_of(argument, given, expected) if isinstance(given, Iterable) else (given,)
+    for number, element in enumerate(elements):
+        label = f"{argument}[{number}]"
+        reject_functions(label, element)
+        require(label, element, kind, one)
+        if element.at:
+            raise ArgumentError(
+                f"{label} is on {' and '.join(element.at)}; a Problem has one body and no names: "
+                "leave .on(…) out, or make a lierb.Mechanism"
+            )
+        require_fit(element, joint)
+    return elements
+
+
+def bind(problem: Any) -> None:
+    """Let functions of a problem or a mechanism see its states and controllers.
+
+    Raises ForceError for one that sees what there is not, ArgumentError for names that are taken.
+    """
+    labels = ("states", "controllers", "forces", "observables", "events")
+    parts = bound(*(getattr(problem, label) for label in labels))
+    for label, elements in zip(labels, parts, strict=True):
+        object.__setattr__(problem, label, elements)
+    require_different_events(problem.events)
+    require_free(problem.observables, columns_of((*problem.states, *problem.controllers)))
+
+
+def require_fit(element: Element, joint: Joint) -> None:
+    """Raise ForceError for an element that has changed, or that cannot act at the joint."""
+    element.require_unchanged()
+    if not element.kind.needs_axis:
+        return
+    name = f"{element.name} on {element.at[0]!r}" if element.at else element.name
+    acts = f"{name} acts {'along' if element.kind.needs_slide else 'about'} the joint axis"
+    if not keeps_axis(joint.rows):
+        raise ForceError(
+            f"{acts}, which a {joint.name} joint does not keep: its body turns about others too; "
+            "take a joint such as revolute, or a constant_wrench or lierb.wrench"
+        )
+    if element.kind.needs_slide and not slides(joint.rows):
+        raise ForceError(
+            f"{acts}, along which a {joint.name} joint does not slide; take a joint such as "
+            "prismatic, or a torque about the axis"
+        )
+    if not element.kind.needs_slide and not turns(joint.rows):
+        raise ForceError(
+            f"{acts}, about which a {joint.name} joint does not turn; take a joint such as "
+            "revolute, or what acts along the axis: motor(force=…), slide_spring, slide_friction "
+            "or slide_limit"
+        )
+
+
+def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
+    """The error for rows whose prescribed rates, such as a motor's speed, are no numbers at t0."""
+    for row, rate in zip(rows, rates, strict=True):
+        each = np.atleast_1d(plain(rate))
+        for body in np.flatnonzero(~np.isfinite(each))[:1]:
+            return TwistError(
+                f"{body_label('the speed', int(body), each.size)} that {row} prescribes is "
+                f"{each[body]} rad/s at t0={t0:g} s, and no twist has it; give a function that has "
+                "a value there, or another t0"
+            )
+    return None

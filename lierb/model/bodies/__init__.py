@@ -1,0 +1,13 @@
+"""Homogeneous solids as bodies: mass and inertia from their dimensions, or from a mesh.
+
+The body frame is at the centre of mass, its axes along those of the solid; a mesh keeps its own
+frame. Each function takes either `mass` or `density`. Arguments may be batched.
+"""
+
+from lierb.model.bodies.solids import box, cylinder, from_mesh, rod, sphere
+
+__all__ = ["box", "cylinder", "rod", "sphere", "from_mesh"]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

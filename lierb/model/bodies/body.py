@@ -1,0 +1,169 @@
+"""Rigid bodies: mass, centre of mass and inertia."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import InertiaError, body_label, two_readings
+from lierb.kernels.mechanics.newton_euler import unit_inertia
+from lierb.support.arrays import Array, as_numbers, assembled, batch_size, components, taken
+from lierb.support.shown import Lines, Shown, quantity
+
+SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
+
+
+TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
+MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Body(Shown):
+    """A rigid body, or a batch of them.
+
+    Parameters
+    ----------
+    mass : float or array_like, shape (n,)
+        Mass, kg.
+    inertia : array_like, shape (3,), (n, 3), (3, 3) or (n, 3, 3)
+        Principal moments or inertia matrices, kg m², about the body frame's origin and in its axes.
+        A shape (3, 3) is one matrix, and refused where mass or com are those of three bodies.
+    com : array_like, shape (3,) or (n, 3), optional
+        Centre of mass in the body frame, m. Default: its origin.
+
+    Raises
+    ------
+    InertiaError
+        No body has such a mass or inertia.
+    ArgumentError
+        A shape is wrong.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531)).inertia.shape
+    (3, 3)
+    """
+
+    mass: Array
+    inertia: Array
+    com: Array
+
+    def __init__(self, mass: ArrayLike, inertia: ArrayLike, com: ArrayLike | None = None) -> None:
+        masses = as_numbers("mass", mass, ())
+        moments = as_numbers("inertia", inertia, (3,), (3, 3))
+        centre = as_numbers("com", (0.0, 0.0, 0.0) if com is None else com, (3,))
+        if moments.shape == (3, 3) and batch_size(mass=masses, com=(centre, 1)) == 3:
+            raise two_readings(
+                "inertia", moments.shape, one_matrix_for_all="inertia[None]",
+                principal_moments_of_each=MOMENTS_OF_EACH,
+            )  # fmt: skip
+        if not (moments.ndim >= 2 and moments.shape[-2:] == (3, 3)):
+            moments = moments[..., :, None] * np.eye(3)
+        batch_size(mass=masses, inertia=(moments, 2), com=(centre, 1))
+        _check_mass(masses)
+        moments = _checked_symmetric(moments)
+        _check_physical(_about_com(masses, moments, centre))
+        _check_gyration(masses, moments)
+        moments.setflags(write=False)
+        for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
+            object.__setattr__(self, name, value)
+
+    def of(self, which: int | slice) -> Body:
+        """One body of the batch, or a part of it."""
+        inertia = taken(self.inertia, which, 2)
+        if inertia.ndim == 2 and isinstance(which, slice):
+            inertia = inertia[None]  # or a part of three bodies might be read in two ways
+        return Body(taken(self.mass, which), inertia, taken(self.com, which, 1))
+
+    def _shown(self) -> tuple[str, Lines]:
+        count = batch_size(mass=self.mass, inertia=(self.inertia, 2), com=(self.com, 1)) or 1
+        rows = [("mass", quantity(self.mass, "kg")), ("inertia", _shown_inertia(self.inertia))]
+        if np.any(self.com != 0.0):
+            rows.append(("com", quantity(self.com, "m", 1)))
+        return f"lierb.Body{f': {count} of them' if count > 1 else ''}", rows
+
+
+def _shown_inertia(moments: Array) -> str:
+    if moments.size > 9 or np.any(moments.reshape(3, 3) != np.diag(np.diag(moments.reshape(3, 3)))):
+        return quantity(moments, "kg m²", 2)
+    return f"{quantity(np.diag(moments.reshape(3, 3)), item_axes=1)} kg m², principal"
+
+
+def _check_mass(masses: Array) -> None:
+    bad = np.flatnonzero(np.atleast_1d(masses) <= 0.0)
+    if bad.size:
+        label = body_label("mass", int(bad[0]), masses.size)
+        raise InertiaError(
+            f"{label} is {np.atleast_1d(masses)[bad[0]]} kg; expected a positive mass"
+        )
+
+
+def _checked_symmetric(moments: Array) -> Array:
+    flat = moments.reshape(-1, 3, 3)
+    size = np.abs(flat).max(axis=(1, 2))
+    skew = np.abs(flat - flat.transpose(0, 2, 1)).max(axis=(1, 2))
+    bad = np.flatnonzero(skew > SYMMETRY_TOLERANCE * size)
+    if bad.size:
+        label = body_label("inertia", int(bad[0]), len(flat))
+        raise InertiaError(
+            f"{label} is not symmetric: entries differ by {skew[bad[0]]:.3g} kg m²; "
+            "give (I + I.T) / 2. A shape (3, 3) is read as one matrix, not as three bodies: "
+            f"give {MOMENTS_OF_EACH} for the principal moments of three"
+        )
+    half = 0.5 * flat  # first: the sum of two of the largest numbers overflows
+    return (half + half.transpose(0, 2, 1)).reshape(moments.shape)
+
+
+@np.errstate(all="ignore")
+def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
+    """The inertia about the centre of mass. Raises InertiaError where it overflows."""
+    shift = unit_inertia(components(centre))
+    parts = zip(components(moments, 2), shift, strict=True)
+    found = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
+    flat = found.reshape(-1, 9)
+    for body in np.flatnonzero(~np.isfinite(flat).all(axis=1))[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} has no inertia about the centre of "
+            "mass: mass times the square of com is beyond all numbers; give smaller numbers, or "
+            "choose larger units"
+        )
+    return found
+
+
+def _check_physical(about_com: Array) -> None:
+    """Positive definite, and no principal moment above the sum of the two others."""
+    flat = about_com.reshape(-1, 3, 3)
+    principal = np.linalg.eigvalsh(flat)
+    for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} is not positive definite: its "
+            f"principal moments about the centre of mass are {_listed(principal[body])} kg m²"
+        )
+    excess = principal[:, 2] - principal[:, 0] - principal[:, 1]
+    for body in np.flatnonzero(excess > TRIANGLE_TOLERANCE * principal[:, 2])[:1]:
+        raise InertiaError(
+            f"{body_label('inertia', int(body), len(flat))} belongs to no rigid body: the largest "
+            f"of the principal moments {_listed(principal[body])} kg m² about the centre of mass "
+            "exceeds the sum of the two others"
+        )
+
+
+def _listed(numbers: Array) -> str:
+    return ", ".join(f"{x:.6g}" for x in numbers)
+
+
+@np.errstate(over="ignore")
+def _check_gyration(masses: Array, moments: Array) -> None:
+    """Raise InertiaError where tr Θ/m, which lengths are measured by, is beyond all numbers."""
+    traces = np.trace(moments, axis1=-2, axis2=-1)
+    squares = np.atleast_1d(traces / masses)
+    for body in np.flatnonzero(~np.isfinite(squares))[:1]:
+        mass, trace = (np.broadcast_to(x, squares.shape)[body] for x in (masses, traces))
+        raise InertiaError(
+            f"{body_label('mass', int(body), squares.size)} is {mass} kg beside an inertia of "
+            f"trace {trace} kg m²: the radius of gyration is beyond all numbers; give those of one "
+            "body, or choose other units"
+        )

@@ -1,0 +1,1 @@
+"""Readers of MJCF and URDF files."""

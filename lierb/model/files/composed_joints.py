@@ -1,0 +1,147 @@
+"""Several simple joints on one body as the joint of the catalogue that allows the same motions.
+
+Files describe a joint of several freedoms as hinges, slides and balls one after another,
+C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. Bodies without mass between them
+are what lierb does not have, so that such a sequence has to be one joint.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from lierb.errors import ArgumentError
+from lierb.model import joints
+from lierb.model.joints.joint import Joint
+from lierb.support.arrays import Array
+
+PARALLEL = 1e-9  # sine of the angle, or cosine of a right one, between axes of a file
+MEETING = 1e-9  # m, between axes that meet: files have rounded numbers
+
+
+class SimpleJoint(NamedTuple):
+    """`kind` is "hinge", "slide", "ball" or "free"; axis and point in the body at q = 0."""
+
+    kind: str
+    axis: Array
+    point: Array
+
+
+def composed(sequence: list[SimpleJoint], placed: Array) -> Joint:
+    """One joint for the whole sequence.
+
+    placed : (4, 4), C₀ in what the body hangs on.
+
+    Raises ArgumentError for a sequence whose motions no joint of the catalogue has.
+    """
+    found = _of_catalogue(sequence)
+    if found is None:
+        kinds = ", ".join(f"{x.kind} {_listed(x.axis)}" for x in sequence)
+        raise ArgumentError(
+            f"its joints ({kinds}) are together none of the catalogue; what is known: hinges that "
+            "meet at right angles (universal, spherical), slides (planar_translation, translation),"
+            " a hinge with slides along or across it (cylindrical, pin_in_slot, planar, "
+            "schoenflies), and three slides with a ball (free). Put a body with mass between them"
+        )
+    name, frame = found
+    kind = joints.JOINTS[name]
+    return kind(body_frame=frame, parent_frame=placed @ frame)
+
+
+def _of_catalogue(sequence: list[SimpleJoint]) -> tuple[str, Array] | None:
+    """The joint's name, and its frame in the body, (4, 4)."""
+    if not sequence:
+        return "fixed", np.eye(4)
+    if len(sequence) == 1:
+        return _single(sequence[0])
+    kinds = [x.kind for x in sequence]
+    hinges = [x for x in sequence if x.kind == "hinge"]
+    slides = [x.axis for x in sequence if x.kind == "slide"]
+    if len(slides) > 1 and np.linalg.svd(slides, compute_uv=False)[-1] < 1e-6:
+        return None  # two of them along one line, or three in a plane
+    turns = [*hinges, *(x for x in sequence if x.kind == "ball")]
+    if "free" in kinds or len(turns) + len(slides) != len(sequence):
+        return None
+    if len(turns) == kinds.count("ball") == 1 and len(slides) == 3:
+        return "free", _at(turns[0].point)
+    if len(turns) != len(hinges):
+        return None
+    return _of_hinges_and_slides(hinges, slides, hinge_first=kinds[0] == "hinge")
+
+
+def _single(x: SimpleJoint) -> tuple[str, Array]:
+    if x.kind == "free":
+        return "free", np.eye(4)
+    if x.kind == "ball":
+        return "spherical", _at(x.point)
+    return {"hinge": "revolute", "slide": "prismatic"}[x.kind], _along(x.axis, x.point)
+
+
+def _of_hinges_and_slides(
+    hinges: list[SimpleJoint], slides: list[Array], hinge_first: bool
+) -> tuple[str, Array] | None:
+    if len(hinges) == 1:
+        return _hinge_with_slides(hinges[0], slides, hinge_first)
+    if not hinges:
+        if len(slides) == 3:
+            return "translation", np.eye(4)
+        first, second = slides
+        return "planar_translation", _along(np.cross(first, second), np.zeros(3), first)
+    if not all(_is_right(a.axis, b.axis) for a, b in pairwise(hinges)):
+        return None
+    point = _meeting_point(hinges)
+    if point is None or len(hinges) > 3 or len(slides) not in (0, 3):
+        return None
+    if len(hinges) == 3:
+        return ("free" if slides else "spherical"), _at(point)
+    if slides:
+        return None
+    first, second = (x.axis for x in hinges)
+    return "universal", _along(first, point, np.cross(second, first))
+
+
+def _hinge_with_slides(
+    hinge: SimpleJoint, slides: list[Array], hinge_first: bool
+) -> tuple[str, Array] | None:
+    axis, point = hinge.axis, hinge.point
+    if len(slides) == 3:
+        return "schoenflies", _along(axis, point)
+    if len(slides) == 1 and np.linalg.norm(np.cross(axis, slides[0])) < PARALLEL:
+        return "cylindrical", _along(axis, point)
+    if not all(_is_right(axis, slide) for slide in slides):
+        return None
+    if len(slides) == 2:
+        return "planar", _along(axis, point, slides[0])
+    return ("pin_in_slot_body" if hinge_first else "pin_in_slot"), _along(axis, point, slides[0])
+
+
+def _is_right(a: Array, b: Array) -> bool:
+    return bool(abs(a @ b) < PARALLEL)
+
+
+def _meeting_point(hinges: list[SimpleJoint]) -> Array | None:
+    """Where all axes meet: Σ (I − aaᵀ)(x − p) = 0, if x is on every one of them."""
+    across = [np.eye(3) - np.outer(x.axis, x.axis) for x in hinges]
+    right = sum(A @ x.point for A, x in zip(across, hinges, strict=True))
+    found = np.asarray(np.linalg.solve(np.sum(across, axis=0), right))
+    off = max(float(np.linalg.norm(A @ (found - x.point))) for A, x in zip(across, hinges))
+    return found if off < MEETING else None
+
+
+def _at(point: Array) -> Array:
+    frame = np.eye(4)
+    frame[:3, 3] = point
+    return frame
+
+
+def _along(axis: Array, point: Array, first: Array | None = None) -> Array:
+    """A frame with e₃ along the axis and, if given, e₁ along `first`."""
+    options = {} if first is None else {"slot": first}
+    kind = joints.revolute if first is None else joints.pin_in_slot
+    return kind(axis=axis, body_point=point, **options).body_frame
+
+
+def _listed(axis: Array) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in axis)})"

@@ -1,0 +1,115 @@
+"""Compiling a model with inertials that MuJoCo refuses.
+
+MuJoCo checks each body by itself, whatever is welded to it, and takes no moving body below mjMINVAL
+(1e-15 kg or kg m²). Such inertials are taken out of the specification and put into the compiled
+model. `lierb.model.files.mujoco` checks what moves, as one with all that is welded to it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.support.arrays import Array
+
+SMALL = 1e-12  # kg or kg m², well above mjMINVAL
+HEAVIER = 2.0**60  # a power of two, so that nothing is rounded
+TRIANGLE = 1e-6  # well above the rounding by which flat bodies break A + B ≥ C
+
+
+class SetAside(NamedTuple):
+    """An inertial of the file. inertia : (3, 3), about the centre of mass, in its own frame."""
+
+    body: Any
+    mass: float
+    inertia: Array
+
+
+def compiled(spec: Any) -> Any:
+    """The model of a specification, with the inertials that it has."""
+    import mujoco
+
+    total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
+    # A springdamper takes its stiffness from the inertia that MuJoCo compiles.
+    is_free = not any(np.any(joint.springdamper) for joint in spec.joints)
+    aside = _set_aside(spec) if is_free else []
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        if not (is_free and "mjMINVAL" in str(error) and _adopt(spec)):
+            raise
+        aside += _set_aside(spec)
+        model = spec.compile()
+    for each in aside:
+        _put_back(model, spec.compiler, each)
+    if total > 0.0:
+        mujoco.mj_setTotalmass(model, total)
+    return model
+
+
+def _set_aside(spec: Any) -> list[SetAside]:
+    """Replace inertials that MuJoCo may refuse, or round, by a unit one, and return them."""
+    from mujoco import mjtInertiaFromGeom
+
+    is_of_geoms = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    aside = []
+    for body in spec.bodies[1:]:
+        if body.geoms and (is_of_geoms or not body.explicitinertial):
+            continue
+        mass, inertia = _inertial(body)
+        is_full = not np.isnan(body.fullinertia[0])  # earlier releases find its axes to 1e-9
+        if is_full or _is_doubtful(mass, inertia):
+            aside.append(SetAside(body, mass, inertia))
+            body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
+            body.ipos = np.nan_to_num(body.ipos)  # NaN where the file has no <inertial>
+            body.explicitinertial = True
+    return aside
+
+
+def _inertial(body: Any) -> tuple[float, Array]:
+    if not body.explicitinertial:
+        return 0.0, np.zeros((3, 3))
+    if np.isnan(body.fullinertia[0]):
+        return float(body.mass), np.diag(body.inertia)
+    xx, yy, zz, xy, xz, yz = body.fullinertia
+    return float(body.mass), np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+
+
+def _is_doubtful(mass: float, inertia: Array) -> bool:
+    least, middle, most = np.linalg.eigvalsh(inertia)
+    return bool(min(mass, least) < SMALL or most > (1.0 - TRIANGLE) * (least + middle))
+
+
+def _adopt(spec: Any) -> bool:
+    """Make inertials of what MuJoCo infers from geoms; False in releases that cannot."""
+    from mujoco import mjtInertiaFromGeom
+
+    is_automatic = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    if not (is_automatic and hasattr(spec, "adopt_inertial")):
+        return False
+    for geom in spec.geoms:  # those below mjMINVAL are not counted
+        geom.mass, geom.density = geom.mass * HEAVIER, geom.density * HEAVIER
+    for body in spec.bodies[1:]:
+        if body.geoms and not body.explicitinertial:
+            spec.adopt_inertial(body)
+            body.mass, body.inertia = body.mass / HEAVIER, body.inertia / HEAVIER
+    return True
+
+
+def _put_back(model: Any, compiler: Any, aside: SetAside) -> None:
+    """Give a compiled body its own inertial, within the bounds that the file sets."""
+    from mujoco import mju_mat2Quat, mju_mulQuat
+
+    i, turn = aside.body.id, np.empty(4)
+    moments, axes = np.linalg.eigh(aside.inertia)
+    mju_mat2Quat(turn, (axes * np.sign(np.linalg.det(axes))).ravel())
+    mju_mulQuat(model.body_iquat[i], model.body_iquat[i].copy(), turn)
+    mass = aside.mass
+    if compiler.boundmass > 0.0:
+        mass = max(mass, compiler.boundmass)
+    if compiler.boundinertia > 0.0:
+        moments = np.maximum(moments, compiler.boundinertia)
+    if compiler.balanceinertia and moments[0] + moments[1] < moments[2]:
+        moments = np.full(3, moments.mean())
+    model.body_mass[i], model.body_inertia[i] = mass, moments

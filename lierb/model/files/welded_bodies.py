@@ -1,0 +1,123 @@
+"""Bodies of a compiled MuJoCo model that are welded together, as the body of one link."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError, InertiaError, LierbError
+from lierb.model.bodies.body import Body
+from lierb.support.arrays import Array
+
+WORLD = 0  # MuJoCo's number of the ground
+
+
+def label_of(model: Any, i: int) -> str:
+    """The name that the file has for body i."""
+    return model.body(i).name or f"body{i}"
+
+
+def pose_of(position: Array, quaternion: Array) -> Array:
+    """(4, 4), of MuJoCo's position and quaternion."""
+    from mujoco import mju_quat2Mat
+
+    rotation, pose = np.empty(9), np.eye(4)
+    mju_quat2Mat(rotation, quaternion)
+    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), position
+    return pose
+
+
+def moving_body(model: Any, i: int, members: list[int]) -> Body:
+    """The body of link i. Raises ArgumentError with its name where no rigid body has its inertia.
+
+    members : i and what is merged with it.
+    """
+    label = label_of(model, i)
+    if not model.body_mass[members].sum():
+        raise ArgumentError(
+            f"body {label} moves and has no mass, so that its mass matrix is singular; give it "
+            "one, or weld it to another"
+        )
+    try:
+        return _sum(model, i, members)
+    except LierbError as error:
+        others = ", ".join(label_of(model, k) for k in members if k != i and _weighs(model, k))
+        welded = f", with {others} welded to it" if others else ""
+        raise ArgumentError(f"body {label}{welded}: {error}") from error
+
+
+def _sum(model: Any, i: int, members: list[int]) -> Body:
+    """The members as one body in the frame of body i."""
+    mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
+    for k in members:
+        frame = _pose_in(model, i, k) @ pose_of(model.body_ipos[k], model.body_iquat[k])
+        R, c, m = frame[:3, :3], frame[:3, 3], float(model.body_mass[k])
+        about = R @ np.diag(model.body_inertia[k]) @ R.T
+        mass, moment = mass + m, moment + m * c
+        inertia += about + m * (c @ c * np.eye(3) - np.outer(c, c))
+    if not mass:
+        raise InertiaError("mass is zero")
+    return Body(mass, 0.5 * (inertia + inertia.T), moment / mass)
+
+
+def _pose_in(model: Any, i: int, k: int) -> Array:
+    """The pose of body k in the frame of i, to which it is welded."""
+    if k == i:
+        return np.eye(4)
+    return _pose_in(model, i, model.body_parentid[k]) @ pose_of(
+        model.body_pos[k], model.body_quat[k]
+    )
+
+
+def _refusal(model: Any, i: int, members: list[int]) -> str:
+    """Why no rigid body has the inertia of the members; empty where one has."""
+    try:
+        _sum(model, i, members)
+    except InertiaError as error:
+        return str(error)
+    return ""
+
+
+def _weighs(model: Any, i: int) -> bool:
+    return bool(model.body_mass[i] or np.any(model.body_inertia[i]))
+
+
+def rigid_groups(model: Any, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
+    """Bodies of the file that make one link, by the first of them, in order; the ground's is 0.
+
+    Welded bodies are a link each unless `merge_fixed`, but for those that cannot be one: without
+    mass, or with an inertia that no rigid body has. They are part of the link that they hang on.
+    Where a body that moves cannot be one, what is welded to it is merged until the sum can.
+
+    The second dictionary says of such bodies with mass why they are no link of their own.
+    """
+    parents, is_welded = model.body_parentid, model.body_jntnum == 0
+    owners = list(range(model.nbody))
+    for i in range(1, model.nbody):
+        if is_welded[i] and (merge_fixed or owners[parents[i]] == WORLD):
+            owners[i] = owners[parents[i]]
+    lost: dict[int, str] = {}
+
+    def members(i: int) -> list[int]:
+        return [k for k, owner in enumerate(owners) if owner == i]
+
+    def merge(i: int, because_of: int, reason: str) -> None:
+        if _weighs(model, i) and any(_weighs(model, k) for k in members(because_of)):
+            lost[i] = (
+                f"body {label_of(model, i)} as a link of its own: "
+                f"{label_of(model, because_of)}'s {reason}"
+            )
+        into = owners[parents[i]]
+        owners[:] = [into if owner == i else owner for owner in owners]
+
+    for i in reversed(range(1, model.nbody)):
+        reason = _refusal(model, i, members(i)) if owners[i] == i else ""
+        if reason and is_welded[i]:
+            merge(i, i, reason)
+            continue
+        for k in range(i + 1, model.nbody):
+            if reason and is_welded[k] and owners[k] == k and owners[parents[k]] == i:
+                merge(k, i, reason)
+                reason = _refusal(model, i, members(i))
+    return {i: members(i) for i in set(owners)}, lost

@@ -1,0 +1,1 @@
+"""Users' functions: wrenches, constraints, observables, events, states and controllers."""

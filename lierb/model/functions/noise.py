@@ -1,0 +1,87 @@
+"""Random numbers for controllers, addressed by seed, trajectory, name, tick and component.
+
+`normal` draws inside functions of `@lierb.controller`; `sample` gives the same bits anywhere
+else. No draw depends on an earlier one: a trajectory's noise is the same alone and in a batch of
+a million, on one lane or eight, when it is resumed and on another machine.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, told
+from lierb.kernels.functions.noise import MOST, normal, normals
+from lierb.kernels.functions.signals import Noise
+from lierb.support.arrays import Array, as_floats
+
+LARGEST = 2**53 - 1  # doubles are exact integers up to there, and no other one is rounded to it
+
+__all__ = ["normal", "sample"]
+
+
+def sample(
+    seed: int, trajectory: ArrayLike, name: str, tick: ArrayLike, size: int | tuple[()] = ()
+) -> Array:
+    """Compute the numbers that `normal(name, size)` draws in a controller, to the bit.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the run, `lierb.integrate(seed=…)`, 0 to 2⁵³ − 1.
+    trajectory : int or array_like of int
+        Number of the trajectory, `lierb.integrate(trajectories=…)`, 0 to 2⁵³ − 1.
+    name : str
+        Name of the noise.
+    tick : int or array_like of int
+        Number of the call, which is at tick·T for a controller of period T.
+    size : int or (), optional
+        Number of components; () for a single number.
+
+    Returns
+    -------
+    ndarray
+        Numbers in the shapes of trajectory and tick, broadcast, followed by (size,) where it is a
+        count.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.noise.sample(0, trajectory=[0, 1, 2], name="gyro", tick=5, size=3).round(3).tolist()
+    [[1.334, 0.184, -0.075], [1.292, -0.763, 0.197], [2.011, 1.632, 0.737]]
+    """
+    if not (isinstance(name, str) and name):
+        raise ArgumentError(f"name={told(name)}; expected the noise's name, as text")
+    count = 1 if size == () else size
+    if not (isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= MOST):
+        raise ArgumentError(f"size={told(size)}; expected () or how many numbers, 1 to {MOST}")
+    seeds = _whole("seed", seed, least=0)
+    if seeds.ndim:
+        raise ArgumentError(f"seed has shape {seeds.shape}; expected one number")
+    numbers = _whole("trajectory", trajectory, least=0), _whole("tick", tick, least=-LARGEST)
+    try:
+        trajectories, ticks = np.broadcast_arrays(*numbers)
+    except ValueError:
+        raise ArgumentError(
+            f"trajectory has shape {numbers[0].shape}, tick {numbers[1].shape}; expected shapes "
+            "that broadcast"
+        ) from None
+    noise = Noise(float(seeds), trajectories.ravel(), ticks.ravel())
+    found = np.stack(normals(noise, name, count), axis=-1)
+    return found.reshape((*ticks.shape, *(() if size == () else (count,))))
+
+
+def _whole(argument: str, value: Any, least: int) -> Array:
+    """Whole numbers that doubles have."""
+    given = as_floats(argument, value)
+    if np.any((given != np.floor(given)) | ~(given >= least) | ~(given <= LARGEST)):
+        raise ArgumentError(
+            f"{argument}={told(value)}; expected whole numbers, {least} to {LARGEST}"
+        )
+    return given
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

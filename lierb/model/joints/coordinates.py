@@ -1,0 +1,96 @@
+"""Coordinates of one link of a mechanism, in whatever way they are given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError, two_readings
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3
+from lierb.model.joints.joint import Joint
+from lierb.model.joints.motions import TURNS, Motions
+from lierb.support.arrays import (
+    Array,
+    Pose,
+    as_floats,
+    as_matrix,
+    as_numbers,
+    as_rotations,
+    components,
+)
+
+
+def motions_of(joint: Joint) -> Motions | None:
+    """What its coordinates are; None where it has none."""
+    return joint.motions if joint.subgroup or joint.factors else None
+
+
+def is_rigid(joint: Joint) -> bool:
+    return joint.name == "fixed"
+
+
+def is_pose(argument: str, given: Any, joint: Joint) -> bool:
+    """Whether a link's coordinates are its whole pose: 4×4 matrices, and no rotation's."""
+    array = as_floats(argument, as_matrix(argument, given))
+    if hasattr(given, "as_matrix"):
+        return array.shape[-1:] == (4,)
+    if array.shape[-2:] != (4, 4):
+        return False
+    motions = motions_of(joint)
+    if array.ndim > 2 or motions is None or len(motions.names) != 4:
+        return True
+    if tuple(array[3]) == (0.0, 0.0, 0.0, 1.0):
+        raise two_readings(
+            argument, array.shape, a_pose="pose[None]",
+            four_coordinates_of_each_of_four_members="joint.pose(coordinates=…)",
+        )  # fmt: skip
+    return False
+
+
+def relative_of(
+    argument: str, given: Any, joint: Joint
+) -> tuple[Pose, dict[str, tuple[Array, int]]]:
+    """D of a joint's coordinates or of its rotation, and what is batched of them."""
+    motions = motions_of(joint)
+    if motions is None:
+        if given is not None:
+            names = "; leave it out" if is_rigid(joint) else "; give the link's pose, (4, 4)"
+            raise ArgumentError(f"{argument}: a {joint.name} joint has no coordinates{names}")
+        return (IDENTITY, (0.0, 0.0, joint.length)), {}
+    if given is None:
+        given = np.zeros(len(motions.names))
+    is_turn = hasattr(given, "as_matrix")
+    if motions.names == TURNS and not is_turn:
+        shape = as_floats(argument, given).shape
+        is_turn = len(shape) == 3
+        if shape == (3, 3):
+            raise two_readings(
+                argument, shape, a_rotation_matrix="R[None]",
+                three_rotation_vectors="scipy's Rotation.from_rotvec(xi)",
+            )  # fmt: skip
+    if is_turn:
+        if motions.names != TURNS:
+            raise ArgumentError(
+                f"{argument}: a {joint.name} joint takes no rotation; give its coordinates, "
+                f"{', '.join(motions.names)}"
+            )
+        turns = as_rotations(argument, given)
+        return (components(turns, 2), ZERO3), {argument: (turns, 2)}
+    numbers = numbers_of(argument, given, motions.names)
+    return motions.pose(components(numbers)), {argument: (numbers, 1)}
+
+
+def numbers_of(argument: str, given: Any, names: tuple[str, ...]) -> Array:
+    """One number for each of the coordinates; of one coordinate a bare number or (n,) will do."""
+    array, k = as_floats(argument, given), len(names)
+    if array.ndim == 0 and (k == 1 or not array):
+        array = np.full(k, array)
+    elif array.ndim == 1 and k == 1 and len(array) != 1:
+        array = array[:, None]
+    if array.ndim not in (1, 2) or array.shape[-1] != k:
+        expected = "a number, (n,) or (n, 1)" if k == 1 else f"({k},) or (n, {k})"
+        raise ArgumentError(
+            f"{argument} has shape {np.shape(given)}; expected {expected}, of {', '.join(names)}"
+        )
+    return as_numbers(argument, array, (k,))

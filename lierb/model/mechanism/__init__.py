@@ -1,0 +1,1 @@
+"""Mechanisms: links, tree, coordinates, closing of loops, and their rows."""

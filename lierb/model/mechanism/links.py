@@ -1,0 +1,139 @@
+"""Links and loops: bodies of a mechanism, and the joints that they hang on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from lierb.errors import ArgumentError, told
+from lierb.kernels.mechanics.rows import Rows
+from lierb.model.acting import require
+from lierb.model.bodies.body import Body
+from lierb.model.functions.elements import MOST_NAME
+from lierb.model.joints.joint import Joint
+from lierb.support.shown import Lines, Shown
+
+GROUND = "ground"
+NOWHERE = -1  # the number of the ground
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Link(Shown):
+    """A body of a mechanism, and the joint by which it hangs on another one or on the ground.
+
+    Parameters
+    ----------
+    name : str
+        Name of the link and of its columns in the results: letters, digits and _.
+    body : Body
+        The body or the batch of bodies.
+    joint : Joint
+        Joint to the parent. Its `parent_point` or `parent_frame`, another name for `ground_point`
+        or `ground_frame`, is in the body frame of the parent.
+    parent : str, optional
+        Name of another link, or "ground".
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.Link("crank", lierb.bodies.box((0.1, 0.02, 0.02), mass=0.3), lierb.joints.revolute())
+    lierb.Link crank: revolute joint to ground
+      mass     0.3 kg
+      inertia  (2e-05, 0.00026, 0.00026) kg m², principal
+    """
+
+    name: str
+    body: Body
+    joint: Joint
+    parent: str = GROUND
+
+    def __post_init__(self) -> None:
+        _require_name("a link", self.name)
+        require(f"the body of link {self.name}", self.body, Body, "a lierb.Body")
+        _require_held("link", self.name, self.joint, self.parent)
+
+    def _shown(self) -> tuple[str, Lines]:
+        title = f"lierb.Link {self.name}: {self.joint.name} joint to {self.parent}"
+        return title, self.body._shown()[1]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Loop(Shown):
+    """A joint beside those of the links, which closes a loop of them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the loop and of its columns in the results: letters, digits and _.
+    joint : Joint
+        Joint between the two links.
+    body : str
+        Name of the link that `body_point` belongs to.
+    parent : str, optional
+        Name of the link that `parent_point` belongs to, or "ground".
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.Loop("pin", lierb.joints.spherical(), body="rod")
+    <lierb.Loop pin: spherical joint of rod to ground>
+    """
+
+    name: str
+    joint: Joint
+    body: str
+    parent: str = GROUND
+
+    def __post_init__(self) -> None:
+        _require_name("a loop", self.name)
+        if not isinstance(self.body, str):
+            raise ArgumentError(f"loop {self.name}: body={told(self.body)}; expected a link's name")
+        _require_held("loop", self.name, self.joint, self.parent)
+        if self.body == self.parent:
+            raise ArgumentError(
+                f"loop {self.name} is between {self.body} and itself; expected two bodies"
+            )
+
+    def _shown(self) -> tuple[str, Lines]:
+        return (
+            f"lierb.Loop {self.name}: {self.joint.name} joint of {self.body} to {self.parent}",
+            (),
+        )
+
+
+def _require_name(what: str, name: Any) -> None:
+    if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
+        raise ArgumentError(
+            f"{what} is named {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
+            "them, for columns are named after it"
+        )
+    if name == GROUND:
+        raise ArgumentError(f'{what} is named "{GROUND}", which is what does not move; rename it')
+
+
+def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
+    require(
+        f"the joint of {what} {name}", joint, Joint, "a joint from lierb.joints, as revolute(…)"
+    )
+    if not isinstance(parent, str):
+        raise ArgumentError(
+            f'{what} {name}: parent={told(parent)}; expected the name of a link, or "{GROUND}"'
+        )
+
+
+class Connection(NamedTuple):
+    """Two frames and what acts between them: a joint, or an element.
+
+    name : of the link or the loop whose joint it is; of an element its own.
+    body, parent : numbers of links; NOWHERE is the ground.
+    joint : the one whose frames they are; None where they are the body frames themselves.
+    rows : of the joint, or of the element.
+    elements : numbers of those that act between these frames: of an element that one.
+    """
+
+    name: str
+    body: int
+    parent: int
+    joint: Joint | None
+    rows: Rows = ()
+    elements: tuple[int, ...] = ()

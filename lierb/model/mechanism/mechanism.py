@@ -1,0 +1,299 @@
+"""Mechanisms: rigid bodies in a tree of joints, with loops that close it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import LeftOutWarning
+from lierb.model.files import mujoco as model_files
+from lierb.model.mechanism import closing as mechanism_closing
+from lierb.model.mechanism.closing import Mobility
+from lierb.model.mechanism.coordinates import Placed
+from lierb.model.mechanism.links import Link, Loop
+from lierb.support.arrays import (
+    Array,
+    as_number,
+    as_numbers,
+    as_poses,
+    finite,
+)
+
+
+class Mechanism(Placed):
+    """Bodies, joints between them, and the forces on them.
+
+    Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
+    (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed. Forces and
+    other elements act where their method `on` says, `.on(link)` or `.on(link, other)`; with one
+    link it may be left out.
+
+    Parameters
+    ----------
+    links : Link or iterable of Link
+        Links in any order; a link's parent may come after it.
+    loops : Loop or iterable of Loop, optional
+        Joints beside those of the links.
+    gravity : array_like, shape (3,) or (n, 3), optional
+        Acceleration of gravity in the ground frame, m/s². Default: none.
+    forces : Force or iterable of Force, optional
+        Forces made by `lierb.forces` and `lierb.wrench`.
+    constraints : Constraint or iterable of Constraint, optional
+        Constraints made by `lierb.constraint`.
+    observables : Observable or iterable of Observable, optional
+        Columns of the results, made by `lierb.observable`.
+    events : Event or iterable of Event, optional
+        Crossings of zero to be located, made by `lierb.event`.
+    states : ExtraStates or iterable of ExtraStates, optional
+        Further states, made by `lierb.states` and integrated with the mechanism's.
+    controllers : Controller or iterable of Controller, optional
+        Sampled controllers, made by `lierb.controller`.
+
+    Raises
+    ------
+    ArgumentError
+        The links make no tree, or a name is no link's.
+    ForceError
+        A force acts about a joint axis that does not exist, or a function uses states or controls
+        that the mechanism does not have.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> pin = dict(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.25))
+    >>> body = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
+    >>> pendulum = lierb.Mechanism(
+    ...     links=[
+    ...         lierb.Link("upper", body, lierb.joints.revolute(**pin)),
+    ...         lierb.Link(
+    ...             "lower", body,
+    ...             lierb.joints.revolute(**pin, parent_point=(0.0, 0.0, -0.25)), parent="upper",
+    ...         ),
+    ...     ],
+    ...     gravity=(0.0, 0.0, -9.81),
+    ... )
+    >>> pose0 = pendulum.pose({"upper": np.pi / 2})
+    >>> pose0["lower"][:3, 3].round(9).tolist()
+    [-0.75, 0.0, 0.0]
+    """
+
+    # ---- from files ------------------------------------------------------------------------------
+
+    @classmethod
+    def from_mjcf(
+        cls, path: Any, *, merge_fixed: bool = False, limit_stiffness: float | None = None
+    ) -> Mechanism:
+        """Read the mechanism of an MJCF file, MuJoCo's format.
+
+        Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
+        catalogue; several on one body become the joint that combines them, such as universal.
+        `equality/connect` and `weld` become loops, springs and dampers of joints that keep their
+        axis become forces, and `pose()` is the pose at qpos0. A LeftOutWarning lists what is left
+        out: contacts, friction, actuators, tendons and other elements of MuJoCo's. Needs mujoco
+        (the extra `lierb[mjcf]`).
+
+        Parameters
+        ----------
+        path : path
+            The file; files that it includes and refers to are found from there.
+        merge_fixed : bool, optional
+            Make bodies that are welded to each other one link, rather than a link each on a fixed
+            joint. A welded body without mass, or with an inertia that no rigid body has, is merged
+            with its parent in any case, and one that is welded to the world is the ground.
+        limit_stiffness : float, optional
+            Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves limits
+            out. MuJoCo's own stiffness depends on the mass that a stop holds.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism.
+
+        Raises
+        ------
+        ArgumentError
+            MuJoCo refuses the file or is not installed, the joints of a body combine to none of the
+            catalogue, or a link that moves has no mass or an inertia that no rigid body has.
+        """
+        return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: Any,
+        *,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        merge_fixed: bool = False,
+        limit_stiffness: float | None = None,
+    ) -> Mechanism:
+        """Read the mechanism of a URDF file; its root link is the ground.
+
+        Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
+        compiler, as in `from_mjcf`.
+
+        The file has revolute, continuous, prismatic, fixed, planar and floating joints.
+
+        Parameters
+        ----------
+        path : path
+            The file. Meshes are not read: all mass is in <inertial>.
+        gravity : array_like, shape (3,) or (n, 3), optional
+            Acceleration of gravity, m/s², which URDF does not have.
+        merge_fixed : bool, optional
+            Make welded bodies one link, as in `from_mjcf`.
+        limit_stiffness : float, optional
+            Stiffness of stops at the limits of joints, N m/rad or N/m; None leaves limits out.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism.
+
+        Raises
+        ------
+        ArgumentError
+            MuJoCo refuses the file or is not installed.
+        """
+        return cls._of_file(path, "URDF", gravity, merge_fixed, limit_stiffness)
+
+    @classmethod
+    def _of_file(cls, path: Any, language: str, gravity: Any, *options: Any) -> Mechanism:
+        parts = model_files.read(path, language, *options)
+        if parts.left_out:
+            warnings.warn(LeftOutWarning(path, parts.left_out), stacklevel=3)
+        return cls(
+            [Link(*link) for link in parts.links],
+            [Loop(*loop) for loop in parts.loops],
+            parts.gravity if gravity is None else gravity,
+            parts.forces,
+        )
+
+    # ---- closing ---------------------------------------------------------------------------------
+
+    def close(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+        """Find poses that close all joints and loops near given ones, by Newton's method.
+
+        Every step is the motion of least kinetic energy that closes the joints, as in
+        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already is
+        returned unchanged.
+
+        Parameters
+        ----------
+        pose : dict
+            Poses of all links, (4, 4) or (n, 4, 4).
+
+        Returns
+        -------
+        dict of ndarray, shape (4, 4) or (n, 4, 4)
+            Closed pose of each link.
+
+        Raises
+        ------
+        PoseError
+            The iteration does not converge; the message says which joint stays open by how much.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> rod = lierb.bodies.rod(1.0, 0.01, mass=1.0)
+        >>> turning = dict(axis=(0.0, 1.0, 0.0))
+        >>> bar = lierb.Link("bar", rod, lierb.joints.revolute((0.0, 0.0, 0.5), **turning))
+        >>> strut = lierb.Link(
+        ...     "strut", rod, lierb.joints.revolute((0.0, 0.0, 0.5), (1.0, 0.0, 0.0), **turning)
+        ... )
+        >>> tie = lierb.Loop(
+        ...     "tie",
+        ...     lierb.joints.revolute((0.0, 0.0, -0.5), parent_point=(0.0, 0.0, -0.5), **turning),
+        ...     "strut",
+        ...     "bar",
+        ... )
+        >>> truss = lierb.Mechanism([bar, strut], tie)
+        >>> closed = truss.close(truss.pose({"bar": -0.4, "strut": 0.4}))
+        >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
+        [-0.523599]
+        """
+        self.poses("pose", pose)
+        given = [as_poses(f"pose[{name!r}]", pose[name]) for name in self.names]
+        with np.errstate(all="ignore"):  # what overflows does not come to close
+            found = mechanism_closing.closed(self, given)
+        return {
+            n: finite(f"the closed pose of {n}", x) for n, x in zip(self.names, found, strict=True)
+        }
+
+    def project(
+        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
+    ) -> dict[str, Array]:
+        """Return the nearest twists that satisfy all joints and loops, in kinetic energy.
+
+        Parameters
+        ----------
+        twist : dict
+            Body-fixed twists of all links, (6,) or (n, 6).
+        pose : dict, optional
+            Poses of all links. Default: all coordinates 0.
+        t0 : float, optional
+            Time at which motors have their speeds, s.
+
+        Returns
+        -------
+        dict of ndarray, shape (6,) or (n, 6)
+            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁺ (J V − prescribed), of all links together.
+
+        Raises
+        ------
+        TwistError
+            Motors prescribe speeds that no twist has.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> box = lierb.bodies.box((0.1, 0.1, 0.1), mass=1.0)
+        >>> pair = lierb.Mechanism([
+        ...     lierb.Link("a", box, lierb.joints.free()),
+        ...     lierb.Link("b", box, lierb.joints.fixed(), parent="a"),
+        ... ])
+        >>> found = pair.project({"a": (0, 0, 0, 1.0, 0, 0), "b": (0, 0, 0, 0.0, 0, 0)})
+        >>> found["b"].round(9).tolist()
+        [0.0, 0.0, 0.0, 0.5, 0.0, 0.0]
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed), self.twists("twist", twist)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        twists = [as_numbers(f"twist[{name!r}]", twist[name], (6,)) for name in self.names]
+        with np.errstate(all="ignore"):
+            found = mechanism_closing.projected(self, twists, poses, as_number("t0", t0))
+        return {
+            n: finite(f"the projected twist of {n}", x)
+            for n, x in zip(self.names, found, strict=True)
+        }
+
+    def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
+        """Count the freedoms that joints and loops leave at a pose, and the redundant rows.
+
+        Parameters
+        ----------
+        pose : dict, optional
+            Closed poses of all links. Default: all coordinates 0.
+
+        Returns
+        -------
+        Mobility
+            `freedoms` and `redundant`, whole numbers or (n,) of them. Motors do not count.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.revolute())
+        >>> bearing = lierb.Loop("bearing", lierb.joints.revolute(), "wheel")
+        >>> lierb.Mechanism(wheel, bearing).freedoms()
+        Mobility(freedoms=1, redundant=5)
+        """
+        placed = self.pose() if pose is None else pose
+        self.poses("pose", placed)
+        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        with np.errstate(all="ignore"):
+            return mechanism_closing.mobility(self, poses)

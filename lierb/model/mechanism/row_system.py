@@ -1,0 +1,352 @@
+"""All rows of a mechanism together, at poses of its links: J V = ḣ, V the twists of all links.
+
+Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest
+lever, and y with ‖y‖² twice the kinetic energy. Geometry alone says which rows depend on others, so
+that is judged in x, with rows of length 1; masses choose among the motions that all rows allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics.constraints import position_error_squared, rotation_error_squared
+from lierb.kernels.mechanics.newton_euler import (
+    SE3,
+    BodyConstants,
+    Kinematics,
+    Parameters,
+    Pose,
+    inertia_about_com,
+)
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.numbers.arithmetic import maximum, plain, sqrt, where
+from lierb.kernels.numbers.vec import (
+    Mat,
+    Vec,
+    add,
+    cross,
+    cross_add,
+    diagonal,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    neg,
+    norm,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
+from lierb.support.arrays import Array, assembled
+
+if TYPE_CHECKING:
+    from lierb.model.mechanism.links import Connection
+    from lierb.model.mechanism.tree import Tree
+
+# Singular values of rows of length 1, relative to the largest, below which rows depend on others: a
+# start may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
+RANK_TOLERANCE = 1e-7
+
+
+class Metric:
+    """The kinetic energy of one link: Θ = LLᵀ, m and c."""
+
+    def __init__(self, p: Parameters, unit: Any, least: Any) -> None:
+        """unit : in kg m², what makes y a number.   least : kg m², the inertia's trace at least."""
+        inertia = inertia_about_com(p)
+        trace = inertia[0] + inertia[4] + inertia[8]
+        added = where(trace < least, least, 0.0 * trace)
+        self.lower = _cholesky(add(inertia, diagonal((added, added, added))))
+        self.com, self.root, self.unit = p.com, np.sqrt(p.mass), np.sqrt(unit)
+
+    def __call__(self, omega: Vec, moving: Vec) -> Vec:
+        """y of an angular velocity and the velocity of the centre of mass."""
+        turning = mat_t_vec(self.lower, omega)
+        return scale(1.0 / self.unit, turning + scale(self.root, moving))
+
+
+def _cholesky(m: Mat) -> Mat:
+    """L of m = LLᵀ, row by row."""
+    a = np.sqrt(m[0])
+    b, d = m[3] / a, m[6] / a
+    c = np.sqrt(m[4] - b * b)
+    e = (m[7] - d * b) / c
+    f = np.sqrt(m[8] - d * d - e * e)
+    return (a, ZERO, ZERO, b, c, ZERO, d, e, f)
+
+
+class Held(NamedTuple):
+    """A connection at a pose."""
+
+    at: Connection
+    parameters: Parameters
+    body: BodyConstants
+    x: Kinematics
+    length: Any  # m: the larger one of the lengths of its two links
+    rounding: Any  # m, of the distance between points that coincide
+
+
+class System:
+    """A mechanism's rows at given poses of its links, all members of its batch at once."""
+
+    def __init__(self, mechanism: Tree, count: int, is_stout: bool = False) -> None:
+        """is_stout : whether a link that is small beside its arms counts as larger."""
+        self.mechanism, self.count = mechanism, count
+        of_links = [mechanism.parameters(at) for at in mechanism.joints[: len(mechanism.links)]]
+        self.lengths = [length_of(p) for p in of_links]
+        self.length = _largest(self.lengths)
+        total: Any = 0.0
+        for p in of_links:
+            total = total + p.mass
+        unit = total * self.length**2
+        self.metrics = [
+            Metric(p, unit, p.mass * (LEAST_GYRATION * length) ** 2 if is_stout else 0.0)
+            for p, length in zip(of_links, self.lengths, strict=True)
+        ]
+
+    @cached_property
+    def connections(self) -> list[tuple[Connection, Parameters, BodyConstants, Any]]:
+        """With what is the same at all poses: parameters, constants and length."""
+        mechanism, found = self.mechanism, []
+        for at in mechanism.connections:
+            p = mechanism.parameters(at)
+            length = self.lengths[at.body] if at.joint is None else length_of(p)
+            if at.parent >= 0:
+                other = mechanism.parameters(mechanism.joints[at.parent])
+                if at.joint is not None:  # with the arm from its centre of mass to this joint
+                    other = other._replace(body=p.ground)
+                length = maximum(length, length_of(other))
+            found.append((at, p, mechanism.constants(at), length))
+        return found
+
+    def held(self, poses: list[Pose], twists: list[Vec] | None = None, t0: Any = 0.0) -> list[Held]:
+        """Every connection, moving at these twists."""
+        found = []
+        for at, p, body, length in self.connections:
+            relative = self.mechanism.relative(at, poses)
+            moving: Vec = (0.0,) * 6
+            if twists is not None:
+                moving = self.mechanism.relative_twist(at, poses, twists)
+            x = SE3.kinematics(body, relative, moving)._replace(time=t0)
+            rounding = rounding_of(p, poses[at.body])
+            if at.parent >= 0:
+                rounding = rounding + ROUNDING * norm(poses[at.parent][1])
+            found.append(Held(at, p, body, x, length, rounding))
+        return found
+
+    def decomposed(self, held: list[Held]) -> DecomposedRows:
+        """All rows of these connections."""
+        total = sum(len(h.at.rows) for h in held)
+        found = np.zeros((self.count, total, 6 * len(self.metrics)))
+        levers = np.zeros(self.count)
+        number = 0
+        for h in held:
+            seen = se3.compose(h.parameters.ground, (h.x.q, h.x.d))  # B from the parent
+            for r in h.at.rows:
+                row = r.jacobian(h.x, h.body)
+                wrenches = {h.at.body: _moved(h.parameters.body, row)}
+                if h.at.parent >= 0:
+                    wrenches[h.at.parent] = neg(_moved(seen, row))
+                for link, wrench in wrenches.items():
+                    torque = sub(wrench[:3], cross(self.metrics[link].com, wrench[3:]))
+                    found[:, number, 6 * link : 6 * link + 6] = assembled(torque + wrench[3:])
+                    if r.is_translational:
+                        with np.errstate(all="ignore"):  # no force, no lever
+                            lever = np.divide(plain(norm(torque)), plain(norm(wrench[3:])))
+                        levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
+                number += 1
+        found[~np.isfinite(found).all(axis=(1, 2))] = 0.0  # no step, so that it stays open
+        lever = np.where(levers > 0.0, levers, 1.0)
+        for link in range(len(self.metrics)):
+            found[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
+        return DecomposedRows(self, found, lever)
+
+    def column(self, numbers: list[Any]) -> Array:
+        """One number for each row, (count, rows)."""
+        found = np.empty((self.count, len(numbers)))
+        for i, number in enumerate(numbers):
+            found[:, i] = plain(number)
+        return found
+
+
+class Decomposed:
+    """Singular value decompositions of matrices A, (count, rows, n)."""
+
+    def __init__(self, matrix: Array) -> None:
+        u, self.values, self.vt = np.linalg.svd(matrix)
+        self.u = u[..., : self.values.shape[1]]
+        self.ranks = self.ranks_above(RANK_TOLERANCE)
+
+    def ranks_above(self, tolerance: float) -> Array:
+        """Numbers of singular values above this part of the largest one."""
+        kept = self.values > tolerance * self.values[:, :1]
+        ranks: Array = np.count_nonzero(kept, axis=1)
+        return ranks
+
+    def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
+        """The least x with A x = wanted, or of ‖A x − wanted‖² + damping ‖x‖².
+
+        wanted : (count, rows).   damping : (count,).
+        """
+        count = self.values.shape[1]
+        kept = np.arange(count) < self.ranks[:, None]
+        squares = self.values * self.values + np.reshape(damping, (-1, 1))
+        gains = np.where(kept, self.values, 0.0) / np.where(kept, squares, 1.0)
+        parts = gains * summed(np.swapaxes(self.u, 1, 2) * wanted[:, None, :])
+        return summed(np.swapaxes(self.vt[:, :count], 1, 2) * parts[:, None, :])
+
+
+class DecomposedRows(Decomposed):
+    """All rows at poses of the links, in x and brought to length 1.
+
+    lengths : (count, rows), what they were divided by.
+    """
+
+    def __init__(self, system: System, matrix: Array, lever: Array) -> None:
+        """matrix : (count, rows, 6 links), J of x.   lever : ℓ, m, (count,)."""
+        lengths = np.sqrt(summed(matrix * matrix))
+        self.system, self.lever = system, lever
+        self.lengths = np.where(lengths == 0.0, 1.0, lengths)
+        super().__init__(matrix / self.lengths[..., None])
+
+    @property
+    def freedoms(self) -> Array:
+        """Numbers of motions that all rows allow."""
+        freedoms: Array = self.vt.shape[1] - self.ranks
+        return freedoms
+
+    def speed(self, twists: list[Vec]) -> Array:
+        """‖x‖ of all links' twists, rad/s, (count,)."""
+        total: Any = 0.0
+        for twist, metric in zip(twists, self.system.metrics, strict=True):
+            moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
+            total = total + dot(twist[:3], twist[:3]) + dot(moving, moving)
+        size: Array = np.sqrt(total)
+        return size
+
+    def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
+        """The twists of least kinetic energy with J V = wanted, for rows of length 1.
+
+        damping : of the x that the rows ask for; free motions that make it lighter have none.
+        """
+        x = self.least(wanted, damping)
+        y = self._energetic(x)
+        moving = np.stack([self._energetic(self.vt[:, i]) for i in range(x.shape[1])], axis=1)
+        for rank in np.unique(self.ranks[self.freedoms > 0]):
+            these = self.ranks == rank
+            x[these] += _easing(self.vt[these, rank:], moving[these, rank:], y[these])
+        return [
+            omega + sub(velocity, cross(omega, metric.com))
+            for omega, velocity, metric in self._parts(x)
+        ]
+
+    def _parts(self, x: Array) -> Iterator[tuple[Vec, Vec, Metric]]:
+        """Angular velocity, velocity of the centre of mass and metric of every link."""
+        for i, metric in enumerate(self.system.metrics):
+            part = tuple(x[:, 6 * i + k] for k in range(6))
+            yield part[:3], scale(self.lever, part[3:]), metric
+
+    def _energetic(self, x: Array) -> Array:
+        """y of an x."""
+        return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=1)
+
+
+def _easing(free: Array, moving: Array, y: Array) -> Array:
+    """The combination of free motions that makes ‖y‖ least, (count, n).
+
+    free, moving : (count, freedoms, n), in x and in y.
+
+    With masses of different orders the columns of y are nearly parallel: what moves a heavy link at
+    all moves little else. Gaussian elimination first, with complete pivoting, leaves columns that
+    move ever lighter ones, and of a good condition once they have length 1.
+    """
+    free, moving, (count, freedoms, n) = free.copy(), moving.copy(), free.shape
+    each = np.arange(count)
+    for j in range(freedoms):
+        largest = np.abs(moving[:, j:]).reshape(count, -1).argmax(axis=1)
+        column, row = j + largest // n, largest % n
+        for columns in (free, moving):
+            columns[each, column], columns[:, j] = columns[:, j].copy(), columns[each, column]
+        shares = moving[each, j + 1 :, row] / moving[each, j, row][:, None]
+        for columns in (free, moving):
+            columns[:, j + 1 :] -= shares[..., None] * columns[:, None, j]
+    sizes = np.sqrt(summed(moving * moving))
+    q, r = np.linalg.qr(np.swapaxes(moving / sizes[..., None], 1, 2))
+    parts = -summed(np.swapaxes(q, 1, 2) * y[:, None, :])
+    parts = np.linalg.solve(r, parts[..., None])[..., 0] / sizes
+    return summed(np.swapaxes(free, 1, 2) * parts[:, None, :])
+
+
+def _moved(frame: Pose, wrench: Vec) -> Vec:
+    """A wrench in a frame, in what the frame is seen from."""
+    force = mat_vec(frame[0], wrench[3:])
+    return cross_add(frame[1], force, mat_vec(frame[0], wrench[:3])) + force
+
+
+def _largest(lengths: list[Any]) -> Any:
+    found = lengths[0]
+    for length in lengths[1:]:
+        found = maximum(found, length)
+    return found
+
+
+def summed(array: Array) -> Array:
+    """Over the last axis, in its order: `sum` may take another one in another batch."""
+    total = np.zeros(array.shape[:-1])
+    for i in range(array.shape[-1]):
+        total = total + array[..., i]
+    return total
+
+
+def wrong_way(h: Held, count: int) -> Any:
+    """Numbers of members that hold a joint half a turn off, which no row sees."""
+    against = np.zeros(count, dtype=bool)
+    for bearing in bearings(h.at.rows, h.x.q):
+        against |= np.broadcast_to(bearing <= 0.0, (count,))
+    return np.flatnonzero(against)
+
+
+def reversed_joint(mechanism: Tree, at: Connection, label: str) -> str:
+    return (
+        f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
+        "row sees; turn a link or one of the joint's frames by 180°"
+    )
+
+
+def name_of(mechanism: Tree, at: Connection) -> str:
+    """A connection for a message."""
+    ends = " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
+    if at.joint is None or at.elements:
+        return f"{at.name} ({ends})"
+    what = "joint of" if at.name == mechanism.names[at.body] else "loop"
+    return f"the {what} {at.name} ({at.joint.name}, {ends})"
+
+
+def errors_of(h: Held) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
+    rows = h.at.rows
+    return (
+        ("position", " m", sqrt(plain(position_error_squared(rows, h.x, h.body)))),
+        ("rotation", "", sqrt(plain(rotation_error_squared(rows, h.x, h.body)))),
+    )
+
+
+def one_of(numbers: Any, member: int) -> float:
+    """The number of one member of the batch, or of all of them."""
+    array = np.atleast_1d(plain(numbers))
+    return float(array[member if len(array) > 1 else 0])
+
+
+def velocity_of(x: Kinematics) -> Vec:
+    """D⁻¹Ḋ."""
+    return x.omega + x.point_rate
+
+
+NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
+CLOSED = 1e-13  # rad, and relative to the problem's length: where rounding ends it
+
+
+LEAST_GYRATION = 0.03  # of the problem's length, that a pose is closed with

@@ -1,0 +1,398 @@
+"""Bodies and problems: what is integrated, in SI units, checked when it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from operator import methodcaller
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import (
+    ArgumentError,
+    PoseError,
+    body_label,
+)
+from lierb.kernels.groups import se3, so3
+from lierb.kernels.mechanics import elements as kinds
+from lierb.kernels.mechanics.constraints import residuals
+from lierb.kernels.mechanics.newton_euler import (
+    SE3,
+    BodyConstants,
+    Parameters,
+    SO3xR3,
+)
+from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.mechanics.saddle import Load, solve
+from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.numbers.arithmetic import absolute, where
+from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
+from lierb.kernels.systems.layout import INPUTS
+from lierb.model.acting import ELEMENTS, _checked, bind, require, shown_element, unfit_rate
+from lierb.model.bodies.body import Body
+from lierb.model.functions.binding import Column, columns_of
+from lierb.model.functions.elements import Constraint, Element, Force, Observable
+from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.joints.joint import MOST_ROWS, Joint
+from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
+from lierb.support.arrays import (
+    Array,
+    Pose,
+    as_number,
+    as_numbers,
+    as_poses,
+    assembled,
+    batch_size,
+    components,
+    finite,
+    member_of,
+    pose_components,
+    pose_matrix,
+    taken,
+)
+from lierb.support.shown import Lines, Shown, counted, quantity
+
+AT_REST = Load(ZERO3, ZERO3, ZERO3)
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Problem(Shown):
+    """A body, the joint that holds it to the ground, and the forces on it.
+
+    Parameters
+    ----------
+    body : Body
+        The body or the batch of bodies.
+    joint : Joint
+        Its joint to the ground; `lierb.joints.free()` for none.
+    gravity : array_like, shape (3,) or (n, 3), optional
+        Acceleration of gravity in the ground frame, m/s². Default: none.
+    forces : Force or iterable of Force, optional
+        Forces made by `lierb.forces` and `lierb.wrench`.
+    constraints : Constraint or iterable of Constraint, optional
+        Constraints made by `lierb.constraint`, beside the joint's own.
+    observables : Observable or iterable of Observable, optional
+        Columns of the results, made by `lierb.observable`.
+    events : Event or iterable of Event, optional
+        Crossings of zero to be located, made by `lierb.event`.
+    states : ExtraStates or iterable of ExtraStates, optional
+        Further states, made by `lierb.states` and integrated with the body's.
+    controllers : Controller or iterable of Controller, optional
+        Sampled controllers, made by `lierb.controller`: called once a period, their outputs are
+        held.
+
+    Raises
+    ------
+    ForceError
+        A force acts about a joint axis that the joint does not have, or a function uses states or
+        controls that the problem does not have.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=[1.0, 2.0])
+    >>> lierb.Problem(box, lierb.joints.free(), forces=lierb.forces.drag(linear=0.1)).batch_size()
+    2
+    """
+
+    body: Body
+    joint: Joint
+    gravity: Array
+    forces: tuple[Force, ...]
+    constraints: tuple[Constraint, ...]
+    observables: tuple[Observable, ...]
+    events: tuple[Event, ...]
+    states: tuple[ExtraStates, ...]
+    controllers: tuple[Controller, ...]
+
+    def __init__(
+        self,
+        body: Body,
+        joint: Joint,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+        forces: Force | Iterable[Force] = (),
+        constraints: Constraint | Iterable[Constraint] = (),
+        observables: Observable | Iterable[Observable] = (),
+        events: Event | Iterable[Event] = (),
+        states: ExtraStates | Iterable[ExtraStates] = (),
+        controllers: Controller | Iterable[Controller] = (),
+    ) -> None:
+        require("body", body, Body, "a lierb.Body")
+        require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
+        field = as_numbers("gravity", gravity, (3,))
+        object.__setattr__(self, "body", body)
+        object.__setattr__(self, "joint", joint)
+        object.__setattr__(self, "gravity", field)
+        given = forces, constraints, observables, events, states, controllers
+        for (label, kind), elements in zip(ELEMENTS.items(), given, strict=True):
+            object.__setattr__(self, label, _checked(label, elements, kind, joint))
+        bind(self)
+        if len(self.rows) > MOST_ROWS:
+            raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
+        self.batch_size()
+
+    def _shown(self) -> tuple[str, Lines]:
+        _, mass = self.body._shown()
+        name, held = self.joint._shown()
+        rows = [
+            ("body", "\n".join(f"{label} {text}" for label, text in mass)),
+            ("joint", "\n".join((name, *(f"{label} {text}" for label, text in held)))),
+            ("gravity", quantity(self.gravity, "m/s²", 1)),
+        ]
+        rows += [
+            (label, "\n".join(map(shown_element, elements)))
+            for label in ELEMENTS
+            if (elements := getattr(self, label))
+        ]
+        count = counted(self.batch_size() or 1, "body", "bodies")
+        return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
+
+    def of_body(self, body: int) -> Problem:
+        """Return the problem of one body of the batch.
+
+        Parameters
+        ----------
+        body : int
+            Number of the body.
+
+        Returns
+        -------
+        Problem
+            Its problem, not batched.
+
+        Raises
+        ------
+        ArgumentError
+            The batch has no body of that number.
+        """
+        which = member_of(body, self.batch_size())
+        elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
+        gravity = taken(self.gravity, which, 1)
+        return Problem(self.body.of(which), self.joint.of(which), gravity, **elements)
+
+    def with_events(self, events: Event | Iterable[Event]) -> Problem:
+        """The same problem with more events, after its own."""
+        more = _checked("events", events, Event, self.joint)
+        elements = {label: getattr(self, label) for label in ELEMENTS}
+        elements["events"] = (*self.events, *more)
+        return Problem(self.body, self.joint, self.gravity, **elements)
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """Forces, constraints, observables, events, states and controllers."""
+        return tuple(e for label in ELEMENTS for e in getattr(self, label))
+
+    @cached_property
+    def signals(self) -> tuple[Column, ...]:
+        """Its extra states, then what its controllers put out, as they stand side by side."""
+        return columns_of(self.elements)
+
+    def require_unchanged(self) -> None:
+        """Raise ForceError where a force's function refers to something that is another by now."""
+        for element in self.elements:
+            if element.references:
+                element.require_unchanged()
+
+    @cached_property
+    def kinds(self) -> tuple[kinds.Element, ...]:
+        """Of the elements, as compiled code is specialised on them."""
+        return tuple(element.kind for element in self.elements)
+
+    @cached_property
+    def rows(self) -> Rows:
+        """Every constraint row: the joint's, those of motors, and further ones."""
+        added = (
+            element.kind.row(place, i)
+            for place, element in enumerate(self.elements)
+            for i in range(element.kind.rows)
+        )
+        return (*self.joint.rows, *added)
+
+    @cached_property
+    def quantities(self) -> dict[str, Array]:
+        """Its numbers, but for the elements' parameters; each for every body, or one for all."""
+        owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
+        given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
+        return {name: getattr(owners.get(name, self.joint), name) for name in given}
+
+    @cached_property
+    def _batched(self) -> dict[str, tuple[Array, int]]:
+        """The batched arguments, with the number of an item's axes."""
+        entries = {
+            name: (array, len(field.shape))
+            for field in INPUTS.fields
+            for name, array in self.quantities.items()
+            if name == field.name
+        }
+        for element in self.elements:
+            for name, entry in element.batched().items():
+                same = sum(known.partition("[")[0] == name for known in entries)
+                entries[f"{name}[{same}]" if same else name] = entry
+        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
+
+    def batch_size(self, **more: Any) -> int | None:
+        """Number of bodies that the batched arguments ask for; None where none is batched."""
+        return batch_size(**self._batched, **more)
+
+    def parameters(self) -> Parameters:
+        """The problem as formulas take it, one array per component."""
+        return Parameters(
+            mass=self.body.mass,
+            inertia=components(self.body.inertia, 2),
+            com=components(self.body.com),
+            gravity=components(self.gravity),
+            ground=pose_components(self.joint.ground_frame),
+            body=pose_components(self.joint.body_frame),
+            pitch=self.joint.pitch,
+            length=self.joint.length,
+        )
+
+    def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> BodyConstants:
+        """The body, with its elements, as that c-space's formulas take it."""
+        parameters = self.parameters()
+        numbers = [
+            x
+            for element in self.elements
+            for name, shape in element.kind.shapes.items()
+            for x in components(element.parameters[name], len(shape))
+        ]
+        return kinds.body_with(space, parameters, self.kinds, numbers)
+
+    def close(self, pose: Any) -> Array:
+        """Find a pose that closes the joint near a given one, by Newton's method on its rows.
+
+        Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
+        constraints' values; a body that is small beside its lever arm counts as larger there, so
+        that it does not turn by a radian to move by a hair. The iteration ends at rounding,
+        relative to the problem's own length.
+
+        Parameters
+        ----------
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
+            Pose near the joint.
+
+        Returns
+        -------
+        ndarray, shape (4, 4) or (n, 4, 4)
+            Pose that closes the joint.
+
+        Raises
+        ------
+        PoseError
+            The iteration does not converge: the pose is too far away, in a singular configuration,
+            or exactly half a turn off.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0))
+        >>> pendulum = lierb.Problem(lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0), hinge)
+        >>> off = lierb.lie.se3.exp((1e-3, 0.5, 2e-3, 0.01, -0.02, 0.0))
+        >>> hinge.coordinates(pendulum.close(off)).round(2).tolist()
+        [0.5]
+        """
+        poses = as_poses("pose", pose)
+        self.batch_size(pose=(poses, 2))
+        with np.errstate(all="ignore"):  # what overflows does not come to close
+            return self._closed(poses)
+
+    def _closed(self, poses: Array) -> Array:
+        rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
+        placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
+        length = length_of(parameters)
+        small = CLOSED * length  # m
+        stout = body.mass * (LEAST_GYRATION * length) ** 2
+        trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
+        added = where(trace < stout, stout, 0.0 * stout)
+        body = body._replace(inertia=add(body.inertia, diagonal((added, added, added))))
+        # Functions of the user's see the place from the origins of the user's frames.
+        rounding = rounding_of(parameters, pose_components(poses))
+        for _ in range(NEWTON_STEPS):
+            x = SE3.kinematics(body, placed, still)
+            off = residuals(rows, x, body)
+            here = ROUNDING * norm((0.0, *placed[1]))
+            closed = np.isfinite(small)  # or any distance passes for rounding
+            for r, h in zip(rows, off, strict=True):
+                near = small + (here if r.is_of_joint else rounding)
+                closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
+            if np.all(closed):
+                break
+            found = solve(
+                body,
+                x.q,
+                rows,
+                methodcaller("jacobian", x, body),
+                tuple(-h for h in off),
+                AT_REST,
+            )
+            moved = se3.compose(placed, se3.exp(found.turning + found.moving))
+            placed = where(closed, placed, moved)  # no body waits, or moves on, for another
+        open_ones = np.flatnonzero(~np.atleast_1d(closed))
+        if open_ones.size:
+            raise PoseError(
+                f"{body_label('pose', int(open_ones[0]), np.size(closed))} does not come to close "
+                f"the {self.joint.name} joint in {NEWTON_STEPS} Newton steps; start nearer to a "
+                "pose that does, such as problem.joint.closed_pose"
+            )
+        q, d = placed
+        turned = [bearing <= 0.0 for bearing in bearings(rows, q)]
+        against = np.flatnonzero(np.any(np.broadcast_arrays(np.bool_(False), *turned), axis=0))
+        if against.size:
+            raise PoseError(
+                f"{body_label('pose', int(against[0]), np.size(closed))} holds the "
+                f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
+                "back is the shortest; turn it by less, or one of the joint's frames by 180°"
+            )
+        turned_back = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0]
+        return finite("the closed pose", pose_matrix(turned_back))
+
+    def project(self, twist: ArrayLike, pose: Any = None, *, t0: float = 0.0) -> Array:
+        """Return the nearest twist that satisfies the joint, in the kinetic-energy metric.
+
+        Parameters
+        ----------
+        twist : array_like, shape (6,) or (n, 6)
+            Body-fixed twist (ω, v), rad/s and m/s.
+        pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
+            Pose of the body. Default: the closed joint.
+        t0 : float, optional
+            Time at which a motor has its speed, s.
+
+        Returns
+        -------
+        ndarray, shape (6,) or (n, 6)
+            V − M⁻¹Jᵀ(J M⁻¹Jᵀ)⁻¹ J V.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 0.0, 1.0))
+        >>> wheel = lierb.Problem(lierb.bodies.cylinder(0.3, 0.05, mass=2.0), hinge)
+        >>> wheel.project((1.0, 2.0, 3.0, 4.0, 5.0, 6.0)).round(9).tolist()
+        [0.0, 0.0, 3.0, 0.0, 0.0, 0.0]
+        """
+        twists, start = as_numbers("twist", twist, (6,)), as_number("t0", t0)
+        pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
+        self.batch_size(twist=(twists, 1), pose=(pose, 2))
+        with np.errstate(all="ignore"):
+            found = self._projected(components(twists), pose_components(pose), start)
+        return finite("the projected twist", found)
+
+    def _projected(self, given: Vec, pose: Pose, t0: Any) -> Array:
+        parameters, body = self.parameters(), self.in_joint_axes(SE3)
+        placed, velocity = SE3.to_joint_axes(parameters, pose, given)
+        x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
+        wanted = [r.prescribed_rate(x, body) for r in self.rows]
+        if error := unfit_rate(self.rows, wanted, t0):
+            raise error
+        along = methodcaller("jacobian", x, body)
+        for _ in range(2):  # the second time, for what rounding has left of a large part
+            rates = [dot(along(r), velocity) for r in self.rows]
+            lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))
+            change = solve(body, x.q, self.rows, along, lacking, AT_REST)
+            velocity = add(velocity, change.turning + change.moving)
+        _, projected = SE3.to_user_axes(parameters, placed, velocity)
+        return assembled(projected)

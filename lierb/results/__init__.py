@@ -1,0 +1,1 @@
+"""Results of a run: Arrow tables, states, failures, figures and animations."""

@@ -1,0 +1,13 @@
+"""Moving pictures of trajectories: one HTML file, or a cell of a notebook, without a network.
+
+`scene` makes plain data of a result, `page` puts it into `player.html` with `player.js`.
+"""
+
+from lierb.results.animation.page import Animation, animate
+from lierb.results.animation.shapes import Shape, box, cylinder, equivalent, mesh
+
+__all__ = ["Animation", "Shape", "animate", "box", "cylinder", "equivalent", "mesh"]
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

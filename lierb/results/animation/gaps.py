@@ -1,0 +1,70 @@
+"""How far a body is off its joint, as a displacement: what the animation magnifies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics.constraints import residuals
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
+from lierb.model.joints.joint import Joint
+from lierb.model.mechanism.links import NOWHERE, Connection
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.support.arrays import Array, assembled, pose_components
+
+
+def gap_of(problem: Problem, poses: Array) -> Array:
+    """The displacement that has taken the body from what its joint allows; see `gaps_in`.
+
+    problem : of one body.   poses : (times, 4, 4).
+    """
+    return gaps_in(problem.joint, problem.parameters(), problem.in_joint_axes(SE3), poses)
+
+
+def gap_between(mechanism: Mechanism, at: Connection, poses: list[Array]) -> Array:
+    """The same of a joint of a mechanism, for what it hangs on where that is at each time.
+
+    poses : (times, 4, 4) of each link.
+    """
+    assert at.joint is not None
+    parameters = mechanism.parameters(at)
+    if at.parent != NOWHERE:
+        ground = se3.compose(pose_components(poses[at.parent]), parameters.ground)
+        parameters = parameters._replace(ground=ground)
+    return gaps_in(at.joint, parameters, mechanism.constants(at), poses[at.body])
+
+
+def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Array) -> Array:
+    """The displacement that has taken a body from what its joint allows, in the ground's axes.
+
+    Returns (times, 6): a rotation vector, rad, and the displacement of the joint's point, m. The
+    shortest that explain the values h of the joint's rows to first order: δ = J⁺ h, by the rows of
+    rotation and those of position apart.
+
+    In double precision, from the poses: single precision, which a page draws with, has no room for
+    1e-7 m beside 1 m.
+    """
+    rows = joint.rows
+    rotation, position = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))
+    if not rows:
+        return np.hstack([rotation, position])
+    with np.errstate(all="ignore"):  # after a failure all is NaN
+        placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
+        x = SE3.kinematics(body, placed, still)
+        values = assembled(tuple(residuals(rows, x, body)))
+        values = np.broadcast_to(values, (len(poses), len(rows)))
+        jacobian = np.stack(
+            [np.broadcast_to(assembled(r.jacobian(x, body)), (len(poses), 6)) for r in rows], axis=1
+        )
+    is_translational = np.array([r.is_translational for r in rows])
+    alive = np.isfinite(values).all(axis=1)
+    for columns, chosen, found in (
+        (slice(0, 3), ~is_translational, rotation), (slice(3, 6), is_translational, position),
+    ):  # fmt: skip
+        found[~alive] = np.nan
+        if chosen.any():
+            inverse = np.linalg.pinv(jacobian[alive][:, chosen, columns], rcond=1e-9)
+            found[alive] = np.einsum("tij,tj->ti", inverse, values[alive][:, chosen])
+    to_ground = poses[:, :3, :3] @ joint.body_frame[:3, :3]  # from the body's joint axes
+    return np.hstack([np.einsum("tij,tj->ti", to_ground, each) for each in (rotation, position)])

@@ -1,0 +1,343 @@
+"""A scene as one HTML page, which needs nothing else: no network, no library."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, items_of, told, unknown_name
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.animation.scene import (
+    MOST_MAGNIFIED,
+    RECORD,
+    Shapes,
+    Trails,
+    cspace_of,
+    scene_of,
+    settings_of,
+)
+from lierb.results.animation.shapes import Shape
+from lierb.results.colours import CSPACE_NAMES
+from lierb.results.states import RunStates
+from lierb.support.arrays import Array, as_numbers, is_whole
+from lierb.support.files import require_page, write_whole
+from lierb.support.shown import counted, steps_told
+
+MOST_VIEWS = 8  # of the trajectories that nobody has chosen
+FRAMES = 2000  # of a trajectory; a history of more is thinned
+HEIGHT = 640  # of a notebook's frame, pixels
+
+
+class Animation:
+    """A moving picture; `save` writes it, a notebook shows it.
+
+    Attributes
+    ----------
+    scene : dict
+        Views, bodies, joints and curves, as `lierb.results.animation.scene` describes them.
+    """
+
+    def __init__(self, scene: dict[str, Any]) -> None:
+        self.scene = scene
+
+    def html(self) -> str:
+        """Return the page as text.
+
+        Returns
+        -------
+        str
+            HTML.
+        """
+        data = json.dumps(self.scene, separators=(",", ":"), ensure_ascii=False)
+        texts = {
+            "TITLE": html.escape(self.scene["title"]),
+            "PLAYER": _asset("player.js"),
+            "SCENE": data.replace("<", "\\u003c"),  # or one in a name would end the script
+        }
+        return re.sub("%([A-Z]+)%", lambda mark: texts[mark[1]], _asset("player.html"))
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the page.
+
+        Parameters
+        ----------
+        path : path
+            HTML file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        StudyFileError
+            The file cannot be written, or it would replace one that is no HTML page. An OSError.
+        """
+        file = Path(path).expanduser()
+        require_page(file)
+        write_whole(file, self.html().encode())
+        return file
+
+    def frame(self, height: int = HEIGHT) -> str:
+        """Return an <iframe> with the page inside, for another page.
+
+        Parameters
+        ----------
+        height : int, optional
+            Height, pixels.
+
+        Returns
+        -------
+        str
+            HTML.
+        """
+        return (
+            f'<iframe srcdoc="{html.escape(self.html())}" sandbox="allow-scripts" loading="lazy" '
+            f'title="{html.escape(self.scene["title"])}" '
+            f'style="width:100%;height:{height}px;border:0"></iframe>'
+        )
+
+    def _repr_html_(self) -> str:
+        return self.frame()
+
+    def __repr__(self) -> str:
+        views = counted(len(self.scene["views"]), "view")
+        return f"<lierb.animation.Animation {self.scene['title']!r}: {views}; save(path) writes it>"
+
+
+def animate(
+    results: RunStates | Sequence[RunStates] | Mapping[str, RunStates],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    trajectories: int | Iterable[int] | None = None,
+    problem: Problem | Mechanism | None = None,
+    shape: Shape | Mapping[str, Shape] | None = None,
+    trail: bool | ArrayLike | Mapping[str, ArrayLike] = True,
+    frames: int = FRAMES,
+    magnify: float = 1.0,
+    title: str | None = None,
+) -> Animation:
+    """Make a moving picture of trajectories, side by side on one clock and under one camera.
+
+    The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
+    curve below shows the joint's errors.
+
+    Parameters
+    ----------
+    results : RunStates, sequence of RunStates or dict of RunStates
+        Results with states (`save_every=…, record="state"`): one, several, or several by their
+        names, such as one for each c-space. Every trajectory of each has a view of its own.
+    path : path, optional
+        HTML file to write; it opens without a network. Default: none.
+    trajectories : int or iterable of int, optional
+        Numbers of the trajectories. Default: the first ones, as many as make 8 views.
+    problem : Problem or Mechanism, optional
+        Problem of results that were pickled, which have lost theirs.
+    shape : Shape or dict of Shape, optional
+        Shape of the body, see `lierb.animation.box`, `cylinder` and `mesh`; for a mechanism a
+        dictionary by link. Default: the box or cylinder of the body's mass and inertia.
+    trail : bool, array_like of shape (3,), or dict of them, optional
+        True for a trail of the centre of mass (for a body that turns about it, of a corner), or the
+        point of the body that leaves one, m. For a mechanism a dictionary link → point. Default:
+        True; for a mechanism the links on which no other one hangs.
+    frames : int, optional
+        Largest number of frames; longer histories are thinned evenly.
+    magnify : float, optional
+        Factor by which the gap is magnified at first.
+    title : str, optional
+        Title. Default: joint and method.
+
+    Returns
+    -------
+    Animation
+        The moving picture, which a notebook shows.
+
+    Raises
+    ------
+    ArgumentError
+        A result has no states, or has lost its problem.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> top = lierb.Problem(
+    ...     lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0),
+    ...     lierb.joints.spherical(body_point=(0.0, 0.0, -0.15)),
+    ... )
+    >>> start = {"twist0": top.joint.twist(omega=(1.0, 0.0, 9.0)), "dt": 1e-3, "t_end": 0.1}
+    >>> saved = {"save_every": 10, "record": "state"}
+    >>> spaces = {c: lierb.integrate(top, cspace=c, **start, **saved) for c in ("SE3", "SO3xR3")}
+    >>> lierb.animation.animate(spaces)
+    <lierb.animation.Animation 'spherical joint, RK4, dt = 0.001 s': 2 views; save(path) writes it>
+    """
+    if not (is_whole(frames) and frames >= 2):
+        raise ArgumentError(f"frames={told(frames)}; expected a whole number, at least 2")
+    named = _named(results)
+    problems = {name: _problem_of(name, result, problem) for name, result in named.items()}
+    chosen = _chosen(named, trajectories)
+    first = next(iter(problems.values()))
+    scene = scene_of(
+        list(_views(named, problems, chosen)),
+        title=_title(next(iter(named.values()))) if title is None else str(title),
+        shape=_shapes(shape, first), trail=_trails(trail, first),
+        frames=int(frames), magnified=_factor(magnify),
+    )  # fmt: skip
+    count = min(result.summary.num_rows for result in named.values())
+    if trajectories is None and len(chosen) < count:
+        scene["notes"].append(f"The first {len(chosen)} of {count} trajectories.")
+    made = Animation(scene)
+    if path is not None:
+        made.save(path)
+    return made
+
+
+@cache
+def _asset(name: str) -> str:
+    return files("lierb.results.animation").joinpath(name).read_text(encoding="utf-8")
+
+
+def _named(results: Any) -> dict[str, RunStates]:
+    """Results by name: that of the c-space where none is given."""
+    given: list[tuple[str | None, Any]]
+    if isinstance(results, Mapping):
+        given = [(str(name), result) for name, result in results.items()]
+    elif hasattr(results, "summary"):
+        given = [("", results)]
+    else:
+        given = [(None, result) for result in items_of("results", results, RESULTS)]
+    found: dict[str, RunStates] = {}
+    for number, (name, result) in enumerate(given):
+        if not hasattr(result, "summary") or not hasattr(result, "history"):
+            raise ArgumentError(f"results has {told(result)}; expected {RESULTS}")
+        if name is None:
+            space = cspace_of(result) or ""
+            name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
+        if result.history is None or not result.has_states:
+            raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
+        found[name if name not in found else f"{name} ({number + 1})"] = result
+    if not found:
+        raise ArgumentError(f"results is empty; expected {RESULTS}")
+    return found
+
+
+RESULTS = "what lierb.integrate returned, one or several"
+
+
+def _problem_of(name: str, result: Any, given: Problem | Mechanism | None) -> Problem | Mechanism:
+    known = given if given is not None or result._end is None else result._end.problem
+    if not isinstance(known, (Problem, Mechanism)):
+        label = f"{name}: " if name else ""
+        raise ArgumentError(
+            f"{label}the result has lost its problem, as one that was pickled has; give problem="
+        )
+    count = result.summary.num_rows
+    batch = known.batch_size() or 1
+    if batch not in (1, count):
+        raise ArgumentError(f"problem= has {batch} bodies, the result {count} trajectories")
+    return known
+
+
+def _chosen(named: dict[str, RunStates], given: Any) -> list[int]:
+    count = min(result.summary.num_rows for result in named.values())
+    if given is None:
+        return list(range(min(count, max(MOST_VIEWS // len(named), 1))))
+    numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
+    for number in numbers:
+        if not (is_whole(number) and 0 <= number < count):
+            raise ArgumentError(f"trajectories has {told(number)}; expected 0 … {count - 1}")
+    if not numbers:
+        raise ArgumentError("trajectories is empty; expected numbers of trajectories")
+    return [int(number) for number in numbers]
+
+
+def _views(
+    named: dict[str, RunStates], problems: dict[str, Problem | Mechanism], chosen: list[int]
+) -> Iterator[tuple[str, RunStates, Problem | Mechanism, int]]:
+    """Trajectory by trajectory, so that what is to be compared stands side by side."""
+    for number in chosen:
+        for name, result in named.items():
+            known = problems[name]
+            own = known.of_body(number if (known.batch_size() or 1) > 1 else 0)
+            many = result.summary.num_rows > 1
+            labels = [name] if name else []
+            labels += [f"trajectory {number}"] if many else []
+            row = result.summary.slice(number, 1).select(["status", "t"]).to_pylist()[0]
+            if row["status"] != "ok":
+                labels.append(f"{row['status']} at {row['t']:g} s")
+            yield ", ".join(labels), result, own, number
+
+
+def _title(result: RunStates) -> str:
+    known = settings_of(result)
+    joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
+    parts = [f"{joint} joint"] if joint else [links_told(known) or "lierb"]
+    if options:
+        parts += [options["method"], steps_told(options)]
+    return ", ".join(parts)
+
+
+def links_told(known: dict[str, Any]) -> str:
+    """`2 links and 1 loop`, of a mechanism."""
+    kinds = [each["kind"] for each in known.get("problem", {}).get("mechanism", {}).values()]
+    parts = [counted(kinds.count(kind), kind) for kind in ("link", "loop") if kind in kinds]
+    return " and ".join(parts)
+
+
+def _shapes(given: Any, problem: Problem | Mechanism) -> Shapes:
+    if given is None or (isinstance(given, Shape) and isinstance(problem, Problem)):
+        return given
+    if isinstance(given, Mapping) and isinstance(problem, Mechanism):
+        for name, each in given.items():
+            if name not in problem.names:
+                raise unknown_name("shape", name, problem.names)
+            if not isinstance(each, Shape):
+                raise ArgumentError(
+                    f"shape[{name!r}]={told(each)}; expected a lierb.animation.Shape"
+                )
+        return given
+    expected = "a lierb.animation.Shape"
+    if isinstance(problem, Mechanism):
+        expected = f"a dictionary of shapes by link, as {{{problem.names[0]!r}: …}}"
+    raise ArgumentError(f"shape={told(given)}; expected {expected}")
+
+
+def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
+    if isinstance(given, bool):
+        return given
+    if isinstance(problem, Problem):
+        return _point("trail", given)
+    if not isinstance(given, Mapping):
+        raise ArgumentError(
+            f"trail={told(given)}; expected a flag, or a dictionary of points by link, as "
+            f"{{{problem.names[0]!r}: (0.0, 0.0, 0.1)}}"
+        )
+    for name in given:
+        if name not in problem.names:
+            raise unknown_name("trail", name, problem.names)
+    return {name: _point(f"trail[{name!r}]", point) for name, point in given.items()}
+
+
+def _factor(given: Any) -> float:
+    is_number = isinstance(given, (int, float, np.number)) and not isinstance(given, bool)
+    if not (is_number and 1.0 <= given <= MOST_MAGNIFIED):
+        raise ArgumentError(f"magnify={told(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
+    return float(given)
+
+
+def _point(argument: str, given: ArrayLike) -> Array:
+    point = as_numbers(argument, given, (3,))
+    if point.shape != (3,):
+        raise ArgumentError(f"{argument} has shape {point.shape}; expected (3,) or a flag")
+    return np.asarray(point)

@@ -1,0 +1,174 @@
+"""Trajectories that do not reach their end: what is said of them, and to whom."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.errors import FailedTrajectoryWarning
+from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
+from lierb.results.columns import as_codes
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+STATUS_NAMES = {
+    OK: "ok",
+    SINGULAR: "singular",
+    NON_FINITE: "non_finite",
+    RAISED: "raised",
+    MAX_STEPS: "max_steps",
+    DT_MIN: "dt_min",
+    EVENT: "event",
+}
+FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # no failures
+REMEDIES = {
+    "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
+    "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
+    "than the step allows, as near a change point, or where a constraint jumps like arctan2; a "
+    "smaller dt, a larger rtol near a change point, a c-space that keeps the joint (lierb.predict) "
+    "or rows that do not say a thing twice may help",
+    "non_finite": "non_finite: a number overflowed or became NaN, mostly as dt is too long for "
+    "the stiffest force or the fastest turn; a smaller dt helps there",
+    "raised": "raised: a function of yours that runs body by body raised an exception; return "
+    "numbers there instead, or end the run before",
+    "max_steps": "max_steps: as many steps were tried as max_steps allows; a larger one, a shorter "
+    "run, longer steps or a larger rtol help",
+    "dt_min": "dt_min: the error would have asked for a shorter step than dt_min, or than rounding "
+    "of t allows; a force that jumps, a singularity ahead or rtol near rounding does that",
+}
+RAISED_KEY = b"lierb.raised"  # of a summary's metadata: what the first trajectory's function raised
+COLUMNS = ("trajectory", "status", "t")
+
+
+def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
+    """Row by row, whether the status is another one than ok and event."""
+    codes, names = as_codes(summary["status"])
+    found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
+    return found
+
+
+@dataclass(frozen=True)
+class Raised:
+    """What a function of the user's has raised, in words, in which trajectory; t in s."""
+
+    trajectory: int
+    t: float
+    what: str
+
+
+@dataclass(frozen=True)
+class Failures:
+    """What there is to say of trajectories that failed; there is at least one.
+
+    runs : trajectories in all.   counts : of those that failed, by status.
+    trajectory, status, t : of the first of them in the table; t in s.
+    setting : of a study, in which that one ran.
+    raised : the first exception, that of the first trajectory in the table that has one.
+    """
+
+    runs: int
+    counts: dict[str, int]
+    trajectory: int
+    status: str
+    t: float
+    setting: str = ""
+    raised: Raised | None = None
+
+    @classmethod
+    def of(cls, summary: pa.Table) -> Failures | None:
+        """Those of a summary; None if all are ok."""
+        failed = has_failed(summary)
+        if not failed.any():
+            return None
+        codes, names = as_codes(summary["status"])
+        counts = np.bincount(codes[failed], minlength=len(names))
+        first = _row(summary, int(failed.argmax()))
+        found = {name: int(count) for name, count in zip(names, counts, strict=True) if count}
+        raised = None
+        if STATUS_NAMES[RAISED] in found:
+            row = _row(summary, int((codes == names.index(STATUS_NAMES[RAISED])).argmax()))
+            what = (summary.schema.metadata or {}).get(RAISED_KEY, b"").decode()
+            raised = Raised(row["trajectory"], row["t"], what) if what else None
+        return cls(len(failed), found, **first, raised=raised)
+
+    @classmethod
+    def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
+        """Those of several summaries of `runs` trajectories in all, the first one's first."""
+        if not each:
+            return None
+        counts: Counter[str] = Counter()
+        for failures in each:
+            counts.update(failures.counts)
+        raised = next((failures.raised for failures in each if failures.raised), None)
+        return replace(each[0], runs=runs, counts=dict(counts), raised=raised)
+
+    @property
+    def count(self) -> int:
+        return sum(self.counts.values())
+
+    def __str__(self) -> str:
+        end = f"{self.status} at t = {self.t:g} s"
+        if self.runs == 1:
+            return f"the trajectory failed: {end}{self._exception}"
+        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
+        where = f" ({self.setting})" if self.setting else ""
+        return (
+            f"{self.count} of {self.runs} trajectories failed ({counted}); the first is "
+            f"trajectory {self.trajectory}, {end}{where}{self._exception}"
+        )
+
+    @property
+    def _exception(self) -> str:
+        """The first one, and of which trajectory, where that is not said already."""
+        if self.raised is None:
+            return ""
+        raised = self.raised
+        if raised.trajectory == self.trajectory:
+            return f": {raised.what}"
+        return f"; in trajectory {raised.trajectory}, at t = {raised.t:g} s, {raised.what}"
+
+    @property
+    def remedies(self) -> list[str]:
+        """What each status means, and what helps."""
+        return [REMEDIES[status] for status in self.counts]
+
+
+def _row(summary: pa.Table, number: int) -> dict[str, Any]:
+    (found,) = summary.select(COLUMNS).slice(number, 1).to_pylist()
+    row: dict[str, Any] = found
+    return row
+
+
+# ---- warnings ----------------------------------------------------------------------------------
+
+# A context variable, not `warnings.catch_warnings`, which threads share.
+_told_elsewhere: ContextVar[bool] = ContextVar("told_elsewhere", default=False)
+
+
+@contextmanager
+def told_elsewhere() -> Iterator[None]:
+    """Nobody is warned of what fails in the block: whoever opens it says so, once for all runs."""
+    token = _told_elsewhere.set(True)
+    try:
+        yield
+    finally:
+        _told_elsewhere.reset(token)
+
+
+def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
+    """Issue one FailedTrajectoryWarning, if there is reason to.
+
+    look : where to look.   options : of `warnings.warn`.
+    """
+    if failures is not None and not _told_elsewhere.get():
+        lines = (f"{failures}; {look}", *failures.remedies)
+        warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)

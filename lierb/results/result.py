@@ -1,0 +1,325 @@
+"""What `lierb.integrate` gives back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from lierb.errors import ArgumentError, require_name
+from lierb.model.problem import Problem
+from lierb.results.animation.page import Animation, animate, links_told
+from lierb.results.columns import as_array, as_codes
+from lierb.results.failures import Failures, has_failed
+from lierb.results.states import (
+    STATE,
+    RunStates,
+    _kinds_of,
+    _metadata,
+    _scalars,
+    _unit,
+)
+from lierb.support.extras import require
+from lierb.support.shown import FAILED, Lines, counted, steps_told
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    from matplotlib.figure import Figure
+
+    from lierb.model.mechanism.mechanism import Mechanism
+
+TABLES = ("summary", "history", "events")
+OBSERVED = "observables"  # of a problem, in the tables' metadata
+
+
+@dataclass(frozen=True, repr=False)
+class Result(RunStates):
+    """Tables that `integrate` returns, and the state in them as NumPy arrays.
+
+    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
+    state (`save_every=…` or `save_at=…`, `record="state"`), an axis of times before that of
+    trajectories; else they are of the end. The arrays are read-only: they are the tables' memory. A
+    batch of one keeps its axis. After a failure all but `t` are NaN; so are rows after the end of a
+    trajectory that an event has ended. A mechanism's links have results of their own:
+    `result["rod"].position`.
+
+    Attributes
+    ----------
+    summary : pyarrow.Table
+        One row for each trajectory.
+    history : pyarrow.Table or None
+        One row for each saved time and trajectory, time-major; None without `save_every` or
+        `save_at`.
+    events : pyarrow.Table or None
+        One row for each crossing of an event, with the state there, by trajectory and time; None
+        for a problem without events.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> body = lierb.Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+    >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+    >>> flight = lierb.Problem(body, lierb.joints.free())
+    >>> lierb.integrate(flight, **start).position.shape
+    (1, 3)
+    >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+    >>> result.t.shape, result.position.shape, result.quaternion.shape
+    ((6,), (6, 1, 3), (6, 1, 4))
+    """
+
+    @property
+    def failed(self) -> NDArray[np.int64]:
+        """Numbers of the trajectories whose status is neither ok nor event, in order."""
+        return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
+
+    def __reduce__(self) -> Any:
+        """Without its end, whose problem may have functions that cannot be pickled."""
+        return Result, (self.summary, self.history, None, self.events)
+
+    def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
+        """Make a moving picture of trajectories, and write it to an HTML file; a notebook shows it.
+
+        It needs the poses over time: `save_every=…` or `save_at=…`, `record="state"`.
+
+        Parameters
+        ----------
+        path : path, optional
+            HTML file to write. Default: none.
+        **options : object
+            Arguments of `lierb.animate`, such as `trajectories`, `shape`, `trail`, `frames` and
+            `title`. That function also puts several results side by side.
+
+        Returns
+        -------
+        Animation
+            The moving picture.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no states.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> flight = lierb.Problem(body, lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> lierb.integrate(flight, **start, save_every=1, record="state").animate()
+        <lierb.animation.Animation 'free joint, RK4, dt = 0.1 s': 1 view; save(path) writes it>
+        """
+        return animate(self, path, **options)
+
+    def plot(
+        self,
+        columns: str | Iterable[str] = (),
+        *,
+        trajectories: int | Iterable[int] | None = None,
+        problem: Problem | Mechanism | None = None,
+    ) -> Figure:
+        """Draw the history over time, as a Matplotlib figure; needs `lierb[plot]`.
+
+        Errors are drawn on logarithmic axes, where a zero is a gap.
+
+        Parameters
+        ----------
+        columns : str or iterable of str, optional
+            Panels: "angles", "trace" (where the body's axis points, on the sphere), "position" and
+            "omega", of a recorded state; and any column of the history, such as "energy",
+            "position_error" or an observable. Default: all but rates of errors. For a mechanism
+            "angles" and "slides" are the coordinates of its joints, and the default is what all
+            joints have together; ask for "rod.omega", "pin.position_error", "pin.force" and the
+            like.
+        trajectories : int or iterable of int, optional
+            Numbers of the trajectories. Default: all; of more than six, their median and 5 to 95 %.
+        problem : Problem or Mechanism, optional
+            The problem of a result that was pickled, which has lost its own.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The figure.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no history.
+        MissingExtraError
+            Matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=1.0), lierb.joints.free())
+        >>> start = {"twist0": (0.0, 0.0, 1.0, 2.0, 0.0, 0.0), "dt": 0.1, "t_end": 0.5}
+        >>> result = lierb.integrate(flight, **start, save_every=1, record="state")
+        >>> [panel.get_title(loc="left") for panel in result.plot(["position", "omega"]).axes]
+        ['centre of mass [m]', 'angular velocity [rad/s]']
+        """
+        require("plot")
+        from lierb.results.history_plots import history_figure
+
+        return history_figure(self, columns, trajectories=trajectories, problem=problem)
+
+    def to_pandas(self, table: str = "summary") -> pandas.DataFrame:
+        """Convert a table to a pandas data frame, with a column for each component of a vector.
+
+        `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
+        `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
+        `reaction_force_x` …; `lambda` becomes `lambda_1` …. The link's or joint's name of a
+        mechanism comes first: `rod.position_x`. `attrs["units"]` has the units.
+
+        Parameters
+        ----------
+        table : {"summary", "history", "events"}, optional
+            Name of the table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The table.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no such table.
+        MissingExtraError
+            pandas is not installed.
+        """
+        require("pandas")
+        chosen = self._expanded(table)
+        frame = chosen.to_pandas()
+        frame.attrs["units"] = {f.name: _unit(f) for f in chosen.schema if _unit(f)}
+        return frame
+
+    def to_polars(self, table: str = "summary") -> polars.DataFrame:
+        """Convert a table to a polars data frame, with the columns of `to_pandas`.
+
+        Parameters
+        ----------
+        table : {"summary", "history", "events"}, optional
+            Name of the table.
+
+        Returns
+        -------
+        polars.DataFrame
+            The table.
+
+        Raises
+        ------
+        ArgumentError
+            The result has no such table.
+        MissingExtraError
+            polars is not installed.
+        """
+        require("polars")
+        import polars
+
+        frame = polars.from_arrow(self._expanded(table))
+        assert isinstance(frame, polars.DataFrame)
+        return frame
+
+    def _expanded(self, name: str) -> pa.Table:
+        require_name("table", name, TABLES)
+        table = getattr(self, name)
+        if table is None:
+            remedy = {
+                "history": "integrate with save_every= or save_at= for one",
+                "events": "give the problem, or integrate, events= made by lierb.event",
+            }
+            raise ArgumentError(f"there is no table of {name}; {remedy[name]}")
+        columns: dict[pa.Field, Any] = {}
+        for each in table.schema:
+            columns |= _scalars(each, table[each.name])
+        return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(list(columns)))
+
+    def _shown(self) -> tuple[str, Lines]:
+        options = _metadata(self.summary).get("options")
+        title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
+        if self.links:
+            title += (
+                f" of {links_told(_metadata(self.summary)) or counted(len(self.links), 'link')}"
+            )
+        if options:
+            times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
+            told = f" {times} ({{cspace}}, {{method}}, ".format(**options)
+            title += f"{told}{steps_told(options)})"
+        failures = Failures.of(self.summary)
+        rows = [("status", self._told_ends())] if failures is None else [(FAILED, str(failures))]
+        if "steps" in self.summary.column_names:
+            rows.append(("steps", self._told_steps()))
+        rows += self._largest()
+        if self.events is not None:
+            rows.append(("events", self._told_events()))
+        rows.append(("history", self._told_history()))
+        shape = self._told_arrays()
+        if self.links:
+            rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
+        rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
+        return title, rows
+
+    def _told_ends(self) -> str:
+        """Of trajectories that are fine."""
+        codes, names = as_codes(self.summary["status"])
+        ended = np.count_nonzero(codes == names.index("event")) if "event" in names else 0
+        return f"all ok, {ended} ended by an event" if ended else "all ok"
+
+    def _told_steps(self) -> str:
+        """How many the trajectories have made, and the share of tries that were rejected."""
+        steps, rejected = (as_array(self.summary[name]) for name in ("steps", "rejected"))
+        few, many = steps.min(), steps.max()
+        told = f"{few}" if few == many else f"{few} to {many}"
+        tries = steps.sum() + rejected.sum()
+        return told + (f", {rejected.sum() / tries:.2g} of all tries rejected" if tries else "")
+
+    def _told_events(self) -> str:
+        """How many there are of each."""
+        assert self.events is not None
+        counts = pc.value_counts(self.events["event"].cast(pa.string())).to_pylist()
+        return ", ".join(f"{each['counts']} {each['values']}" for each in counts) or "none"
+
+    def _largest(self) -> Lines:
+        """The largest errors of the trajectories that are ok, of those that there are rows for."""
+        ok, kinds = ~has_failed(self.summary), _kinds_of(_metadata(self.summary))
+        if not ok.any():
+            return []
+        texts = []
+        for name in kinds:
+            column = self.summary.schema.field(f"{name}_max")
+            unit = _unit(column)
+            largest = as_array(self.summary[column.name])[ok].max()
+            plain = name.replace("_", " ")
+            where = self._where(column.name, largest, ok)
+            texts.append(f"{plain} {largest:.2g}{f' {unit}' if unit != '1' else ''}{where}")
+        return [("largest", ", ".join(texts))]
+
+    def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
+        """Of a mechanism, the joint that has the largest error, if it is one's and not zero."""
+        for name in self.summary.column_names:
+            joint, _, what = name.rpartition(".")
+            if (
+                joint
+                and what == column
+                and largest
+                and as_array(self.summary[name])[ok].max() == largest
+            ):
+                return f" ({joint})"
+        return ""
+
+    def _told_history(self) -> str:
+        if self.history is None:
+            return "none; save_every= or save_at= keeps one"
+        times = self.history.num_rows // self.summary.num_rows
+        there = {name.rpartition(".")[2] for name in self.history.column_names}
+        more = [name for name in ("energy", "work", "lambda", "reaction") if name in there]
+        problem = _metadata(self.summary).get("problem", {})
+        more += [each["name"] for each in problem.get(OBSERVED, [])]
+        recorded = ", ".join(["errors", *["state"] * self.has_states, *more])
+        return f"{counted(times, 'time')}: {recorded}"

@@ -1,0 +1,302 @@
+"""States of bodies and links, as arrays and tables."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from lierb.errors import ArgumentError, told, unknown_name
+from lierb.kernels.groups import so3
+from lierb.kernels.mechanics.rows import JOINT_ROWS
+from lierb.kernels.mechanics.spatial import Rigid, wrench_from
+from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
+from lierb.model.bodies.body import Body
+from lierb.model.functions.column_names import COMPONENTS
+from lierb.model.problem import Problem
+from lierb.results.columns import as_array, numbers
+from lierb.runs.continuation import End
+from lierb.support.arrays import Array, assembled, components
+from lierb.support.shown import Lines, Shown, counted
+
+STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
+
+
+NAMED = 3  # links in a message
+LARGEST = ("position_error", "rotation_error", "energy_drift")
+
+
+@dataclass(frozen=True, repr=False)
+class States(Shown):
+    """Tables of a run, and the state in them as NumPy arrays: of one body, or of one link."""
+
+    summary: pa.Table
+    history: pa.Table | None
+
+    @property
+    def _prefix(self) -> str:
+        """What stands before the names of the state's columns."""
+        return ""
+
+    @property
+    def t(self) -> Array:
+        """Times of the state, s, (times,) of the history, or (n,), the end of each trajectory.
+
+        A trajectory that failed ends there; the history goes on.
+        """
+        if self.history is not None and self.has_states:
+            return np.asarray(self._array(self.history, "t")[:, 0])
+        return np.asarray(self._array(self.summary, "t")[0])
+
+    @property
+    def position(self) -> Array:
+        """Position r in the ground frame, m, (times, n, 3), or (n, 3) at the end."""
+        return self._state("position", 3)
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation R from body axes to ground axes, (times, n, 3, 3), or (n, 3, 3) at the end."""
+        return self._state("rotation", 3, 3)
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation as a unit quaternion (w, x, y, z), (times, n, 4), or (n, 4) at the end.
+
+        Of the two, p and −p, that with w ≥ 0, so that a row is the same whatever else is saved.
+        Along a history it jumps where w would pass through 0. Made of `rotation` when asked for.
+        """
+        p = so3.quaternion(components(self._state("rotation", 3, 3, asked="quaternion"), 2))
+        unit = assembled(scale(1.0 / norm(p), p))
+        unit.setflags(write=False)
+        return unit
+
+    @property
+    def omega(self) -> Array:
+        """Angular velocity in the body's axes, rad/s, (times, n, 3), or (n, 3) at the end."""
+        return self._state("omega", 3)
+
+    @property
+    def v(self) -> Array:
+        """Velocity of the body frame's origin, in the body's axes, m/s; shaped like `omega`."""
+        return self._state("v", 3)
+
+    @property
+    def has_states(self) -> bool:
+        """Whether the history has the state, which its arrays are then of."""
+        return self.history is not None and f"{self._prefix}position" in self.history.column_names
+
+    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+        """asked : what it is for, for messages."""
+        if self.history is not None and self.has_states:
+            return self._array(self.history, f"{self._prefix}{name}", *item)
+        return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
+
+    def _array(self, table: pa.Table, column: str, *item: int) -> Array:
+        """(times, n, *item)"""
+        return as_array(table[column]).reshape(-1, self.summary.num_rows, *item)
+
+    def _told_arrays(self) -> str:
+        times = (len(self.t),) if self.has_states else ()
+        return f"({', '.join(map(str, (*times, self.summary.num_rows)))}, …)"
+
+
+@dataclass(frozen=True, repr=False)
+class LinkResult(States):
+    """Motion of one link of a mechanism, `result["rod"]`; it has the arrays of `Result`.
+
+    Attributes
+    ----------
+    summary : pyarrow.Table
+        Summary of the whole mechanism.
+    history : pyarrow.Table or None
+        History of the whole mechanism.
+    name : str
+        Name of the link.
+    """
+
+    name: str
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self.name}."
+
+    def _shown(self) -> tuple[str, Lines]:
+        count = counted(self.summary.num_rows, "trajectory", "trajectories")
+        rows = [("arrays", f"{', '.join(STATE)}: {self._told_arrays()}")]
+        return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
+
+
+def _momentum_of(body: Body, link: States) -> Vec:
+    """Of one body, about the ground's origin and in its axes."""
+    com, inertia = components(body.com), components(body.inertia, 2)
+    rigid = Rigid(body.mass, scale(body.mass, com), inertia)
+    momentum = rigid.momentum(components(link.omega) + components(link.v))
+    place = components(link.rotation, 2), components(link.position)
+    return wrench_from(place, momentum)
+
+
+def _metadata(table: pa.Table) -> dict[str, Any]:
+    """What the metadata of a table of lierb's tell."""
+    metadata = (table.schema.metadata or {}).get(b"lierb")
+    found: dict[str, Any] = json.loads(metadata) if metadata else {}
+    return found
+
+
+def _kinds_of(told: dict[str, Any]) -> list[str]:
+    """Those of LARGEST that there are rows for; an added row may be of either kind."""
+    kinds = {"energy_drift"}
+    for name in told.get("problem", {}).get("rows", [""]):
+        row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
+        kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
+    return [name for name in LARGEST if name in kinds]
+
+
+def _unit(field: pa.Field) -> str:
+    """ "" where it has none."""
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode()
+
+
+def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
+    """A column as it is, or one for each component of its vectors."""
+    if not pa.types.is_fixed_size_list(field.type):
+        return {field: column}
+    width = field.type.list_size
+    names = COMPONENTS.get(field.name.rpartition(".")[2], tuple(str(i + 1) for i in range(width)))
+    units = _unit(field).split(", ")
+    units = units * width if len(units) == 1 else units
+    return {
+        pa.field(
+            f"{field.name}_{name}", field.type.value_type, metadata={"unit": unit} if unit else None
+        ): numbers(values)
+        for name, unit, values in zip(names, units, as_array(column).T, strict=True)
+    }
+
+
+@dataclass(frozen=True, repr=False)
+class RunStates(States):
+    """Tables of a whole run, the states of its body or links, and the run's end.
+
+    Attributes are those of `lierb.Result`.
+    """
+
+    _end: End | None = field(default=None, repr=False, compare=False)
+    events: pa.Table | None = None
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of the links of a mechanism; none for a single body."""
+        ends = (n.rpartition(".") for n in self.summary.column_names)
+        return tuple(link for link, _, what in ends if link and what == "rotation")
+
+    def __getitem__(self, link: str) -> LinkResult:
+        """The state of one link of a mechanism, by its name.
+
+        Raises UnknownNameError for another name, ArgumentError for the result of one body.
+
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(body_point=(0.5, 0.0, 0.0))
+        >>> wheel = lierb.Link("wheel", lierb.bodies.sphere(0.1, mass=1.0), hinge)
+        >>> swing = lierb.Mechanism(wheel)
+        >>> result = lierb.integrate(swing, twist0=swing.twist({"wheel": 2.0}), dt=0.1, t_end=0.5)
+        >>> result["wheel"].omega.round(9).tolist()
+        [[0.0, 0.0, 2.0]]
+        """
+        if not self.links:
+            raise ArgumentError(
+                f"result[{told(link)}]: it is of one body, which has no links; take "
+                f"{', '.join(f'result.{name}' for name in STATE[1:])}"
+            )
+        if not (isinstance(link, str) and link in self.links):
+            raise unknown_name("result: link", link, self.links)
+        return LinkResult(self.summary, self.history, link)
+
+    @property
+    def momentum(self) -> Array:
+        """Angular momentum about the ground's origin, N m s, and linear momentum, N s.
+
+        Both are sums over all links, in the ground's axes: (times, n, 6), or (n, 6) at the end.
+
+        Raises
+        ------
+        ArgumentError
+            The result was pickled, and has lost its bodies.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> flight = lierb.Problem(lierb.bodies.sphere(0.1, mass=2.0), lierb.joints.free())
+        >>> twist0 = (0.0, 0.0, 0.0, 3.0, 0.0, 0.0)
+        >>> lierb.integrate(flight, twist0=twist0, dt=0.1, t_end=0.5).momentum.round(9).tolist()
+        [[0.0, 0.0, 0.0, 6.0, 0.0, 0.0]]
+        """
+        if self._end is None:
+            raise ArgumentError("result.momentum: only a result that integrate returned has bodies")
+        problem = self._end.problem
+        pairs: list[tuple[Body, States]] = []
+        if isinstance(problem, Problem):
+            pairs.append((problem.body, self))
+        else:
+            pairs += [(link.body, self[link.name]) for link in problem.links]
+        total = ZERO6
+        for body, link in pairs:
+            total = add(total, _momentum_of(body, link))
+        return assembled(total)
+
+    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+        if self.links:
+            asked = asked or name
+            raise ArgumentError(
+                f"result.{asked}: every link has its own; take "
+                f"{', '.join(f'result[{link!r}].{asked}' for link in self.links[:NAMED])}"
+                f"{', …' if len(self.links) > NAMED else ''}"
+            )
+        return super()._state(name, *item)
+
+    @property
+    def has_states(self) -> bool:
+        """Whether the history has the states of all links."""
+        name = f"{self.links[0]}.position" if self.links else "position"
+        return self.history is not None and name in self.history.column_names
+
+    @cached_property
+    def end(self) -> dict[str, Any]:
+        """End of the run, as the keywords `pose0`, `twist0` and `t0` with which it continues.
+
+        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with bodies, joints and
+        constraints of equal numbers and functions, and the same formulation, in the same process,
+        from the driver's own state, so that with the same dt and method the bits are those of one
+        run without a break. A state that has drifted off its joint goes on as it is. Maxima, energy
+        drift and work count from the new start. Copies and parts of `pose0`, or another twist or
+        time with it, start as any other pose does.
+
+        The problem's own states, the outputs and memory of its controllers, and the length of
+        adaptive steps continue too: the bits are those of one run in which a step ends here, as one
+        does at every tick of a controller. `seed` and `trajectories` are to be given again.
+        `integrate` raises ArgumentError where states or memory would be lost.
+
+        Raises
+        ------
+        ArgumentError
+            A trajectory has failed, or trajectories have ended at different times.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> hinge = lierb.joints.revolute(axis=(0.0, 1.0, 0.0), body_point=(0.0, 0.0, 0.15))
+        >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+        >>> pendulum = lierb.Problem(box, hinge, gravity=(0.0, 0.0, -9.81))
+        >>> twist0 = hinge.twist(omega=(0.0, 3.0, 0.0))
+        >>> first = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=0.5)
+        >>> second = lierb.integrate(pendulum, **first.end, dt=1e-3, t_end=1.0)
+        >>> whole = lierb.integrate(pendulum, twist0=twist0, dt=1e-3, t_end=1.0)
+        >>> second.summary["omega"] == whole.summary["omega"]
+        True
+        """
+        if self._end is None:
+            raise ArgumentError("result.end: only a result that integrate returned has an end")
+        return self._end.keywords()

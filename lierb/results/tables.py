@@ -1,0 +1,330 @@
+"""The Arrow tables of a run: their columns, units and metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from lierb.errors import MemoryLimitError
+from lierb.kernels.loops.record import history_measures
+from lierb.kernels.loops.workspace import EVENT_COLUMNS
+from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.systems.layout import POSE_AND_TWIST
+from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
+from lierb.kernels.systems.observables import KEEPS
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import outputs_of, signals_width, states_of
+from lierb.kernels.systems.system_of import system_of
+from lierb.model.functions.elements import Force
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.columns import each_row, numbers, numbers_of, texts, vectors
+from lierb.results.failures import RAISED_KEY, STATUS_NAMES
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.output import Output
+from lierb.support.memory import available, is_free, too_large
+
+COUNTS = ("steps", "rejected")  # of a trajectory with a clock of its own
+STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
+
+UNITS = {
+    "t": "s",
+    "dt_last": "s",
+    **{measure.name: measure.unit for measure in MEASURES},
+    **{field.name: field.unit for field in POSE_AND_TWIST.fields},
+    "reaction": "N m, N m, N m, N, N, N",
+}
+
+_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
+
+
+def _table(
+    columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
+) -> pa.Table:
+    """units : of columns that are not in UNITS, by their names."""
+    key = (*columns, *covers, *units.values())
+    if key not in _schemas:
+        _schemas[key] = _schema(columns, covers, units)
+    schema = _schemas[key].with_metadata({"lierb": metadata})
+    return pa.Table.from_arrays(list(columns.values()), schema=schema)
+
+
+def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
+    fields = []
+    for name, array in columns.items():
+        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then what it is
+        plain = of_all.removesuffix("_max").removesuffix("_final")
+        unit = units[name] if name in units else UNITS.get(plain)
+        described = {"unit": unit} if unit else {}
+        if plain in Covers._fields:
+            described["covers"] = getattr(covers, plain)
+        fields.append(pa.field(name, array.type, metadata=described or None))
+    return pa.schema(fields)
+
+
+class Covers(NamedTuple):
+    """In words, what is in the columns of that name."""
+
+    energy: str
+    energy_drift: str
+    work: str
+
+
+def covers_of(problem: Problem | Mechanism) -> Covers:
+    stored = [force.name for force in problem.forces if force.kind.is_conservative]
+    working = [w for force in problem.forces if (w := _work_of(force))]
+    energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
+    if not working:
+        return Covers(energy, energy, "nothing: all that acts has a potential")
+    work = f"work of {', '.join(working)}"
+    return Covers(energy, f"{energy}; less the {work}", work)
+
+
+def _no_work(energy: pa.Array) -> pa.Array:
+    """Zero; NaN after a failure, as everything is."""
+    return numbers(np.where(np.isnan(numbers_of(energy)), np.nan, 0.0))
+
+
+def _work_of(force: Force) -> str:
+    """What of a force does work that its potential does not have, if anything."""
+    if not force.kind.is_conservative:
+        return force.name
+    if force.kind.is_users:
+        return f"{force.name} beyond its potential"
+    for part in force.kind.working:
+        if np.any(force.parameters[part] != 0.0):
+            return f"{force.name}'s {part}"
+    return ""
+
+
+def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
+    """Bytes at the peak of both tables of a run and of the Output that they are made around.
+
+    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by. What events
+    there will be nobody knows.
+    """
+    with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
+    links = system_of(plan).links
+    is_copied = with_state and rows + has_lanes > 1
+    copied = POSE_AND_TWIST.count * links if is_copied else 0  # of the end
+    turned = sum(prod(shape) for _, shape in (*states_of(plan), *outputs_of(plan)) if shape)
+    copied += turned + len(COUNTS) * has_lanes
+    own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
+    if plan.multipliers and system_of(plan).joints:
+        own += len(plan.rows)  # cut up joint by joint
+    own += turned
+    ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
+    return Output.size(plan, count, rows, with_state) + 8 * ours
+
+
+def history_row_bytes(problem: Problem | Mechanism, recorded: Iterable[str]) -> int:
+    """Of the table that `history_table` makes."""
+    numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
+    joints = _joints_of(problem)
+    numbers_in += len(problem.observables) + len(JOINT_ERRORS) * len(joints)
+    numbers_in += sum(prod(shape) for _, shape, _ in problem.signals)
+    if "state" in recorded:
+        numbers_in += POSE_AND_TWIST.count * len(_links_of(problem))
+    if "multipliers" in recorded:
+        numbers_in += _rows_of(problem)
+    if "reaction" in recorded:
+        numbers_in += 6 * max(len(joints), 1)
+    return 8 * numbers_in
+
+
+def event_row_bytes(problem: Problem | Mechanism) -> int:
+    """Of the table that `events_table` makes: 1 of them tells the event."""
+    signals = sum(prod(shape) for _, shape, _ in problem.signals)
+    return 8 * (2 + POSE_AND_TWIST.count * len(_links_of(problem)) + signals) + 1
+
+
+def _rows_of(problem: Problem | Mechanism) -> int:
+    if isinstance(problem, Problem):
+        return len(problem.rows)
+    held = sum(len(each.joint.rows) for each in problem.held)
+    return held + sum(len(each.rows) for each in problem.places)
+
+
+def summary_table(output: Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
+    """One row per trajectory."""
+    plan = output.plan
+    columns = {
+        "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
+        "status": pa.DictionaryArray.from_arrays(numbers(output.status), STATUS_DICTIONARY),
+        "t": numbers(output.t),
+    }
+    if plan.has_lane_clocks:
+        columns |= {name: numbers(output.of_lanes(name).astype(np.int64)) for name in COUNTS}
+        columns["dt_last"] = numbers(output.of_lanes("dt_last"))
+    for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
+        columns[f"{measure.name}_{how}"] = column
+    observables = problem.observables
+    watched = {f"{each.name}_{how}": each.unit for each in observables for how in KEEPS}
+    more = each_row(output.observed)
+    for joint, kept in zip(
+        _joints_of(problem), _in_parts(more[len(watched) :], len(JOINT_KEPT)), strict=True
+    ):
+        for (measure, how), column in zip(JOINT_KEPT, kept, strict=True):
+            columns[f"{joint}.{measure.name}_{how}"] = column
+    for link, prefix in enumerate(_links_of(problem)):
+        for field, array in zip(POSE_AND_TWIST.fields, output.state_of(link), strict=True):
+            columns[prefix + field.name] = vectors(array)
+    columns |= zip(watched, more[: len(watched)], strict=True)
+    for name, column, unit in _signals_of(problem, output.signals):
+        columns[name], watched[name] = column, unit
+    table = _table(columns, metadata, covers_of(problem), watched)
+    for what in output.raised.values():
+        told = {RAISED_KEY: what.encode(errors="backslashreplace")}
+        table = table.replace_schema_metadata(table.schema.metadata | told)
+    return table
+
+
+def history_table(
+    output: Output,
+    recorded: tuple[str, ...],
+    plan: AnyPlan,
+    metadata: str,
+    problem: Problem | Mechanism,
+) -> pa.Table:
+    """One row per saved time and trajectory, time-major."""
+    clock, count = output.clock, len(output.status)
+    saved = clock.saved_steps()
+    columns = {
+        "trajectory": numbers(np.tile(np.arange(count, dtype=np.int64), len(saved))),
+        "step": numbers(np.repeat(saved, count)),
+        "t": numbers(np.repeat(clock.saved_times(), count)),
+    }
+    measures, observables = history_measures(plan), problem.observables
+    rows = each_row(output.history)
+    found = dict(zip(measures, rows[: len(measures)], strict=True))
+    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
+    before = len(output.history) - signals_width(plan)
+    errors = rows[len(measures) + len(observables) : before]
+    for joint, own in zip(_joints_of(problem), _in_parts(errors, len(JOINT_ERRORS)), strict=True):
+        for measure, column in zip(JOINT_ERRORS, own, strict=True):
+            columns[f"{joint}.{measure.name}"] = column
+    if "state" in recorded:
+        for link, prefix in enumerate(_links_of(problem)):
+            for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
+                part = array[output.rows * link : output.rows * link + len(saved)]
+                columns[prefix + field.name] = vectors(part)
+    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
+    if "energy" in recorded and not plan.does_work:
+        columns["work"] = _no_work(columns["energy"])
+    units = {}
+    if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
+        for name, part, unit in _multipliers_of(problem, output.multipliers):
+            columns[name], units[name] = vectors(part), unit
+    if "reaction" in recorded:
+        joints = [f"{name}." for name in _joints_of(problem)] or [""]
+        for number, prefix in enumerate(joints):
+            part = output.reactions[len(saved) * number : len(saved) * (number + 1)]
+            columns[f"{prefix}reaction"] = vectors(part)
+    for each, values in zip(observables, rows[len(measures) :], strict=False):
+        columns[each.name], units[each.name] = values, each.unit
+    for name, column, unit in _signals_of(
+        problem, output.history[before:].reshape(-1, len(saved) * count)
+    ):
+        columns[name], units[name] = column, unit
+    return _table(columns, metadata, covers_of(problem), units)
+
+
+def _signals_of(
+    problem: Problem | Mechanism, found: NDArray
+) -> Iterator[tuple[str, pa.Array, str]]:
+    """Name, column and unit of each of the user's states and outputs.
+
+    found : [number][row].
+    """
+    first = 0
+    for name, shape, unit in problem.signals:
+        part = found[first : first + prod(shape)]
+        yield name, vectors(part.T) if shape else numbers(part[0]), unit
+        first += len(part)
+
+
+def events_table(output: Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
+    """One row per event, by trajectory and time."""
+    found = output.events
+    assert found is not None
+    names = texts([event.name for event in problem.events])
+    which = numbers(found[:, 1].astype(np.int32))
+    columns = {
+        "trajectory": numbers(found[:, 0].astype(np.int64)),
+        "event": pa.DictionaryArray.from_arrays(which, names),
+        "t": numbers(found[:, 2]),
+    }
+    first, units = EVENT_COLUMNS, {}
+    for prefix in _links_of(problem):
+        for each in POSE_AND_TWIST.fields:
+            columns[prefix + each.name] = vectors(found[:, first : first + each.width])
+            first += each.width
+    for name, column, unit in _signals_of(problem, found[:, first:].T):
+        columns[name], units[name] = column, unit
+    return _table(columns, metadata, covers_of(problem), units)
+
+
+def _in_parts(columns: list[pa.Array], width: int) -> Iterator[list[pa.Array]]:
+    return (columns[i : i + width] for i in range(0, len(columns), width))
+
+
+def _links_of(problem: Problem | Mechanism) -> list[str]:
+    """What stands before the names of each link's columns."""
+    return [f"{name}." for name in problem.names] if isinstance(problem, Mechanism) else [""]
+
+
+def _joints_of(problem: Problem | Mechanism) -> list[str]:
+    """Names of the joints whose errors have columns of their own: of links, then of loops."""
+    return [each.name for each in problem.held] if isinstance(problem, Mechanism) else []
+
+
+def _multipliers_of(
+    problem: Problem | Mechanism, found: NDArray
+) -> Iterator[tuple[str, NDArray, str]]:
+    """Name, λ and units of each joint that has rows."""
+    if isinstance(problem, Problem):
+        yield "lambda", found, ", ".join(row.unit for row in problem.rows)
+        return
+    held: list[tuple[str, Rows]] = [(each.name, each.joint.rows) for each in problem.held]
+    held += [(problem.name_of(k), c.rows) for k, c in enumerate(problem.places)]
+    first = 0
+    for name, rows in held:
+        if rows:
+            part = np.ascontiguousarray(found[..., first : first + len(rows)])
+            yield f"{name}.lambda", part, ", ".join(row.unit for row in rows)
+        first += len(rows)
+
+
+def _require_memory(
+    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
+) -> None:
+    """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
+    if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
+        raise _no_room(plan, clock, count, recorded)
+
+
+def _no_room(
+    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
+) -> MemoryLimitError:
+    free = available()
+    whole = size_of_tables(plan, count, clock.saved_rows, recorded)
+    summary = size_of_tables(plan, count, 0, ())
+    apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"
+    if summary >= free or not clock.saved_rows:
+        what, remedy = f"the summary of {count} bodies", f"take fewer at a time, or {apart}"
+    else:
+        rows = clock.saved_rows
+        fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
+        fits = f"{fitting} times fit"
+        if isinstance(clock, Clock):
+            fits = f"save_every={-(-clock.steps // (fitting - 1))} fits"
+        what = f"the history of {rows} times × {count} bodies"
+        more = ", record less" if recorded else ""
+        remedy = f"save less often ({fits}){more}, take fewer bodies, or {apart}"
+    return too_large(what, whole, free, remedy)

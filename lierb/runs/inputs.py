@@ -1,0 +1,148 @@
+"""Input numbers of a run: where they lie, and how a block reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.kernels.loops.job import BODIES, POSES, TWISTS
+from lierb.kernels.loops.record import end_columns
+from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.support.arrays import Array
+
+CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
+ZEROS = np.zeros(1)  # where numbers are read that nobody asks for
+
+
+Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
+
+
+class _Layout(NamedTuple):
+    """Where a problem's numbers are.
+
+    differ : whether any of them are others for other bodies.
+    arrays : which shall outlive `places`.
+    """
+
+    places: Places
+    differ: bool
+    arrays: tuple[Array, ...]
+
+
+_layouts: WeakKeyDictionary[Problem | Mechanism, _Layout] = WeakKeyDictionary()
+
+
+def _places_of(field: Field, array: Array) -> Places:
+    """Where the numbers of a field are, in an array with an item for every body or one for all."""
+    ahead = array.ndim - len(field.shape)
+    places = np.empty((field.width, 2), dtype=np.int64)
+    places[:, 0] = _offsets(field, array.strides[ahead:])
+    places[:, 0] += array.__array_interface__["data"][0]
+    places[:, 1] = 0 if _is_shared(field, array) else array.strides[0]
+    return places
+
+
+def _is_shared(field: Field, array: Array) -> bool:
+    """Whether it has one item for all bodies."""
+    return array.ndim == len(field.shape) or len(array) == 1
+
+
+def _nowhere(count: int) -> Places:
+    """Of so many columns that nobody asks for: a zero, for all bodies."""
+    return np.full((count, 2), (ZEROS.ctypes.data, 0), dtype=np.int64)
+
+
+@lru_cache(64)
+def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
+    """Of a field's numbers in an item, in bytes."""
+    offsets = np.zeros((), dtype=np.int64)
+    for size, stride in zip(field.shape, strides, strict=True):
+        offsets = offsets[..., None] + stride * np.arange(size)
+    return offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
+
+
+def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
+    """Found once: of a call for one body it takes a tenth of the time."""
+    if problem not in _layouts:
+        arrays = numbers_of(problem)
+        places = _nowhere(columns["state"].start)
+        for field, part in columns:
+            if field.name in arrays:
+                places[part] = _places_of(field, arrays[field.name])
+        _layouts[problem] = _Layout(places, bool(places[:, 1].any()), tuple(arrays.values()))
+    return _layouts[problem]
+
+
+def numbers_of(problem: Problem | Mechanism) -> dict[str, Array]:
+    """What a problem has of the driver's inputs, by field."""
+    if isinstance(problem, Mechanism):
+        return problem.quantities
+    parameters = {
+        f"{number}.{name}": element.parameters[name]
+        for number, element in enumerate(problem.elements)
+        for name in element.kind.shapes
+    }
+    return {**problem.quantities, **parameters, "pose": CLOSED}  # unless a start has others
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything about every body, where the user has it.
+
+    columns : what is read, of the plan's system.
+    starts : arrays of poses, (4, 4) or (n, 4, 4), and of twists, (6,) or (n, 6), by field.
+    time : s, of the start.
+    state : to start from instead of pose and twist, if any: the driver's own, `end_columns` of the
+        plan, [column][body or 1].
+    """
+
+    problem: Problem | Mechanism
+    columns: Columns
+    starts: dict[str, Array]
+    count: int
+    time: float = 0.0
+    state: Array | None = None
+
+    @property
+    def differ(self) -> int:
+        """What does from trajectory to trajectory: TWISTS, POSES or BODIES."""
+        if _layout(self.problem, self.columns).differ:
+            return BODIES
+        are_one = self.state is not None or all(
+            _is_shared(self.columns.field(name), array)
+            for name, array in self.starts.items()
+            if name != "twist"
+        )
+        return TWISTS if are_one else POSES
+
+    def places(self, plan: AnyPlan) -> Places:
+        """Of every column: a run that goes on asks for no pose and twist, others for no state."""
+        columns, places = self.columns, _layout(self.problem, self.columns).places.copy()
+        if self.state is None:
+            for name, array in self.starts.items():
+                places[columns[name]] = _places_of(columns.field(name), array)
+            return places
+        at = columns["state"].start
+        of_state = _nowhere(columns.count - at)
+        for row, column in zip(self.state, end_columns(plan), strict=True):
+            of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
+        return np.concatenate([places, of_state])
+
+    def numbers(self, body: int) -> list[np.float64]:
+        """Of one body, in the order of the columns, as far as they are there without a run."""
+        arrays, found = numbers_of(self.problem) | self.starts, []
+        for field, _ in self.columns:
+            if field.name in arrays:
+                array = arrays[field.name]
+                which = 0 if _is_shared(field, array) else body
+                item = array.reshape(-1, *field.shape)[which].ravel()
+                found += list(item if field.entries is None else item[list(field.entries)])
+        return found

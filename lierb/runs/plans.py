@@ -1,0 +1,109 @@
+"""What compiled code of a mechanism is specialised on: its tree, in the c-spaces asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError, require_name, told, unknown_name
+from lierb.kernels.mechanics.rows import FIXED
+from lierb.kernels.mechanics.subgroup import Slots, slots_of
+from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
+from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
+from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.model.joints.joint import Joint
+from lierb.model.mechanism.links import NOWHERE
+from lierb.model.mechanism.mechanism import Mechanism
+
+CSPACES = ("reduced", "SE3", "SO3xR3")
+CSpace = str | Mapping[str, str]
+
+
+def cspaces_of(mechanism: Mechanism, cspace: CSpace) -> tuple[str, ...]:
+    """Of every link. Raises ArgumentError for what is none, and for a body that it does not fit."""
+    if isinstance(cspace, Mapping):
+        for name in cspace:
+            if name not in mechanism.names:
+                raise unknown_name("cspace", str(name), mechanism.names)
+        lacking = [name for name in mechanism.names if name not in cspace]
+        if lacking:
+            raise ArgumentError(f"cspace={told(dict(cspace))} lacks {', '.join(lacking)}")
+        found = tuple(cspace[name] for name in mechanism.names)
+        for name in found:
+            require_name("cspace of a link", name, CSPACES[1:])
+    else:
+        require_name("cspace", cspace, CSPACES)
+        found = (cspace,) * len(mechanism.links)
+    for link, space in zip(mechanism.links, found, strict=True):
+        if space == "SO3xR3" and np.any(link.body.com != 0.0):
+            raise ArgumentError(
+                f'cspace="SO3xR3" needs the body frame at the centre of mass (com = 0), that of '
+                f"link {link.name} is elsewhere, where its equations do not decouple; move the "
+                'frame, or use "SE3" or "reduced"'
+            )
+    return found
+
+
+def mechanism_plan_of(
+    mechanism: Mechanism,
+    cspaces: tuple[str, ...],
+    stabilisation: Stabilisation,
+    **described: Any,
+) -> MechanismPlan:
+    """What compiled code is specialised on."""
+    tree: list[Node] = []
+    nodes = {NOWHERE: GROUND}  # by the numbers of links
+    for i in mechanism.order:
+        joint, parent = mechanism.links[i].joint, nodes[mechanism.parents[i]]
+        if cspaces[i] != "reduced":
+            tree.append(Node(parent, i, cspaces[i], FREE, joint.rows))
+        elif joint.factors:
+            first, last = (_only(factor.slot) for factor in joint.factors)
+            tree.append(Node(parent, MASSLESS, "reduced", first, ()))
+            tree.append(Node(len(tree) - 1, i, "reduced", last, ()))
+        elif is_group(joint):
+            tree.append(Node(parent, i, "reduced", slots_of(joint.rows), ()))
+        else:
+            tree.append(Node(parent, i, "reduced", FREE, joint.rows))
+        nodes[i] = len(tree) - 1
+    joints = [
+        Connection(
+            nodes[c.body],
+            nodes[c.parent],
+            c.rows,
+            i < len(mechanism.links) and _hangs(mechanism, i, cspaces),
+            i,
+        )
+        for i, c in enumerate(mechanism.joints)
+    ]
+    numbers = {each.name: i for i, each in enumerate(mechanism.held)}
+    acting = []
+    for k, (element, c) in enumerate(zip(mechanism.elements, mechanism.places, strict=True)):
+        number = numbers[element.at[0]] if element.kind.needs_axis else NONE
+        hangs = number != NONE and joints[number].hangs
+        rows = tuple(element.kind.row(k, i) for i in range(element.kind.rows))
+        acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number))
+    return MechanismPlan(
+        lanes=DEFAULT_LANES,
+        tree=tuple(tree),
+        connections=(*joints, *acting),
+        loops=len(mechanism.loops),
+        stabilisation=stabilisation,
+        **described,
+    )
+
+
+def is_group(joint: Joint) -> bool:
+    """Whether its motions are a subgroup of SE(3), that of a fixed joint included."""
+    return joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6
+
+
+def _hangs(mechanism: Mechanism, i: int, cspaces: tuple[str, ...]) -> bool:
+    """Whether a link hangs on its parent by one node."""
+    return cspaces[i] != "reduced" or not mechanism.links[i].joint.factors
+
+
+def _only(slot: int) -> Slots:
+    return tuple(0 if i == slot else FIXED for i in range(6))

@@ -1,0 +1,234 @@
+"""Python files that a study names: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
+
+A study has the text of its files, not their places: so they are copied into the results, go to the
+workers of a cluster, and count in its digest. Whoever makes the problem of such a study runs them.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import linecache
+import re
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from lierb.errors import StudyError, told
+from lierb.kernels.functions.fingerprint import KNOWN, at
+from lierb.model.functions.elements import ConstraintFunction, Decorated, ObservableFunction, Wrench
+from lierb.model.functions.in_time import ControllerFunction, EventFunction, StatesFunction
+from lierb.studies.description.sources import LONGEST_STUDY
+from lierb.support.files import reason
+
+PREFIX = "python:"
+FILE = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}\.py"
+PATTERN = rf"^{PREFIX}{FILE}:[A-Za-z_][A-Za-z0-9_]{{0,99}}$"
+EXPECTED = '"python:FILE.py:NAME", FILE.py beside the study and NAME a function in it'
+KINDS: dict[str, tuple[type[Decorated], str]] = {
+    "forces": (Wrench, "wrench"),
+    "constraints": (ConstraintFunction, "constraint"),
+    "observables": (ObservableFunction, "observable"),
+    "events": (EventFunction, "event"),
+    "states": (StatesFunction, "states"),
+    "controllers": (ControllerFunction, "controller"),
+}
+
+Code = Mapping[str, str]  # the text of each file, by its name
+
+
+class Named(NamedTuple):
+    """What a type names."""
+
+    file: str
+    name: str
+
+
+def named(kind: str) -> Named | None:
+    """What a type names in a file; None for another type."""
+    if not re.match(PATTERN, kind) or "\n" in kind:
+        return None
+    return Named(*kind.removeprefix(PREFIX).split(":"))
+
+
+def sha256_of_text(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# ---- reading -----------------------------------------------------------------------------------
+
+
+def read_code(folder: Path, files: Iterable[str]) -> dict[str, str]:
+    """The texts of these files of a folder. Raises StudyError, for links that lead out as well."""
+    return {file: _text_of(folder, file) for file in sorted(set(files))}
+
+
+def _text_of(folder: Path, file: str) -> str:
+    path = folder / file
+    try:
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise StudyError(
+                f"{file} is a link to {path.resolve()}; nothing outside the study's folder is run: "
+                "put the file itself there"
+            )
+        if path.exists() and not path.is_file():
+            raise StudyError(f"{path} is no file")
+        with path.open("rb") as opened:
+            content = opened.read(LONGEST_STUDY + 1)
+    except FileNotFoundError:
+        raise StudyError(f"{file} is not in {folder}, beside the study") from None
+    except OSError as error:
+        raise StudyError(f"{path} cannot be read: {reason(error)}") from error
+    if len(content) > LONGEST_STUDY:
+        raise StudyError(f"{path} is larger than {LONGEST_STUDY // 2**20} MiB")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError as error:
+        raise StudyError(f"{path} is no utf-8 ({error.reason}); save it as UTF-8") from None
+    _require_alone(_parsed(file, text), file, folder)
+    return text
+
+
+def _parsed(file: str, text: str) -> ast.Module:
+    try:
+        return ast.parse(text.removeprefix("\ufeff"), file)  # which Python reads over in a file
+    except (SyntaxError, ValueError, RecursionError) as error:
+        line = getattr(error, "lineno", None)
+        raise StudyError(
+            f"{file}{f':{line}' if line else ''}: {getattr(error, 'msg', error)}"
+        ) from None
+
+
+def _require_alone(tree: ast.Module, file: str, folder: Path) -> None:
+    """Raise StudyError for imports of what lies beside the file, which is not copied with it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = ["." * node.level + (node.module or "")]
+        else:
+            continue
+        for name in names:
+            top = name.split(".")[0]
+            lies_there = (folder / f"{top}.py").exists() or (folder / top).is_dir()
+            if not top or (lies_there and top not in KNOWN):
+                raise StudyError(
+                    f"{file}:{node.lineno}: it imports {name}, which lies beside it; a study's "
+                    "file stands alone: have what it needs in one file, or in an installed package"
+                )
+
+
+# ---- running -----------------------------------------------------------------------------------
+
+_modules: dict[str, ModuleType] = {}
+_texts: dict[str, tuple[str, str]] = {}  # file and text, by the name that its code has
+_lock = threading.RLock()
+_loading: ContextVar[str] = ContextVar("loading", default="")
+
+
+def is_loading() -> str:
+    """The file that is being run for a study here; "" if none is."""
+    return _loading.get()
+
+
+def module_of(file: str, text: str) -> ModuleType:
+    """What a file defines; it is run once a process for each text."""
+    digest = sha256_of_text(text)[:16]
+    stem = re.sub(r"\W", "_", Path(file).stem)
+    name, place = f"study_code_{stem}_{digest}", f"<{file} of a study, {digest}>"
+    with _lock:
+        if name not in _modules:
+            lines = text.splitlines(keepends=True)
+            linecache.cache[place] = (len(text), None, lines, place)  # for messages
+            _texts[place] = file, text
+            module = sys.modules[name] = ModuleType(name)
+            try:
+                with _running(file):
+                    exec(
+                        compile(_parsed(file, text), place, "exec", dont_inherit=True), vars(module)
+                    )
+            except BaseException:
+                del sys.modules[name]
+                raise
+            _modules[name] = module
+        return _modules[name]
+
+
+@contextmanager
+def _running(file: str) -> Iterator[None]:
+    """What the file raises is the study's error."""
+    token = _loading.set(file)
+    try:
+        yield
+    except StudyError:
+        raise
+    except (Exception, SystemExit) as error:
+        line = _line_of(error, f"<{file} of a study, ")
+        where = f"{file}: {line}" if line else file
+        raise StudyError(f"{where}: {type(error).__name__}: {told(str(error))}") from error
+    finally:
+        _loading.reset(token)
+
+
+def _line_of(error: BaseException, place: str) -> str:
+    """The innermost line of a file that an exception has passed; "" if there is none."""
+    found, trace = "", error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename.startswith(place):
+            found = at(trace.tb_frame.f_code, trace.tb_lineno)
+        trace = trace.tb_next
+    return found
+
+
+def function_of(table: str, kind: str, code: Code) -> Any:
+    """The decorated function that a type of a table of the problem names.
+
+    table : of KINDS.   Raises StudyError.
+    """
+    there = named(kind)
+    if there is None:
+        raise StudyError(f"problem.{table}: type = {told(kind)}; expected {EXPECTED}")
+    if there.file not in code:
+        raise StudyError(
+            f"problem.{table}: {kind}: this study has no {there.file}, since it was made without a "
+            "folder; use lierb.Study.load, or lierb.Study.of(…, folder=…)"
+        )
+    found = getattr(module_of(there.file, code[there.file]), there.name, None)
+    expected, decorator = KINDS[table]
+    if found is None:
+        raise StudyError(f"problem.{table}: {there.file} defines no {there.name}")
+    if not isinstance(found, expected):
+        raise StudyError(
+            f"problem.{table}: {there.name} in {there.file} is {told(found)}; expected a function "
+            f"with @lierb.{decorator} before it"
+        )
+    return found
+
+
+def source_of(decorated: Decorated) -> tuple[str, str, str]:
+    """File, its text and name of a function that was made in Python.
+
+    Raises StudyError for one that no file has for others to load.
+    """
+    function = decorated.function
+    code = function.__code__
+    if function.__qualname__ != function.__name__ or not function.__name__.isidentifier():
+        raise StudyError(
+            f"{function.__qualname__} is defined inside another function; a study needs it at the "
+            "top of a file, so that it can be loaded again: what differs is a parameter"
+        )
+    if code.co_filename in _texts:
+        return *_texts[code.co_filename], function.__name__
+    path = Path(code.co_filename)
+    if not path.is_file() or not re.fullmatch(FILE, path.name):
+        raise StudyError(
+            f"{function.__name__} is defined in {told(code.co_filename)}, from where it cannot be "
+            "loaded again; write it in a file NAME.py, and import it from there (in a notebook: "
+            "%%writefile NAME.py)"
+        )
+    return path.name, _text_of(path.parent, path.name), function.__name__

@@ -1,0 +1,312 @@
+"""A study of a problem and a design that were made in Python: the tables that a file would have.
+
+So everything that studies can do, they can do with it: the folder of the results says it all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from lierb.errors import ArgumentError, StudyError, told, unknown_name
+from lierb.kernels.functions.function import Function
+from lierb.kernels.mechanics.elements import INITIAL
+from lierb.kernels.mechanics.rows import parameters_of
+from lierb.kernels.systems.plan import Stabilisation
+from lierb.model import forces
+from lierb.model.bodies.body import Body
+from lierb.model.functions.elements import Element
+from lierb.model.joints.joint import JOINTS, Joint
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.sampling import Design
+from lierb.studies.description.code import PREFIX, source_of
+from lierb.studies.description.sections import (
+    KEYS,
+    KEYS_OF_LINK,
+    OF_LINK,
+    POINTS,
+    IntegrateSection,
+    OutputSection,
+)
+from lierb.studies.description.study import NOTHING, Study
+from lierb.studies.description.study_file import ELEMENTS
+from lierb.support.arrays import Array
+
+INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)
+OF_JOINT = ("pitch", "length", *POINTS)  # what may be drawn of a joint that is made
+
+
+def study_of(
+    problem: Problem | Mechanism,
+    design: Design,
+    *,
+    name: str = "study",
+    initial: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> Study:
+    """Make the study of a problem whose numbers a design draws.
+
+    Functions decorated with `@lierb.wrench` and the like must be at the top level of a file, from
+    which they can be loaded again.
+
+    Parameters
+    ----------
+    problem : Problem or Mechanism
+        The problem.
+    design : Design
+        Quantities, named as in a study's file without `sample.`: "initial.omega", "body.mass",
+        "forces.drag.linear", "observables.pointing_error.axis". Names of a mechanism's links and
+        loops come first: "crank.body.mass", "rod.joint.body_point", "crank.initial.velocities".
+    name : str, optional
+        Name of the study.
+    initial : dict, optional
+        Start of all bodies, except for what is drawn: omega, twist, coordinates, … as in the table
+        [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}; joints that stay open
+        are closed, to the nearest poses and twists, unless it has close="never".
+    **settings : object
+        Keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
+        compression.
+
+    Returns
+    -------
+    Study
+        The study.
+
+    Raises
+    ------
+    StudyError
+        No file can describe the problem.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> box = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
+    >>> ball = lierb.joints.spherical(body_point=(0.0, 0.0, 0.15))
+    >>> spins = lierb.sampling.Direction(length=2.0)
+    >>> design = lierb.sampling.Design({"initial.omega": spins}, n=1000)
+    >>> study = lierb.study_of(lierb.Problem(box, ball), design, dt=1e-3, t_end=1.0)
+    >>> print(study)  # doctest: +ELLIPSIS
+    lierb.Study 'study': 1000 bodies on a spherical joint
+    ...
+    """
+    if not isinstance(problem, (Problem, Mechanism)):
+        raise ArgumentError(
+            f"problem={told(problem)}; expected a lierb.Problem or a lierb.Mechanism"
+        )
+    if not isinstance(design, Design):
+        raise ArgumentError(f"design={told(design)}; expected a lierb.sampling.Design")
+    if not (initial is None or isinstance(initial, Mapping)):
+        raise ArgumentError(f"initial={told(initial)}; expected a dictionary")
+    problem.require_unchanged()
+    for key in settings:
+        if key not in (*INTEGRATE, *OUTPUT):
+            raise unknown_name("setting", key, (*INTEGRATE, *OUTPUT, "name", "initial"))
+    if isinstance(settings.get("stabilise"), Stabilisation):
+        settings["stabilise"] = _stabilise(settings["stabilise"])
+    code: dict[str, str] = {}
+    tables: dict[str, Any] = {
+        "name": name,
+        "problem": {"gravity": _one("gravity", problem.gravity, 1)},
+        "sample": _sample(design, problem),
+        "integrate": {key: value for key, value in settings.items() if key in INTEGRATE},
+        "output": {key: value for key, value in settings.items() if key in OUTPUT},
+    }
+    if isinstance(problem, Mechanism):
+        of_links, tables["initial"] = _starts(problem, initial or {})
+        tables["problem"] |= _held(problem, design, of_links)
+    else:
+        for key in initial or {}:
+            if key not in KEYS["initial"]:
+                raise unknown_name("initial", key, KEYS["initial"])
+        tables["initial"] = dict(initial or {})
+        tables["body"] = _body("", problem.body, design)
+        tables["joint"] = _joint("", problem.joint)
+    for table in ELEMENTS:
+        elements = [_element(each, code) for each in getattr(problem, table)]
+        tables["problem"][table] = _labelled(elements)
+    study = Study.of(tables, code=code)
+    _require_same(problem, study)
+    return study
+
+
+def _stabilise(kept: Stabilisation) -> Any:
+    rates = {"alpha": kept.alpha, "beta": kept.beta}
+    return {"none": None, "baumgarte": rates}.get(kept.kind, kept.kind)
+
+
+def _starts(
+    mechanism: Mechanism, initial: Mapping[str, Any]
+) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+    """What each link's table `initial` has, and the study's own."""
+    of_links, rest = {}, {}
+    for key, value in initial.items():
+        if key == "close" and not isinstance(value, Mapping):
+            rest[key] = value
+            continue
+        if key not in mechanism.names:
+            raise unknown_name("initial", key, (*mechanism.names, "close"))
+        if not isinstance(value, Mapping):
+            raise ArgumentError(
+                f"initial[{key!r}]={told(value)}; expected a dictionary, such as "
+                "{'coordinates': 0.3, 'velocities': 1.0}"
+            )
+        for inner in value:
+            if inner not in KEYS_OF_LINK["initial"]:
+                raise unknown_name(f"initial[{key!r}]", inner, KEYS_OF_LINK["initial"])
+        of_links[key] = dict(value)
+    return of_links, rest
+
+
+def _held(
+    mechanism: Mechanism, design: Design, initial: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    """The links and the loops."""
+    links = [
+        {
+            "name": link.name, "parent": link.parent,
+            "body": _body(f"{link.name}.", link.body, design),
+            "joint": _joint(f"{link.name}.", link.joint),
+            "initial": initial.get(link.name, {}),
+        }
+        for link in mechanism.links
+    ]  # fmt: skip
+    loops = [
+        {
+            "name": loop.name, "body": loop.body, "parent": loop.parent,
+            "joint": _joint(f"{loop.name}.", loop.joint),
+        }
+        for loop in mechanism.loops
+    ]  # fmt: skip
+    return {"links": links, "loops": loops}
+
+
+def _one(label: str, array: Array, item_axes: int = 0) -> Any:
+    """The numbers of one body, of which all have the same."""
+    if array.ndim > item_axes and len(array) > 1:
+        raise StudyError(
+            f"{label} has numbers of its own for {len(array)} bodies; in a study, what differs "
+            "from body to body is drawn: name it among the quantities, as a distribution or "
+            "lierb.sampling.Values"
+        )
+    return array.reshape(array.shape[array.ndim - item_axes :]).tolist()
+
+
+def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
+    """prefix : of its quantities' names."""
+    tables = {
+        "mass": _one(f"{prefix}mass", body.mass), "com": _one(f"{prefix}com", body.com, 1),
+    }  # fmt: skip
+    if f"{prefix}body.second_moments" not in design.quantities:
+        tables["inertia"] = _one(f"{prefix}inertia", body.inertia, 2)
+    return tables
+
+
+def _joint(prefix: str, joint: Joint) -> dict[str, Any]:
+    tables: dict[str, Any] = {
+        "type": joint.name if joint.name in JOINTS else "from_rows",
+        "ground_frame": _one(f"{prefix}ground_frame", joint.ground_frame, 2),
+        "body_frame": _one(f"{prefix}body_frame", joint.body_frame, 2),
+    }
+    if tables["type"] == "from_rows":
+        tables["rows"] = [str(row) for row in joint.rows]
+    for name in parameters_of(joint.rows):
+        tables[name] = _one(f"{prefix}{name}", getattr(joint, name))
+    return tables
+
+
+def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
+    """The design, under the names that its quantities have in a file."""
+    names = [name for name in design.quantities if name != NOTHING]
+    if design.method != "random" and names != sorted(names):
+        raise StudyError(
+            f"the quantities of a {design.method} design are taken in the order of their names in "
+            f"a study: give them so, {', '.join(sorted(names))}"
+        )
+    tables: dict[str, Any] = {"n": design.n, "seed": design.seed, "method": design.method}
+    for name in names:
+        *section, key = name.split(".")
+        if not _is_section(section, problem):
+            raise StudyError(_no_quantity(name, problem))
+        if section[-1] == "joint" and section[0] not in ELEMENTS and key not in OF_JOINT:
+            raise StudyError(
+                f"{name}: a joint that is made has its frames; of it {', '.join(OF_JOINT)} can be "
+                "drawn. A study's file can draw axes as well: lierb.Study.of"
+            )
+        place = tables
+        for part in section:
+            place = place.setdefault(part, {})
+        place[key] = design.quantities[name]
+    return tables
+
+
+def _is_section(section: list[str], problem: Problem | Mechanism) -> bool:
+    """Whether there is something to draw under these names."""
+    if len(section) == 2 and section[0] in ELEMENTS:
+        return True
+    if isinstance(problem, Problem):
+        return section in (["body"], ["joint"], ["problem"], ["initial"])
+    if len(section) != 2:
+        return section == ["problem"]
+    loops = [loop.name for loop in problem.loops]
+    first, last = section
+    return (first in problem.names and last in OF_LINK) or (first in loops and last == "joint")
+
+
+def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
+    if isinstance(problem, Problem):
+        expected = "body.mass, initial.omega or forces.drag.linear"
+    else:
+        first = problem.names[0]
+        expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
+    what = "problem" if isinstance(problem, Problem) else "mechanism"
+    return f"{told(name)} is no quantity of a {what}; expected names such as {expected}"
+
+
+def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
+    shapes = element.kind.shapes
+    parameters = {
+        name.removeprefix(INITIAL): _one(f"{element.name}.{name}", array, len(shapes[name]))
+        for name, array in element.parameters.items()
+    }
+    placed = {"on": list(element.at)} if element.at else {}
+    if element.made_by is None:
+        if any(isinstance(f, Function) for f in element.kind.functions):
+            raise StudyError(
+                f"{element.name} is made of a function of time, which no file can name; write it "
+                "with @lierb.wrench in a file"
+            )
+        if isinstance(element.kind, forces.BodyWrench):
+            parameters["frame"] = "body"
+        return {"type": element.name, **parameters, **placed}
+    file, text, name = source_of(element.made_by)
+    if code.setdefault(file, text) != text:
+        raise StudyError(f"two different files are called {file}; rename one of them")
+    for taken in ("type", "name", "on"):
+        if taken in parameters:
+            raise StudyError(f"{name}: its parameter {taken} needs another name in a study")
+    table = {"type": f"{PREFIX}{file}:{name}", **parameters, **placed}
+    return table if element.name == name else table | {"name": element.name}
+
+
+def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """With names where several would have the same one: drag, drag_2, …"""
+    seen: dict[str, int] = {}
+    for element in elements:
+        label = element.get("name") or element["type"].rpartition(":")[2]
+        seen[label.lower()] = seen.get(label.lower(), 0) + 1
+        if seen[label.lower()] > 1:
+            element["name"] = f"{label}_{seen[label.lower()]}"
+    return elements
+
+
+def _require_same(problem: Problem | Mechanism, study: Study) -> None:
+    """Raise StudyError where the files make other functions than those that the problem has."""
+    made = study.batch(0, 1).problem
+    for given, found in zip(problem.elements, made.elements, strict=True):
+        if given.kind != found.kind and given.made_by is not None:
+            raise StudyError(
+                f"{given.name} is another function in its file than the one that the problem has: "
+                "the file was edited since it was imported, or what the function refers to was set "
+                "elsewhere; import it anew, or make that a parameter"
+            )

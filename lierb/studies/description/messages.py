@@ -1,0 +1,155 @@
+"""What is wrong with a study, by the line and key of its file."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from itertools import islice
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from lierb.errors import LierbError, StudyError
+from lierb.studies.description.changes import path_of, written
+from lierb.studies.description.study_file import ELEMENTS, line_of, shortened
+
+MOST_TOLD = 10  # of the things that are wrong
+
+
+class at:
+    """Errors in the block are those of a table of the file."""
+
+    def __init__(self, table: str) -> None:
+        self.table = table
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, _kind: Any, error: Any, _traceback: Any) -> None:
+        if isinstance(error, LierbError) and not isinstance(error, StudyError):
+            raise StudyError(f"{self.table}: {error}") from None
+
+
+class at_key(at):
+    """The same, and of the key that they begin with, if it is one of `keys`."""
+
+    def __init__(self, table: str, keys: Collection[str]) -> None:
+        super().__init__(table)
+        self.keys = keys
+
+    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
+        first = re.match(r"\w+", str(error))
+        if first and first[0] in self.keys:
+            self.table = f"{self.table}.{first[0]}"
+        super().__exit__(kind, error, traceback)
+
+
+def called(table: str, function: Any, values: dict[str, Any]) -> Any:
+    """function(**values), where a key that it does not take is named."""
+    signature = inspect.signature(function)
+    known = [n for n, p in signature.parameters.items() if p.kind is not p.VAR_KEYWORD]
+    for name in values:
+        if name not in known:
+            raise StudyError(f"{table}.{name}: unknown key{suggestion(name, known)}")
+    try:
+        signature.bind(**values)
+    except TypeError as error:
+        raise StudyError(f"{table}: {error}") from None
+    return function(**values)
+
+
+def suggestion(name: str, known: list[str]) -> str:
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a study is made from: a file's name and text, and changes of what it says."""
+
+    source: str
+    text: str
+    changes: Mapping[str, Any]
+
+    def place(self, path: tuple[Any, ...]) -> str:
+        """Where a key was given: the file's line, and what of its table was changed."""
+        keys = [path_of(key) for key in self.changes]
+        if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
+            path = ("problem", path[0], *path[2:])
+        names = tuple(map(str, path))
+        line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
+        place = f"{self.source}:{line}" if line else self.source
+        near = [each for key, each in zip(keys, written(self.changes)) if key[:1] == names[:1]]
+        return f"{place} with {', '.join(near)}" if near else place
+
+
+WORDS = {  # Python's in pydantic's messages, and those of a file
+    r"a valid dictionary( or instance of \w+)?": "a table",
+    r"a valid string": "text",
+    r"a valid list": "a list",
+}
+
+
+def messages(
+    errors: ValidationError, model: type[BaseModel], tables: dict[str, Any], given: Given
+) -> str:
+    """The first of pydantic's errors, each in a line.   model : of the whole file."""
+    found = iter(errors.errors(include_url=False, include_context=False))
+    lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(found, MOST_TOLD))
+    if rest := sum(1 for _ in found):
+        return "\n".join((*lines, f"{given.source}: and {rest} more"))
+    return "\n".join(lines)
+
+
+def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: Given) -> str:
+    """One of pydantic's errors as a line: where, key, what, got."""
+    path = tuple(error["loc"])
+    while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
+        path = path[:-1]  # pydantic adds the names of the alternatives that it tried
+    key = ".".join(map(str, path))
+    what = error["msg"][0].lower() + error["msg"][1:]
+    for python, toml in WORDS.items():
+        what = re.sub(python, toml, what)
+    if error["type"] == "extra_forbidden":
+        what = "unknown key" + suggestion(str(path[-1]), _fields_at(model, path[:-1]))
+    elif error["type"] == "missing":
+        what = "is missing"
+    elif not isinstance(error["input"], dict):
+        what += f", got {shortened(repr(error['input']))}"
+    return f"{given.place(path)}: {key}: {what}"
+
+
+def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
+    for part in path:
+        try:
+            tables = tables[part]
+        except (KeyError, IndexError, TypeError):
+            return False
+    return True
+
+
+def _fields_at(model: Any, path: tuple[Any, ...]) -> list[str]:
+    for part in path:
+        if isinstance(part, int):  # of a list
+            continue
+        field = model.model_fields.get(part)
+        model = _model_in(field.annotation) if field else BaseModel
+        if model is None:
+            return []
+    return list(model.model_fields)
+
+
+def _model_in(annotation: Any) -> Any:
+    """The table that a field is, or that the items of its list are."""
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_model_in, get_args(annotation))), None)
+
+
+def located(message: str, given: Given) -> str:
+    """`table.key: what` with the line before it."""
+    key = message.partition(":")[0]
+    return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"

@@ -1,0 +1,55 @@
+"""Quantiles, and how well a sample knows them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lierb.support.arrays import Array
+from lierb.support.extras import require
+
+CONFIDENCE = 0.95  # of every interval
+
+
+class Quantile(NamedTuple):
+    """A quantile, and an interval that has that of the whole population with CONFIDENCE.
+
+    value : the least number that at least this share of the bodies stay at or below.
+    low, high : two of the bodies' numbers, by their order alone, whatever the distribution: how
+        many are below the population's quantile is binomial. NaN where there are too few bodies.
+    """
+
+    probability: float
+    value: float
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        """Of the interval; NaN where it has no end."""
+        return self.high - self.low
+
+
+def quantile_of(ordered: Array, probability: float) -> Quantile:
+    """A quantile of numbers that are in order; by `scipy.stats.quantile_test`.
+
+    The interval is the exact one of Conover, Practical Nonparametric Statistics, 3rd ed., 3.2.
+    """
+    if not len(ordered):
+        return Quantile(probability, np.nan, np.nan, np.nan)
+    require("scipy")
+    from scipy.stats import quantile_test
+
+    value = float(np.quantile(ordered, probability, method="inverted_cdf"))
+    found = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
+    return Quantile(probability, value, float(found.low), float(found.high))
+
+
+def share_width(count: int, of: int) -> float:
+    """Of the interval for a share, by Clopper and Pearson; `scipy.stats.binomtest`."""
+    require("scipy")
+    from scipy.stats import binomtest
+
+    found = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    return float(found.high - found.low)

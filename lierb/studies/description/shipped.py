@@ -1,0 +1,38 @@
+"""The example studies that come with lierb."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lierb.errors import unknown_name
+
+PACKAGE = Path(__file__).parents[2]
+SCHEMA = "#:schema "  # for editors; its path is that of the checkout
+
+
+def _folder() -> Path:
+    """A wheel has them inside the package, a checkout beside it."""
+    inside = PACKAGE / "examples"
+    return inside if inside.is_dir() else PACKAGE.parent / "examples"
+
+
+def examples() -> dict[str, str]:
+    """Each one's first line of comment, by name."""
+    names = sorted(path.stem for path in _folder().glob("*.toml"))
+    return {name: example(name).partition("\n")[0].removeprefix("# ") for name in names}
+
+
+def example(name: str) -> str:
+    """The TOML text of an example, or the Python file FILE.py that one names.
+
+    Raises UnknownNameError.
+    """
+    known = sorted(path.stem for path in _folder().glob("*.toml"))
+    files = sorted(path.name for path in _folder().glob("*.py"))
+    if name in files:
+        return (_folder() / name).read_text(encoding="utf-8")
+    if name not in known:
+        raise unknown_name("example", name, (*known, *files))
+    text = (_folder() / f"{name}.toml").read_text(encoding="utf-8")
+    lines = text.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith(SCHEMA))

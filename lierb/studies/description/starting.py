@@ -1,0 +1,208 @@
+"""How the bodies of a study start: poses and twists from what its tables [initial] say.
+
+One body takes what `Joint.pose` and `Joint.twist` take. Links of a mechanism are placed one on the
+other, each by what its own table `initial` says; what is open then is closed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import ArgumentError
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics.constraints import holds_a_point
+from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
+from lierb.model.joints.coordinates import motions_of, numbers_of
+from lierb.model.joints.joint import Joint
+from lierb.model.mechanism.links import NOWHERE
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.support.arrays import (
+    Array,
+    Pose,
+    as_numbers,
+    as_poses,
+    as_rotations,
+    assembled,
+    components,
+    finite,
+    pose_components,
+    pose_matrix,
+)
+from lierb.support.shown import counted
+
+PLACES = ("rotation", "place")
+AUTO, NEVER = "auto", "never"  # whether loops are closed
+Initial = Mapping[str, Any]
+
+
+def started(problem: Problem, initial: Initial, t0: float) -> tuple[Array, Array | None]:
+    """Twists and poses of one body that satisfy the joint."""
+    joint = problem.joint
+    pose = _placed(joint, initial)
+    kinds = [k for k in ("omega", "twist", "velocities") if k in initial]
+    if len(kinds) > 1 or ("point_velocity" in initial and kinds not in ([], ["omega"])):
+        raise ArgumentError("give omega and point_velocity, or twist, or velocities")
+    if "velocities" in initial:
+        where = {"pose": pose}
+        if "coordinates" in initial:
+            where = {"coordinates": initial["coordinates"]}
+        return joint.twist(velocities=initial["velocities"], **where), pose
+    if "twist" in initial:
+        return problem.project(initial["twist"], pose, t0=t0), pose
+    turning = {k: initial[k] for k in ("omega", "point_velocity") if k in initial}
+    twist = joint.twist(pose=pose, **turning)
+    about_a_point = holds_a_point(problem.rows) and len(problem.rows) == 3
+    allowed = not problem.rows or (about_a_point and "point_velocity" not in turning)
+    return twist if allowed else problem.project(twist, pose, t0=t0), pose
+
+
+def _placed(joint: Joint, initial: Initial) -> Array | None:
+    """The poses that coordinates, or rotation and place, give; None for the closed joint."""
+    placed = [k for k in PLACES if k in initial]
+    if "coordinates" in initial:
+        if placed:
+            raise ArgumentError(f"give coordinates or {placed[0]}, not both")
+        return joint.pose(coordinates=initial["coordinates"])
+    if not placed:
+        return None
+    return pose_matrix(_on(joint, _turned_and_placed(initial)))
+
+
+def _turned_and_placed(initial: Initial) -> Pose:
+    """The body's joint frame, seen from the other one."""
+    turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
+    place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
+    return components(turn, 2), components(place)
+
+
+def _on(joint: Joint, relative: Pose) -> Pose:
+    """G D B⁻¹: the body seen from what it hangs on."""
+    ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
+    return se3.compose(se3.compose(ground, relative), se3.inverse(body))
+
+
+# ---- mechanisms --------------------------------------------------------------------------------
+
+
+def started_mechanism(
+    mechanism: Mechanism, initial: Mapping[str, Initial], close: str, count: int, t0: float
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Twists, (count, 6), and poses, (count, 4, 4), of all links.
+
+    initial : by link; of each what its table says.
+    close : AUTO closes what links that are placed one on the other leave open, and projects twists
+        that violate rows, both to the nearest ones by the masses; NEVER leaves them.
+    """
+    with np.errstate(all="ignore"):  # what overflows is found in the result
+        placed = _poses(mechanism, initial)
+    poses = {
+        name: _spread(f"the pose of {name}", pose_matrix(placed[i]), count, 2)
+        for i, name in enumerate(mechanism.names)
+    }
+    is_tree = _is_a_tree(mechanism)
+    if close == AUTO and not is_tree:
+        poses = mechanism.close(poses)
+    with np.errstate(all="ignore"):
+        moving = _twists(mechanism, initial, poses)
+    twists = {
+        name: _spread(f"the twist of {name}", assembled(moving[i]), count, 1)
+        for i, name in enumerate(mechanism.names)
+    }
+    is_free = not any({"omega", "twist"} & {*given} for given in initial.values())
+    if close == AUTO and not (is_tree and is_free):
+        twists = mechanism.project(twists, poses, t0=t0)
+    return twists, poses
+
+
+def _spread(what: str, array: Array, count: int, item_axes: int) -> Array:
+    item = array.shape[array.ndim - item_axes :]
+    return np.ascontiguousarray(np.broadcast_to(finite(what, array), (count, *item)))
+
+
+def _is_a_tree(mechanism: Mechanism) -> bool:
+    """Whether coordinates satisfy all rows that there are."""
+    own = {link.name for link in mechanism.links if motions_of(link.joint) or not link.joint.rows}
+    rigid = {link.name for link in mechanism.links if link.joint.name == "fixed"}
+    return all(at.name in own | rigid for at in mechanism.connections)
+
+
+def _poses(mechanism: Mechanism, initial: Mapping[str, Initial]) -> dict[int, Pose]:
+    found: dict[int, Pose] = {}
+    for i in mechanism.order:
+        link, given = mechanism.links[i], initial.get(mechanism.names[i], {})
+        kinds = [k for k in ("coordinates", "pose", *PLACES) if k in given]
+        if len(kinds) > 1 and kinds != [*PLACES]:
+            raise ArgumentError(f"{link.name}: give coordinates, or rotation and place, or pose")
+        if "pose" in given:
+            found[i] = pose_components(as_poses(f"{link.name}.pose", given["pose"]))
+            continue
+        if kinds and kinds[0] in PLACES:
+            relative = _turned_and_placed(given)
+        else:
+            relative = _of_coordinates(link.name, link.joint, given.get("coordinates"))
+        local, parent = _on(link.joint, relative), mechanism.parents[i]
+        found[i] = local if parent == NOWHERE else se3.compose(found[parent], local)
+    return found
+
+
+def _of_coordinates(name: str, joint: Joint, given: Any) -> Pose:
+    motions = motions_of(joint)
+    if motions is None:
+        if given is not None:
+            hint = "leave them out" if joint.name == "fixed" else "give rotation and place, or pose"
+            raise ArgumentError(f"{name}: a {joint.name} joint has no coordinates; {hint}")
+        return IDENTITY, (0.0, 0.0, joint.length)
+    numbers = 0.0 if given is None else given
+    return motions.pose(components(_numbers(f"{name}.coordinates", numbers, motions.names)))
+
+
+def _twists(
+    mechanism: Mechanism, initial: Mapping[str, Initial], poses: dict[str, Array]
+) -> dict[int, Vec]:
+    """Of each link its rates on its joint, and what its parent carries along."""
+    placed = mechanism.poses("pose0", poses)
+    found: dict[int, Vec] = {}
+    for i in mechanism.order:
+        link, at = mechanism.links[i], mechanism.joints[i]
+        given = initial.get(link.name, {})
+        kinds = [k for k in ("velocities", "omega", "twist") if k in given]
+        if len(kinds) > 1:
+            raise ArgumentError(f"{link.name}: give velocities, or omega, or twist")
+        if "twist" in given:
+            found[i] = components(as_numbers(f"{link.name}.twist", given["twist"], (6,)))
+            continue
+        carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, found)
+        frame = pose_components(link.joint.body_frame)
+        if "omega" in given:  # its joint frame's origin goes with the parent
+            omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))
+            own: Vec = (*mat_t_vec(frame[0], omega), *carried[3:])
+        else:
+            own = add(_rates(link.name, link.joint, given, mechanism.relative(at, placed)), carried)
+        found[i] = se3.Ad(frame, own)
+    return found
+
+
+def _rates(name: str, joint: Joint, given: Initial, relative: Pose) -> Vec:
+    motions = motions_of(joint)
+    if "velocities" not in given:
+        return ZERO6
+    if motions is None:
+        hint = "leave them out" if joint.name == "fixed" else "give omega or twist"
+        raise ArgumentError(f"{name}: a {joint.name} joint has no velocities; {hint}")
+    rates = _numbers(f"{name}.velocities", given["velocities"], motions.names)
+    return motions.twist(components(rates), relative)
+
+
+def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
+    """One for each coordinate: a list in a table is of one link, and no batch as what is drawn."""
+    if isinstance(given, list) and len(given) != len(names):
+        expected = "a number" if len(names) == 1 else counted(len(names), "number")
+        raise ArgumentError(
+            f"{argument} has {counted(len(given), 'number')}; expected {expected}, of "
+            f"{', '.join(names)}"
+        )
+    return numbers_of(argument, given, names)

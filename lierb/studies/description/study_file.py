@@ -1,0 +1,334 @@
+"""A study's file: its text, the line of a key, and what it can hold.
+
+`plain` is the one way in, for a file's tables and for those that Python makes: what it lets pass
+can be written as TOML and as JSON, and is read back as it was.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import tomllib
+import unicodedata
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import LierbError, StudyError, told
+from lierb.sampling.distributions import DISTRIBUTIONS, Constant, Distribution
+from lierb.studies.description.sources import LONGEST_STUDY
+from lierb.support.arrays import as_floats, as_matrix, components, pose_matrix
+
+ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
+MOST_TEXT = 1000  # characters of a name
+MOST_PARTS = 32  # of a dotted key: tomllib takes time with the square of them
+DEEPEST = 16  # tables and lists in each other; a study's own go seven deep
+LARGEST = 2**64 - 1  # of whole numbers, the largest seed
+TOLD = 400  # characters of a message that are what was given
+
+_KEY = r"""(?:(?<![\w-])[\w-]{1,100}+|"(?:[^"\\\n]|\\.){0,100}+"|'[^'\n]{0,100}+')"""
+_LONG_KEY = re.compile(rf"{_KEY}(?:[ \t]*+\.[ \t]*+(?:[\w-]{{1,100}}+|{_KEY})){{{MOST_PARTS},}}+")
+_LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
+
+
+# ---- text --------------------------------------------------------------------------------------
+
+
+def read(path: Path) -> str:
+    """The text of a study's file, or pipe.
+
+    Raises StudyError for a folder, for what is no text or too large, OSError where nothing is.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(LONGEST_STUDY + 1)
+    except IsADirectoryError:
+        raise StudyError(f"{path} is a folder; give the study's file, a TOML file") from None
+    if len(content) > LONGEST_STUDY:
+        raise StudyError(f"{path.name} is {TOO_LARGE}")
+    try:
+        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise StudyError(
+            f"{path.name}:{line}: byte {error.start} is no utf-8 ({error.reason}); "
+            "save the file as UTF-8"
+        ) from None
+
+
+TOO_LARGE = (
+    f"larger than {LONGEST_STUDY // 2**20} MiB, the most for a study; what each body has of its "
+    "own is drawn from a distribution, or given to lierb.integrate as arrays"
+)
+
+
+def tables_in(text: str, source: str) -> dict[str, Any]:
+    """The tables of a TOML text. Raises StudyError with the line of what is wrong."""
+    if found := _LONG_KEY.search(text):
+        raise StudyError(f"{_line_at(text, found.start(), source)}: a key of {MOST_PARTS}+ parts")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(shortened(f"{source}: {error}")) from None
+    except RecursionError:
+        place = _line_at(text, _deepest(text), source)
+        raise StudyError(f"{place}: lists or tables nested too deeply; expected {DEEP}") from None
+    except ValueError as error:  # Python reads no whole number of more than 4300 digits
+        found = _LONG_NUMBER.search(text)
+        place = _line_at(text, found.start(), source) if found else source
+        raise StudyError(f"{place}: {_TOO_LARGE_NUMBER if found else error}") from None
+
+
+DEEP = f"at most {DEEPEST}, one in the other"
+_TOO_LARGE_NUMBER = "a whole number of more than 64 bits; write it with an exponent, as 1e20"
+
+
+def _line_at(text: str, index: int, source: str) -> str:
+    """`file:line`, and the key that is set there."""
+    lines = text[: index + 1].split("\n")
+    table: list[str] = []
+    for line in lines[:-1]:
+        if line.lstrip().startswith("["):
+            table = _parts_of(line, table) or table
+    whole = text[: text.find("\n", index) % (len(text) + 1)].split("\n")[-1]
+    key = ".".join(_parts_of(whole, table) or table)
+    return f"{source}:{len(lines)}" + (f": {shortened(key)}" if key else "")
+
+
+def _deepest(text: str) -> int:
+    """Where the most brackets are open, as far as strings have none."""
+    depth, deepest, where = 0, 0, 0
+    for found in re.finditer(r"[\[\]{}]", text):
+        depth += 1 if found[0] in "[{" else -1
+        if depth > deepest:
+            deepest, where = depth, found.start()
+    return where
+
+
+def line_of(text: str, path: tuple[Any, ...]) -> int | None:
+    """The line of a TOML text where a key, or the nearest table around it, is.
+
+    path : keys; of one of several tables, as of [[problem.links]], also its number or its name.
+    """
+    lines, names = _lines_in(text)
+    wanted = _numbered(path, names)
+    best: tuple[int, int] | None = None  # parts that agree, line
+    for number, found in lines:
+        is_near = len(found) <= len(wanted) and all(w in (f, ANY) for f, w in zip(found, wanted))
+        if found and is_near and (best is None or len(found) > best[0]):
+            best = len(found), number
+    return best[1] if best else None
+
+
+ANY = None  # in a path, whichever of several tables
+Names = dict[tuple[Any, ...], list[str]]  # of the tables in each list of them
+
+
+def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
+    """Number and path of each line that sets something, with the numbers of tables in lists."""
+    lines: list[tuple[int, tuple[Any, ...]]] = []
+    names: Names = {}
+    table: list[str] = []
+    for number, line in enumerate(text.split("\n"), start=1):
+        found = _parts_of(line, table)
+        if found is None:
+            continue
+        stripped = line.strip()
+        if stripped.startswith("["):
+            table = found
+        if stripped.startswith("[["):
+            owner = (*_latest(tuple(found[:-1]), names), found[-1])
+            names.setdefault(owner, []).append("")
+            if len(names[owner]) == 1:
+                lines.append((number, owner))  # the list as a whole
+        path = _latest(tuple(found), names)
+        lines.append((number, path))
+        if path[-1] == "name" and path[:-2] in names:
+            names[path[:-2]][-1] = stripped.partition("=")[2].split("#")[0].strip(" \"'")
+    return lines, names
+
+
+def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
+    """With the number of the table that a list of them has had last, after each list."""
+    found: tuple[Any, ...] = ()
+    for part in path:
+        found += (part,)
+        if found in names:
+            found += (len(names[found]) - 1,)
+    return found
+
+
+def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
+    """A path with numbers for names; ANY where it does not say which."""
+    found: tuple[Any, ...] = ()
+    for part in path:
+        known = names.get(found)
+        if known is None:
+            found += (part,) if isinstance(part, str) else ()
+        elif isinstance(part, int):
+            found += (part,)
+        elif part in known:
+            found += (known.index(part),)
+        else:
+            found += (ANY, part)
+    return found
+
+
+def _parts_of(line: str, table: list[str]) -> list[str] | None:
+    """The path that a line of TOML sets: a table's, or a key's in the table."""
+    stripped = line.strip()
+    if stripped.startswith("["):
+        return [part.strip(" \"'") for part in stripped.strip("[]").split("]")[0].split(".")]
+    key, equals, _ = stripped.partition("=")
+    if not equals or stripped.startswith("#"):
+        return None
+    return table + [part.strip(" \"'") for part in key.split(".")]
+
+
+def shortened(text: str) -> str:
+    """A message without the middle of what is too long to be read."""
+    half = TOLD // 2
+    return text if len(text) <= TOLD else f"{text[:half]} … {text[-half:]}"
+
+
+# ---- what a file can hold ----------------------------------------------------------------------
+
+
+def plain(tables: Any) -> dict[str, Any]:
+    """Tables as a file has them: dictionaries and lists, new ones, of numbers and text.
+
+    Arrays and tuples become lists, NumPy's numbers Python's, distributions their tables, SciPy's
+    rotations matrices, −0 becomes 0. What is None is not given.
+
+    Raises StudyError with the key of anything else.
+    """
+    if not isinstance(tables, Mapping) and not hasattr(tables, "model_dump"):
+        raise StudyError(f"a study is made of tables, a dictionary, got a {type(tables).__name__}")
+    found: dict[str, Any] = _Plain().value(tables, ())
+    return found
+
+
+def plain_changes(changes: Any) -> dict[str, Any]:
+    """Changes by dotted keys, of what a file can hold; None where something is to be left out."""
+    if not isinstance(changes, Mapping):
+        raise StudyError(f"changes must be a dictionary by dotted keys, got {told(changes)}")
+    return {
+        _checked_key(key, ()): None if value is None else _Plain().value(value, (key,))
+        for key, value in changes.items()
+    }
+
+
+class _Plain:
+    """One walk; `left` is how many values there may be, lest a list that is in itself goes on."""
+
+    def __init__(self) -> None:
+        self.left = LONGEST_STUDY // 4  # a value takes four characters, in a line of its own
+
+    def value(self, given: Any, path: tuple[str, ...]) -> Any:
+        self._take(1, path)
+        if len(path) > DEEPEST:
+            raise StudyError(f"{_key(path[:4])}: nested too deeply; expected {DEEP}")
+        match given:
+            case bool() | np.bool_():
+                raise StudyError(f"{_key(path)}: is {given}; a study has numbers and text only")
+            case np.timedelta64():
+                pass  # a whole number to NumPy alone
+            case int() | np.integer():
+                return self._whole(int(given), path)
+            case float() | np.floating():
+                return float(given) + 0.0
+            case str():
+                return _checked_text(given, path)
+            case list() | tuple():
+                if given and set(map(type, given)) == {float}:  # most of what is long
+                    self._take(len(given), path)
+                    return [each + 0.0 for each in given]
+                return [self.value(each, (*path, str(n))) for n, each in enumerate(given)]
+            case Mapping():
+                return dict(self._items(given.items(), path))
+            case Distribution():
+                return self.value(_table_of(given, path), path)
+            case np.ndarray():
+                return self._array(given, path)
+        if hasattr(given, "as_matrix"):
+            return self._array(_matrix_of(given, path), path)
+        if hasattr(given, "model_dump"):
+            return self.value(given.model_dump(), path)
+        raise StudyError(
+            f"{_key(path)}: is a {type(given).__name__}; expected a number, text, a list or a "
+            "table, as a TOML file has them"
+        )
+
+    def _take(self, count: int, path: tuple[str, ...]) -> None:
+        self.left -= count
+        if self.left < 0:
+            raise StudyError(f"{_key(path)}: the study is {TOO_LARGE}")
+
+    def _items(self, items: Any, path: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+        for key, value in items:
+            name = _checked_key(key, path)
+            if value is not None:
+                yield name, self.value(value, (*path, name))
+
+    def _array(self, given: Any, path: tuple[str, ...]) -> Any:
+        self._take(given.size, path)
+        self.left += given.size
+        if np.ma.is_masked(given):
+            raise StudyError(f"{_key(path)}: is an array with masked entries; expected numbers")
+        return self.value(given.tolist(), path)
+
+    def _whole(self, given: int, path: tuple[str, ...]) -> int:
+        if abs(given) > LARGEST:
+            raise StudyError(f"{_key(path)}: {_TOO_LARGE_NUMBER}")
+        return given
+
+
+def _checked_text(given: str, path: tuple[str, ...]) -> str:
+    if len(given) > MOST_TEXT:
+        raise StudyError(
+            f"{_key(path)}: text of {len(given)} characters; expected at most {MOST_TEXT}"
+        )
+    for character in given if not given.isprintable() else "":
+        if unicodedata.category(character) in ("Cc", "Cs"):
+            raise StudyError(
+                f"{_key(path)}: text with the character {character!r}; expected none that control "
+                "a terminal, and no halves of a pair"
+            )
+    return str.__str__(given)
+
+
+def _checked_key(key: Any, path: tuple[str, ...]) -> str:
+    if not isinstance(key, str):
+        raise StudyError(f"{_key(path)}: has the key {told(key)}; expected text")
+    return _checked_text(key, path)
+
+
+def _key(path: tuple[str, ...]) -> str:
+    return shortened(".".join(path)) or "study"
+
+
+def _table_of(distribution: Distribution, path: tuple[str, ...]) -> Any:
+    if isinstance(distribution, Constant):
+        return distribution.value
+    for name, kind in DISTRIBUTIONS.items():
+        if type(distribution) is kind:
+            names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+            return {"distribution": name} | {each: getattr(distribution, each) for each in names}
+    raise StudyError(
+        f"{_key(path)}: is a {type(distribution).__name__}, a distribution that no file can name; "
+        f"expected one of {', '.join(DISTRIBUTIONS)}"
+    )
+
+
+def _matrix_of(given: Any, path: tuple[str, ...]) -> Any:
+    """Of SciPy's `Rotation` or `RigidTransform`; a frame's rotation is about the origin."""
+    try:
+        matrix = as_floats("it", as_matrix("it", given))
+    except LierbError as error:
+        raise StudyError(f"{_key(path)}: {error}") from None
+    if path and path[-1].endswith("_frame") and matrix.shape == (3, 3):
+        return pose_matrix((components(matrix, 2), (0.0, 0.0, 0.0)))
+    return matrix

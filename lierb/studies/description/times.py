@@ -1,0 +1,82 @@
+"""When rows of a study's history are: `save_at` in [integrate], as a list or by a rule.
+
+save_at = [0.0, 0.5, 2.0]                          s, in ascending order
+save_at = { every = 0.5, from = 1.0, to = 4.0 }    from and to are t0 and t_end by default
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from lierb.errors import ArgumentError
+from lierb.support.arrays import Array
+
+RULE = ("every", "from", "to")
+MOST_TIMES = 10**7  # 1 GB and more of one trajectory
+NEARLY = 1e-9  # of `every`: what `to` may be off by, as 0.3 is from 3 × 0.1
+EXPECTED = "times in s, in ascending order, or { every = …, from = …, to = … }"
+
+
+def _checked(given: Any) -> Any:
+    """As it is given. Raises PydanticCustomError for what is neither."""
+    if isinstance(given, dict):
+        for key in given:
+            if key not in RULE:
+                raise PydanticCustomError(
+                    "save_at", f"has the unknown key {key}; known: {', '.join(RULE)}"
+                )
+        if "every" not in given:
+            raise PydanticCustomError("save_at", "needs every, the time between two rows, s")
+        numbers = list(given.values())
+    else:
+        numbers = given if isinstance(given, list) else [None]
+    if not numbers or not all(isinstance(x, (int, float)) and math.isfinite(x) for x in numbers):
+        raise PydanticCustomError("save_at", f"input should be {EXPECTED}")
+    return given
+
+
+_NUMBER = {"type": "number"}
+SaveAt = Annotated[
+    Any,
+    BeforeValidator(_checked),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "array", "items": _NUMBER, "minItems": 1},
+                {
+                    "type": "object",
+                    "properties": dict.fromkeys(RULE, _NUMBER),
+                    "required": ["every"],
+                    "additionalProperties": False,
+                },
+            ]
+        }
+    ),
+]
+
+
+def saved_times(given: Any, t0: float, t_end: float) -> Array:
+    """Times, s, of what `save_at` says. Raises ArgumentError for a rule that gives none."""
+    if not isinstance(given, dict):
+        return np.array(given, dtype=float)
+    every = float(given["every"])
+    first, last = float(given.get("from", t0)), float(given.get("to", t_end))
+    if every <= 0.0:
+        raise ArgumentError(f"save_at: every={every!r}; expected a positive time in s")
+    if first > last:
+        raise ArgumentError(f"save_at: from={first!r} s is later than to={last!r} s")
+    steps = (last - first) / every
+    if steps >= MOST_TIMES:
+        raise ArgumentError(
+            f"save_at: every={every!r} s makes {steps:.3g} times from {first!r} to {last!r} s; "
+            f"expected at most {MOST_TIMES:.0e}"
+        )
+    times: Array = first + every * np.arange(math.floor(steps + NEARLY) + 1.0)
+    if abs(times[-1] - last) <= NEARLY * every:
+        times[-1] = last
+    return times

@@ -1,0 +1,57 @@
+"""Units of what a study samples: in its tables' fields, and on the axes of its figures."""
+
+from __future__ import annotations
+
+from lierb.model import forces
+from lierb.model.joints.joint import Joint
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.studies.description.study import Study
+from lierb.studies.description.study_file import ELEMENTS
+
+UNITS = {
+    "mass": "kg", "inertia": "kg m²", "second_moments": "kg m²", "com": "m", "size": "m",
+    "radius": "m", "length": "m", "density": "kg/m³",
+    "body_point": "m", "ground_point": "m", "parent_point": "m",
+    "axis": "1", "slot": "1", "second_axis": "1",
+    "pitch": "m/rad", "gravity": "m/s²",
+    "omega": "rad/s", "point_velocity": "m/s", "twist": "rad/s, rad/s, rad/s, m/s, m/s, m/s",
+    "rotation": "1", "place": "m", "pose": "",
+}  # fmt: skip
+
+
+def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
+    """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas; ""
+    of a parameter of a function of the user's, which has the unit that the user thinks of.
+
+    problem : the study's, the coordinates of whose joints are angles or lengths.
+    """
+    section, _, key = quantity.rpartition(".")
+    table, _, label = section.partition(".")
+    if table == "controllers" and key == "every":
+        return "s"
+    if table == "states":
+        labels = [each.label for each in study.problem.states]
+        states = problem.states[labels.index(label)]
+        return states.units.get(key, "1") if key in dict(states.columns) else ""
+    if table in ELEMENTS:
+        types = {f"{table}.{each.label}": each.type for table, each in study.problem.elements()}
+        return forces.FORCE_UNITS.get(types[section], {}).get(key, "")
+    if key in ("coordinates", "velocities"):
+        names = joint_of(quantity, problem).coordinate_names
+        of_each = ["m" if name[0] in "ds" else "rad" for name in names]
+        return ", ".join(unit + "/s" * (key == "velocities") for unit in of_each)
+    return UNITS[key]
+
+
+def joint_of(quantity: str, problem: Problem | Mechanism) -> Joint:
+    """The joint that a quantity such as `initial.velocities` or `rod.initial.velocities` is of."""
+    if isinstance(problem, Problem):
+        return problem.joint
+    return problem.link(quantity.partition(".")[0]).joint
+
+
+def each_unit(unit: str, width: int) -> list[str]:
+    """The units of so many components: each its own, or all the same."""
+    units = unit.split(", ")
+    return units if len(units) == width else [unit] * width

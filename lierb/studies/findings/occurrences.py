@@ -1,0 +1,70 @@
+"""How often a study's events happened, and when first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow.compute as pc
+
+from lierb.studies.description.quantiles import Quantile, quantile_of
+from lierb.studies.description.study import Setting, Study
+from lierb.studies.findings.sizes import as_array, rows_of
+from lierb.studies.findings.statistics import PROBABILITIES
+from lierb.studies.storage.store import IS_FINE, Store
+from lierb.support.arrays import Array
+
+
+class Occurred(NamedTuple):
+    """An event in one setting, in the bodies that did not fail.
+
+    crossings : in all.   bodies : with one at least, of `of`.
+    first : quantiles of the time of a body's first one, s; of bodies that had none it is ∞, as it
+        would be later than the run.
+    """
+
+    setting: Setting
+    name: str
+    crossings: int
+    bodies: int
+    of: int
+    first: tuple[Quantile, ...]
+
+
+def event_names(study: Study) -> list[str]:
+    """As the table of events has them."""
+    return [each.label for each in study.problem.events]
+
+
+def first_times(dataset: Store, setting: Setting, name: str) -> tuple[Array, int]:
+    """When an event first happened to each body that did not fail, s, in order, ∞ where it did
+    not; and how often it happened to them in all.
+    """
+    own = rows_of(setting)
+    fine = as_array(
+        dataset.table().to_table(columns=["trajectory"], filter=own & IS_FINE), "trajectory"
+    )
+    rows = dataset.table("events").to_table(
+        columns=["trajectory", "t"], filter=own & (pc.field("event") == name)
+    )
+    bodies, times = as_array(rows, "trajectory"), as_array(rows, "t")
+    counted = np.isin(bodies, fine)
+    order = np.argsort(fine, kind="stable")
+    first = np.full(len(fine), np.inf)
+    if counted.any():
+        at = order[np.searchsorted(fine, bodies[counted], sorter=order)]
+        np.minimum.at(first, at, times[counted])
+    return np.sort(first), int(counted.sum())
+
+
+def occurrences(
+    dataset: Store, study: Study, probabilities: Sequence[float] = PROBABILITIES
+) -> Iterator[Occurred]:
+    """Every event, setting by setting."""
+    for setting in study.settings:
+        for name in event_names(study):
+            first, count = first_times(dataset, setting, name)
+            quantiles = tuple(quantile_of(first, p) for p in probabilities)
+            had = int(np.isfinite(first).sum())
+            yield Occurred(setting, name, count, had, len(first), quantiles)

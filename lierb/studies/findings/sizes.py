@@ -1,0 +1,81 @@
+"""How large a study's lengths and energies are: rounding is told from error relative to them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from lierb.analysis.magnitudes import magnitudes
+from lierb.studies.description.study import Setting, Study
+from lierb.studies.storage.store import IS_FINE, Store
+from lierb.support.arrays import Array, components, pose_matrix
+
+BODIES = 64  # that are looked at: the order of magnitude of a median is all that is needed
+STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
+
+
+def rows_of(setting: Setting) -> pc.Expression:
+    """The filter for a setting's rows."""
+    return (
+        (pc.field("cspace") == setting.cspace)
+        & (pc.field("method") == setting.method)
+        & (pc.field(setting.column) == setting.step)
+    )
+
+
+def as_array(table: pa.Table, name: str) -> Array:
+    """A column of numbers; lists as (n, k)."""
+    column = table[name].combine_chunks()
+    if pa.types.is_fixed_size_list(column.type):
+        return np.asarray(column.flatten().to_numpy().reshape(-1, column.type.list_size))
+    return np.asarray(column.to_numpy())
+
+
+def sizes_of(dataset: Store, study: Study, setting: Setting) -> dict[str, float]:
+    """What a setting's errors are relative to: position, m; rotation, 1; energy, J.
+
+    Medians over the first bodies, of the larger of the numbers at start and end. Position: the
+    problem's own length and the distance from the ground's origin. Energy: the kinetic one, the
+    magnitudes of all potential ones, and m g times the problem's own length; of a mechanism those
+    of its links, and of gravity.
+    """
+    links = [link.name for link in study.problem.links]
+    rows = dataset.table().head(
+        BODIES,
+        columns=[
+            "trajectory",
+            *(f"{prefix}{name}" for prefix in _prefixes(links) for name in STATE),
+        ],
+        filter=rows_of(setting) & IS_FINE,
+    )
+    ended = as_array(rows, "trajectory")
+    first = int(ended.min()) if rows.num_rows else 0
+    count = min(BODIES, len(study.design) - first)
+    batch = study.batch(first, count)
+    lengths, energies = magnitudes(batch.problem, batch.pose0, batch.twist0)
+    if rows.num_rows:
+        seen = ended < first + count
+        found = {}
+        for prefix in _prefixes(links):
+            state = {name: np.full((count, width), np.nan) for name, width in STATE.items()}
+            for name, values in state.items():
+                values[ended[seen] - first] = as_array(rows, f"{prefix}{name}")[seen]
+            pose = pose_matrix((components(state["rotation"]), components(state["position"])))
+            found[prefix.removesuffix(".")] = pose, np.hstack((state["omega"], state["v"]))
+        poses: Any = {name: pose for name, (pose, _) in found.items()}
+        twists: Any = {name: twist for name, (_, twist) in found.items()}
+        ends = magnitudes(batch.problem, *((poses, twists) if links else (poses[""], twists[""])))
+        lengths, energies = np.fmax(lengths, ends[0]), np.fmax(energies, ends[1])
+    return {
+        "position": float(np.median(lengths)),
+        "rotation": 1.0,
+        "energy": float(np.median(energies)),
+    }
+
+
+def _prefixes(links: list[str]) -> list[str]:
+    """What stands before the names of the state's columns."""
+    return [f"{name}." for name in links] or [""]

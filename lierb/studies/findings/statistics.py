@@ -1,0 +1,217 @@
+"""What a study's bodies tell of all that might have been drawn: quantiles with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from lierb.errors import require_name
+from lierb.kernels.systems.observables import KEEPS
+from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
+from lierb.studies.description.study import Setting, Study
+from lierb.studies.findings.sizes import as_array, rows_of
+from lierb.studies.storage.store import IS_FINE, Store
+from lierb.support.arrays import Array
+from lierb.support.extras import require
+
+PROBABILITIES = (0.05, 0.5, 0.95)
+NO_RESULTS = ("t", "dt", "rtol")  # of a history's columns of numbers
+MOST_NUMBERS = 2**24  # of a history that are looked at together, 128 MB
+
+
+class Spread(NamedTuple):
+    """A quantity of the bodies in one setting.
+
+    bodies : those that are ok and for which it is a number.   undefined : ok, and it is none.
+    """
+
+    setting: Setting
+    name: str
+    unit: str
+    bodies: int
+    undefined: int
+    quantiles: tuple[Quantile, ...]
+
+
+def observed_columns(dataset: Store, study: Study) -> dict[str, str]:
+    """The columns of a summary that observables have, and their units."""
+    names = [
+        f"{element.name}_{how}"
+        for element in study.batch(0, 1).problem.observables
+        for how in KEEPS
+    ]
+    schema = dataset.table().schema
+    return {name: (schema.field(name).metadata or {}).get(b"unit", b"1").decode() for name in names}
+
+
+def spreads(
+    dataset: Store,
+    study: Study,
+    columns: dict[str, str],
+    probabilities: Sequence[float] = PROBABILITIES,
+) -> Iterator[Spread]:
+    """Quantiles of columns of the summary, setting by setting.   columns : with their units."""
+    for setting in study.settings:
+        for name, unit in columns.items():
+            values = _ok_values(dataset, setting, name)
+            ordered = np.sort(values[~np.isnan(values)])
+            found = tuple(quantile_of(ordered, p) for p in probabilities)
+            yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), found)
+
+
+def _ok_values(dataset: Store, setting: Setting, name: str) -> Array:
+    """A column of the bodies that are ok in a setting."""
+    table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & IS_FINE)
+    return as_array(table, name)
+
+
+# ---- over time ---------------------------------------------------------------------------------
+
+
+def percentiles_over_time(
+    dataset: Store,
+    name: str,
+    setting: Setting,
+    percentiles: Sequence[float] = (5.0, 50.0, 95.0),
+    *,
+    of: Callable[[Array], Array] = np.asarray,
+) -> pa.Table:
+    """Percentiles of a column of the history, over the bodies that have a number at each time.
+
+    of : what is asked of the numbers first, such as np.abs.
+
+    Returns a table of step, t, bodies and a column for each, such as p5 and p97.5, in the column's
+    unit. The history may be larger than the memory: so many times are read at once as fit 128 MB.
+
+    Raises UnknownNameError for a column that is none of one number.
+    """
+    history = dataset.table("history")
+    schema = history.schema
+    scalar = [f.name for f in schema if pa.types.is_float64(f.type) and f.name not in NO_RESULTS]
+    require_name("name", name, scalar)
+    probabilities = np.asarray(percentiles, dtype=float) / 100.0
+    rows = rows_of(setting)
+    times = _times(dataset, setting)
+    most = max(1, MOST_NUMBERS // max(1, history.count_rows(filter=rows) // max(1, len(times))))
+    steps, found, counts = list(times), [], []
+    for first in range(0, len(steps), most):
+        some = steps[first : first + most]
+        inside = (pc.field("step") >= some[0]) & (pc.field("step") <= some[-1])
+        table = history.to_table(columns=["step", name], filter=rows & inside)
+        values, at = of(as_array(table, name)), as_array(table, "step")
+        order = np.argsort(at, kind="stable")
+        starts = np.searchsorted(at[order], some[1:])
+        for group in np.split(values[order], starts):
+            alive = group[~np.isnan(group)]
+            counts.append(len(alive))
+            none = np.full(len(probabilities), np.nan)
+            is_any = len(alive) > 0
+            found.append(
+                np.quantile(alive, probabilities, method="inverted_cdf") if is_any else none
+            )
+    unit = schema.field(name).metadata
+    columns = np.array(found).reshape(-1, len(probabilities)).T
+    fields = [
+        pa.field("step", pa.int64()),
+        pa.field("t", pa.float64(), metadata={"unit": "s"}),
+        pa.field("bodies", pa.int64()),
+        *(pa.field(f"p{p:g}", pa.float64(), metadata=unit) for p in percentiles),
+    ]
+    arrays = [steps, [times[step] for step in steps], counts, *columns]
+    return pa.table([pa.array(a) for a in arrays], schema=pa.schema(fields))
+
+
+def _times(dataset: Store, setting: Setting) -> dict[int, float]:
+    """When each saved step is, in order; the same for all bodies of a setting."""
+    first = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting))
+    if not first.num_rows:
+        return {}
+    (body,) = first["trajectory"].to_pylist()
+    own = rows_of(setting) & (pc.field("trajectory") == body)
+    table = dataset.table("history").to_table(columns=["step", "t"], filter=own)
+    return dict(sorted(zip(table["step"].to_pylist(), table["t"].to_pylist(), strict=True)))
+
+
+# ---- sensitivity -------------------------------------------------------------------------------
+
+RESAMPLED = 200  # times, for the intervals of indices
+LEAST_ROWS = 4
+
+
+class _Index(NamedTuple):
+    """With the ends of its interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Sensitivity(NamedTuple):
+    """How much of a column's variance a sampled quantity accounts for, in one setting.
+
+    first : alone.   total : with all that it does together with others. NaN
+        where the column is the same for all bodies, or too few of them are ok.
+    rows : of the design that are counted.
+    """
+
+    setting: Setting
+    column: str
+    quantity: str
+    first: _Index
+    total: _Index
+    rows: int
+
+
+def sensitivities(dataset: Store, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
+    """Sobol's indices of columns of the summary, for a study whose design is "saltelli".
+
+    By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).
+    Counted are the first 2ᵏ rows of the design, as many as are whole: those after a body that is
+    not ok, not done, or has no number are left out. Intervals are percentiles of bootstrapped rows.
+    """
+    design = study.design
+    if design.method != "saltelli":
+        return
+    each = len(design.drawn) + 2
+    for setting in study.settings:
+        for column in columns:
+            values = np.full(design.n, np.nan)
+            is_ok = rows_of(setting) & IS_FINE
+            table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
+            values[as_array(table, "trajectory")] = as_array(table, column)
+            whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
+            count = len(whole) if whole.all() else int(whole.argmin())
+            rows = 1 << count.bit_length() - 1 if count else 0
+            found = _indices(values[: rows * each].reshape(-1, each))
+            for j, name in enumerate(design.drawn):
+                first, total = (_Index(*map(float, part[:, j])) for part in found)
+                yield Sensitivity(setting, column, name, first, total, rows)
+
+
+def _indices(values: Array) -> tuple[Array, Array]:
+    """First and total indices, each (value, low, high) × quantity.   values : (rows, 2 + q)."""
+    rows, width = values.shape
+    if rows < LEAST_ROWS or np.ptp(values) == 0.0:
+        nothing = np.full((3, width - 2), np.nan)
+        return nothing, nothing
+    random, found = np.random.default_rng(0), [_estimated(values)]
+    found += [_estimated(values[random.integers(rows, size=rows)]) for _ in range(RESAMPLED)]
+    low, high = np.quantile(found[1:], ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0)
+    first, total = np.stack((found[0], low, high), axis=1)
+    return first, total
+
+
+def _estimated(values: Array) -> Array:
+    """(2, quantities): first and total indices."""
+    require("scipy")
+    from scipy.stats import sobol_indices
+
+    # Twice the same output: SciPy would take one quantity's indices for numbers.
+    f = np.repeat(values.T[:, None], 2, axis=1)
+    found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=len(values))
+    shape = (2, values.shape[1] - 2)
+    return np.stack((found.first_order.reshape(shape)[0], found.total_order.reshape(shape)[0]))

@@ -1,0 +1,122 @@
+"""The worst and the median trajectory of a study once more, as a moving picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from lierb.results.animation import Animation
+from lierb.results.animation.scene import scene_of
+from lierb.results.colours import CSPACE_NAMES
+from lierb.results.result import Result
+from lierb.studies.description.study import Setting, Study
+from lierb.studies.findings.findings import ERRORS, errors_seen, ok_columns
+from lierb.studies.findings.sizes import rows_of
+from lierb.studies.storage.parts import Part
+from lierb.studies.storage.store import IS_FINE, Store
+
+FRAMES = 500  # of each
+MOST_SPACES = 2  # c-spaces and methods side by side
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Trajectories to look at, by what they are called, and the settings to see them in.
+
+    kind : of the error by which they were chosen; None where none got to its end.
+    """
+
+    trajectories: dict[str, int]
+    settings: list[Setting]
+    kind: str | None
+
+
+def chosen(dataset: Store, study: Study) -> Chosen | None:
+    """The trajectory with the largest error and that with the median one, in the setting of it.
+
+    Of a study none of whose bodies got to its end, the first that failed. None without any row.
+    """
+    kind, name = next(iter(errors_seen(dataset, study).items()))
+    worst: tuple[float, Setting, dict[str, int]] | None = None
+    for setting in study.settings:
+        rows = ok_columns(dataset, setting, ["trajectory", name])
+        order = np.argsort(rows[name], kind="stable")
+        if not order.size:
+            continue
+        largest, middle = order[-1], order[(order.size - 1) // 2]
+        if worst is None or rows[name][largest] > worst[0]:
+            named = {"worst": int(rows["trajectory"][largest])}
+            if rows["trajectory"][middle] != named["worst"]:
+                named["median"] = int(rows["trajectory"][middle])
+            worst = float(rows[name][largest]), setting, named
+    if worst is not None:
+        return Chosen(worst[2], _beside(study, worst[1]), kind)
+    for setting in study.settings:
+        rows = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting) & ~IS_FINE)
+        if rows.num_rows:
+            return Chosen({"failed": rows["trajectory"][0].as_py()}, _beside(study, setting), None)
+    return None
+
+
+def _beside(study: Study, setting: Setting) -> list[Setting]:
+    """The setting, and the other c-spaces with its method and step."""
+    alike = [s for s in study.settings if (s.method, s.step) == (setting.method, setting.step)]
+    others = [s for s in alike if s != setting][: MOST_SPACES - 1]
+    return [s for s in alike if s == setting or s in others]
+
+
+def replayed(study: Study, picked: Chosen) -> Animation:
+    """Run the chosen trajectories again, each as in the study, and animate them.
+
+    See `lierb.studies.execution.running.replay`.
+    """
+    views = []
+    for what, trajectory in picked.trajectories.items():
+        problem = study.batch(trajectory, 1).problem.of_body(0)
+        for setting in picked.settings:
+            tables = Part("", setting, trajectory, 1).tables(
+                _with_states(study, setting), study.design, None
+            )
+            result = Result(_without_draws(tables["summary"]), tables["history"])
+            ((status, t),) = zip(*(result.summary[n].to_pylist() for n in ("status", "t")))
+            space = CSPACE_NAMES.get(setting.cspace, setting.cspace)
+            label = f"{what}: {trajectory}, {space}"
+            label += "" if status == "ok" else f", {status} at {t:g} s"
+            views.append((label, result, problem, 0))
+    run = picked.settings[0]
+    title = f"{study.name}: {run.method}, {run.step_told}"
+    return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
+
+
+def _without_draws(summary: pa.Table) -> pa.Table:
+    """As `integrate` makes it: a rotation that was drawn is no link's."""
+    return summary.select([n for n in summary.column_names if not n.startswith("sample.")])
+
+
+def _with_states(study: Study, setting: Setting) -> Study:
+    """The study that records states, and nothing for which a kernel would have to be compiled."""
+    run = study.integrate
+    kept = [name for name in run.record if name not in ("energy", "state")]
+    changes: dict[str, Any] = {"record": ["state", *kept] if run.saves else ["state"]}
+    if study.has_lane_clocks:
+        length = (run.t_end - run.t0) / FRAMES
+        changes |= {"save_every": None, "save_at": {"every": length}}
+    else:
+        assert setting.dt is not None
+        steps = round((run.t_end - run.t0) / setting.dt)
+        changes["save_every"] = max(1, steps // FRAMES)
+    changed = run.model_copy(update=changes)
+    return study.model_copy(update={"integrate": changed})
+
+
+def told(picked: Chosen) -> str:
+    """What is shown, in a sentence."""
+    if picked.kind is None:
+        return "No body got to its end: the first that failed, until it did."
+    error = ERRORS[picked.kind].removesuffix("_max").replace("_", " ")
+    (worst, *middle) = picked.trajectories.values()
+    also = f", trajectory {middle[0]} the median one" if middle else ""
+    return f"Trajectory {worst} has the largest {error} of the bodies{also}."

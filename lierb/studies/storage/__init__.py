@@ -1,0 +1,1 @@
+"""The study folder: parts, manifest and stored files."""

@@ -1,0 +1,197 @@
+"""A study's parts: which bodies in which setting, and the tables that come of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import overload
+
+import numpy as np
+import pyarrow as pa
+
+from lierb.api import integrate
+from lierb.results.columns import as_array, numbers, repeated, vectors
+from lierb.results.failures import told_elsewhere
+from lierb.results.tables import event_row_bytes, history_row_bytes
+from lierb.runs.lane_engine import SHARES
+from lierb.sampling import Design
+from lierb.studies.description.study import Batch, Setting, Study
+from lierb.studies.description.units import unit_of
+from lierb.support.arrays import Array
+
+Progress = Callable[[int, int], None]
+HISTORY_BYTES = 64e6  # of a part's history, at most
+HISTORY_ROW_BYTES = 100  # about, without what `record` adds
+STATE_BYTES = 144  # of a body
+JOINT_BYTES = 32  # of the errors of each joint of a mechanism
+# Of studies whose trajectories have a clock each, rows are counted to the byte; the others' parts
+# are as large as they have always been, so that they can be resumed.
+LABEL_BYTES = 16  # of a row: cspace, method, dt
+EVENTS_FORESEEN = 10  # crossings of each event in a trajectory: nobody knows before it has run
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some bodies in one setting of a study."""
+
+    name: str
+    setting: Setting
+    first: int
+    count: int
+
+    def work(self, study: Study) -> int:
+        """How much there is to do, as progress is told: body-steps, or shares of trajectories where
+        each has its own steps.
+        """
+        if study.has_lane_clocks:
+            return self.count * SHARES
+        run = study.integrate
+        return self.count * round((run.t_end - run.t0) / self.setting.step)
+
+    def tables(
+        self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
+    ) -> dict[str, pa.Table]:
+        """What its bodies do: `summary`, `history` and `events` if there are any."""
+        batch = study.batch(self.first, self.count, design)
+        options = study.options(self.setting)
+        if study.problem.controllers:  # noise is drawn by a trajectory's number in the whole study
+            numbers_of_all = np.arange(self.first, self.first + self.count)
+            options |= {"seed": study.sample.seed, "trajectories": numbers_of_all}
+        with told_elsewhere():
+            result = integrate(
+                batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
+                progress=progress or False, **options,
+            )  # fmt: skip
+        tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
+        if result.history is not None:
+            tables["history"] = self._labelled(result.history)
+        if result.events is not None:
+            tables["events"] = self._labelled(result.events)
+        return tables
+
+    def _labelled(self, table: pa.Table) -> pa.Table:
+        """With the trajectories' numbers in the study, and the setting before."""
+        rows = table.num_rows
+        own = numbers(as_array(table["trajectory"]) + self.first)
+        table = table.set_column(0, table.schema.field("trajectory"), own)
+        step, unit = numbers(np.full(rows, self.setting.step)), {"dt": "s", "rtol": "1"}
+        told = {"unit": unit[self.setting.column]}
+        table = table.add_column(0, pa.field(self.setting.column, step.type, metadata=told), step)
+        table = table.add_column(0, "method", repeated(self.setting.method, rows))
+        return table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
+
+
+class Parts(Sequence[Part]):
+    """All parts of a study, setting by setting, each made when it is asked for.
+
+    Names sort as the parts do: numbers are as wide as the study's largest.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self._study, self._settings = study, study.settings
+        self._bodies, self._size = len(study.design), part_size(study)
+        self._each = -(-self._bodies // self._size)  # of a setting
+        self.total = self._each * len(self._settings)  # may be more than `len` can say
+        self._widths = (
+            max(2, len(str(len(self._settings) - 1))), max(10, len(str(self._bodies - 1))),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return self.total
+
+    def __iter__(self) -> Iterator[Part]:
+        return (
+            self._part(setting, first)
+            for setting in range(len(self._settings))
+            for first in range(0, self._bodies, self._size)
+        )
+
+    @overload
+    def __getitem__(self, number: int) -> Part: ...
+    @overload
+    def __getitem__(self, number: slice) -> list[Part]: ...
+    def __getitem__(self, number: int | slice) -> Part | list[Part]:
+        if isinstance(number, slice):
+            return [self[n] for n in range(*number.indices(self.total))]
+        if not -self.total <= number < self.total:
+            raise IndexError(f"part {number} of {self.total}")
+        setting, n = divmod(number % self.total, self._each)
+        return self._part(setting, n * self._size)
+
+    def named(self, name: str) -> Part | None:
+        """The part of that name, if there is one."""
+        setting, _, first = name.partition("-")
+        if not (setting.isdecimal() and first.isdecimal()):
+            return None
+        s, b = int(setting), int(first)
+        if s >= len(self._settings) or b >= self._bodies or b % self._size:
+            return None
+        part = self._part(s, b)
+        return part if part.name == name else None
+
+    @property
+    def trajectories(self) -> int:
+        return self._bodies * len(self._settings)
+
+    def work(self, names: Iterable[str] | None = None) -> int:
+        """Of the parts of these names, of all if None; see `Part.work`."""
+        if names is None:
+            counted = [Part("", setting, 0, self._bodies) for setting in self._settings]
+        else:
+            counted = [part for part in map(self.named, names) if part is not None]
+        return sum(part.work(self._study) for part in counted)
+
+    def _part(self, setting: int, first: int) -> Part:
+        name = f"{setting:0{self._widths[0]}d}-{first:0{self._widths[1]}d}"
+        count = min(self._size, self._bodies - first)
+        return Part(name, self._settings[setting], first, count)
+
+
+def parts_of(study: Study) -> Parts:
+    """All parts, setting by setting."""
+    return Parts(study)
+
+
+def part_size(study: Study) -> int:
+    """Bodies in a part: as the study says, fewer if their history would not fit the memory."""
+    run = study.integrate
+    if study.has_lane_clocks:
+        return max(1, min(study.output.part, int(HISTORY_BYTES / max(1, bytes_of_body(study)))))
+    if run.save_every is None:
+        return study.output.part
+    links, joints = max(1, len(study.problem.links)), len([*study.problem.held()])
+    row = HISTORY_ROW_BYTES + JOINT_BYTES * joints + STATE_BYTES * links * ("state" in run.record)
+    rows = (run.t_end - run.t0) / min(run.dt) / run.save_every + 2
+    return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))
+
+
+def bytes_of_body(study: Study) -> int:
+    """Of a trajectory's rows in `history` and `events`, where each has a clock of its own."""
+    run, problem = study.integrate, study.batch(0, 1).problem
+    each = (LABEL_BYTES + event_row_bytes(problem)) * EVENTS_FORESEEN * len(problem.events)
+    return each + saved_rows(study) * (LABEL_BYTES + history_row_bytes(problem, run.record))
+
+
+def saved_rows(study: Study) -> int:
+    """Of a trajectory in the history, in the setting with most of them."""
+    run = study.integrate
+    if run.times is not None:
+        return len(run.times)
+    if run.save_every is None:
+        return 0
+    return max(-(-round((run.t_end - run.t0) / dt) // run.save_every) for dt in run.dt) + 1
+
+
+def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
+    """With what its bodies drew behind, in its units."""
+    for name, values in batch.draws.items():
+        column = _column(np.ascontiguousarray(values))
+        unit = unit_of(name, study, batch.problem)
+        told = {"unit": unit} if unit else None
+        table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=told), column)
+    return table
+
+
+def _column(values: Array) -> pa.Array:
+    """Numbers, or flat lists of a body's numbers."""
+    return numbers(values) if values.ndim == 1 else vectors(values.reshape(len(values), -1))

@@ -1,0 +1,86 @@
+"""How objects show themselves: one description, as text at a prompt, as a table in a notebook."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lierb.support.arrays import Array
+
+Lines = Sequence[tuple[str, str]]  # label, text
+
+FAILED = "failed"  # the label of a row that must not be overlooked
+CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
+LOUD = "color: #b00020; font-weight: bold"
+
+
+class Shown:
+    """What has a title and labelled lines below it; `_shown` says which."""
+
+    def _shown(self) -> tuple[str, Lines]:
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        return as_text(*self._shown())
+
+    def _repr_html_(self) -> str:
+        return as_html(*self._shown())
+
+
+def as_text(title: str, rows: Lines) -> str:
+    """`<title>`, or the title and a line for each row, the labels in a column."""
+    if not rows:
+        return f"<{title}>"
+    width = max(len(label) for label, _ in rows)
+    indent = "\n" + " " * (width + 4)
+    lines = [f"  {label:{width}}  {indent.join(text.splitlines())}" for label, text in rows]
+    return "\n".join((title, *lines))
+
+
+def as_html(title: str, rows: Lines) -> str:
+    """A table; texts are the user's, so that all are escaped."""
+    lines = "".join(
+        f'<tr><th style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(label)}</th>'
+        f'<td style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(text)}</td></tr>'
+        for label, text in rows
+    )
+    return f"<div><b>{html.escape(title)}</b><table>{lines}</table></div>"
+
+
+# ---- numbers -----------------------------------------------------------------------------------
+
+
+def counted(count: int, what: str, several: str = "") -> str:
+    """`1 body`, `3 bodies`."""
+    return f"{count} {what if count == 1 else several or f'{what}s'}"
+
+
+def steps_told(options: Mapping[str, Any]) -> str:
+    """Of a run: how its steps are, by the options in its metadata."""
+    return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
+
+
+def rounded(error: float) -> str:
+    """With two digits; a dash where there is none."""
+    if np.isnan(error):
+        return "–"
+    return f"{error:.1e}" if error else "0"
+
+
+def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:
+    """An argument's value; of a batch the range of its numbers, or that each has its own."""
+    tail = f" {unit}" if unit else ""
+    if array.ndim > item_axes and len(array) > 1:
+        if item_axes:
+            return f"one for each of {len(array)}{f', {unit}' if unit else ''}"
+        return f"{array.min():.6g} … {array.max():.6g}{tail}"
+    return _item(array[0] if array.ndim > item_axes else array) + tail
+
+
+def _item(array: Array) -> str:
+    if np.ndim(array) == 0:
+        return f"{float(array) + 0.0:.6g}"  # + 0: no −0
+    return f"({', '.join(_item(each) for each in array)})"
