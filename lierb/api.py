@@ -44,6 +44,7 @@ from lierb.runs.starts import (
     told_cspace,
     told_stabilisation,
 )
+from lierb.runs.stiffness import warn_of_stiff_steps
 from lierb.runs.timing import (
     checked_numbers,
     checked_seed,
@@ -192,6 +193,9 @@ def integrate(
     FailedTrajectoryWarning
         Some trajectories have failed on the way. Each has a status in `summary`; the others are
         untouched.
+    StiffStepWarning
+        Fixed steps are beyond the method's stability bound for a force of `lierb.forces`, at the
+        start. See `lierb.errors.StiffStepWarning`.
 
     Notes
     -----
@@ -266,6 +270,7 @@ def integrate(
         return error is None
 
     _require_memory(plan, times, count, recorded)
+    warn_of_stiff_steps(problem, ready.pose0, ready.twist0, count, timing, stacklevel=3)
     checked = on_violation != "off" and ready.before is None
     described_run = provenance(
         problem,

@@ -88,6 +88,10 @@ class FailedTrajectoryWarning(UserWarning):
     """Trajectories ended before their time: they are `singular`, `non_finite` or `raised`."""
 
 
+class StiffStepWarning(UserWarning):
+    """Fixed steps are beyond the method's stability bound for a force of `lierb.forces`."""
+
+
 class ScalarFunctionWarning(UserWarning):
     """A function of the user's runs body by body, because it cannot run for many at once."""
 

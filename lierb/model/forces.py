@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
 from lierb.kernels.functions.function import Function, Shape
 from lierb.kernels.functions.user_number import UserNumber
-from lierb.kernels.mechanics.elements import Bound, Element, Wrench, travel_to_kink
+from lierb.kernels.mechanics.elements import Bound, Element, Tangent, Wrench, travel_to_kink
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, Motion
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.numbers.arithmetic import (
@@ -230,6 +230,18 @@ class SpringDamper(BuiltIn):
         force = scale(-tension, line)
         return cross(point, force), force
 
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        point, _, stiffness, damping, length = placed
+        line, inverse, _ = self._line(placed, x)
+        # k (1 − ℓ₀/ℓ) across the line, where it is stretched. Where ℓ = 0, any direction may be its
+        across = stiffness * maximum(1.0 - length * inverse, 0.0)
+        anywhere = where(inverse == 0.0, damping, 0.0)
+        along = _pulled(point, scale(inverse, line))
+        return (
+            Tangent(along, stiffness - across, damping),
+            *(Tangent(_pulled(point, axis), across, anywhere) for axis in UNIT),
+        )
+
     def energy(self, placed: Any, x: Motion) -> Any:
         point, anchor, stiffness, _, length = placed
         stretch = norm(sub(x.place_of(point), anchor)) - length
@@ -238,6 +250,11 @@ class SpringDamper(BuiltIn):
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
         _, _, rate = self._line(placed, x)
         return -placed[3] * (rate * rate)
+
+
+def _pulled(point: Vec, direction: Vec) -> Vec:
+    """Torque and force of a unit force at a point."""
+    return cross(point, direction) + direction
 
 
 def _inverse_norm(a: Vec) -> Any:
@@ -305,6 +322,10 @@ class AtJoint(BuiltIn, is_abstract=True):
     def pushed(self, size: Any) -> Wrench:
         return (ZERO, ZERO, size), ZERO3
 
+    def tangent(self, stiffness: Any, damping: Any, is_lasting: bool = True) -> Tangent:
+        torque, force = self.pushed(1.0)
+        return Tangent(torque + force, stiffness, damping, is_lasting)
+
 
 class AlongJoint(AtJoint, is_abstract=True):
     """Along e₃, by how far the joint's point is along it, and how fast."""
@@ -336,6 +357,10 @@ class JointSpring(AtJoint, is_abstract=True):
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         stiffness, damping, slack = placed
         return self.pushed(-fma(stiffness, self.place(x, slack), damping * self.rate(x)))
+
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        stiffness, damping, _ = placed
+        return (self.tangent(stiffness, damping),)
 
     def energy(self, placed: Any, x: Motion) -> Any:
         stiffness, _, slack = placed
@@ -455,6 +480,10 @@ class JointFriction(AtJoint):
         per_rate = coulomb / sqrt(fma(rate, rate, speed * speed))
         return self.pushed(-((viscous + per_rate) * rate))
 
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        viscous, coulomb, speed = placed
+        return self.tangent(0.0, viscous), self.tangent(0.0, coulomb / speed, is_lasting=False)
+
 
 class SlideFriction(AlongJoint, JointFriction):
     """Against the sliding along the joint axis."""
@@ -561,6 +590,10 @@ class JointLimit(AtJoint):
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         beyond, damping = self._beyond(placed, x)
         return self.pushed(-fma(placed[2], beyond, damping * self.rate(x)))
+
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        _, _, stiffness, damping = placed
+        return (self.tangent(stiffness, damping, is_lasting=False),)
 
     def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
         lower, upper = placed[:2]
@@ -702,6 +735,17 @@ class Drag(BuiltIn):
         moving = x.velocity_of(point)
         force = scale(-fma(quadratic, norm(moving), linear), moving)
         return cross_add(point, force, scale(-angular, x.omega)), force
+
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        linear, quadratic, angular, point = placed
+        moving = x.velocity_of(point)
+        more = quadratic * norm(moving)  # q‖u‖ across u, and twice that along it
+        ahead = scale(_inverse_norm(moving), moving)
+        return (
+            Tangent(_pulled(point, ahead), damping=more),
+            *(Tangent(_pulled(point, axis), damping=linear + more) for axis in UNIT),
+            *(Tangent(axis + ZERO3, damping=angular) for axis in UNIT),
+        )
 
 
 def drag(

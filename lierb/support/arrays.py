@@ -243,13 +243,16 @@ def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
     return sizes.pop() if sizes else (1 if found else None)
 
 
-def taken(array: Array, which: int | slice, item_axes: int = 0) -> Array:
+Which = int | slice | NDArray[np.int64]  # one body of a batch, or some of them
+
+
+def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
     """The item of one body, or of a part of the batch; of all bodies, where they share it."""
     if array.ndim == item_axes:
         return array
     if len(array) > 1:
         return np.asarray(array[which])
-    return array if isinstance(which, slice) else np.asarray(array[0])
+    return np.asarray(array[0]) if isinstance(which, int) else array
 
 
 def member_of(body: Any, size: int | None) -> int:

@@ -62,6 +62,19 @@ Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's po
 Shape = tuple[int, ...]
 
 
+class Tangent(NamedTuple):
+    """Wrench of an element along one direction, to first order: −(stiffness δq + damping q̇).
+
+    direction : torque and force in body axes, r; q̇ = r·(ω, v), and the wrench acts along r.
+    is_lasting : whether it acts throughout a motion, or in a part of it alone, such as a stop.
+    """
+
+    direction: Vec
+    stiffness: Any = 0.0
+    damping: Any = 0.0
+    is_lasting: bool = True
+
+
 class Element:
     """What all kinds have; by itself, one that does nothing.
 
@@ -108,6 +121,13 @@ class Element:
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         return ZERO3, ZERO3
+
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        """The stiffness and damping of its wrench at a motion, or where these are largest.
+
+        Fixed steps are compared with them. A function of the user's has none that are known.
+        """
+        return ()
 
     def energy(self, placed: Any, x: Motion) -> Any:
         return ZERO

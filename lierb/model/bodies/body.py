@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import InertiaError, body_label, two_readings
 from lierb.kernels.mechanics.newton_euler import unit_inertia
-from lierb.support.arrays import Array, as_numbers, assembled, batch_size, components, taken
+from lierb.support.arrays import Array, Which, as_numbers, assembled, batch_size, components, taken
 from lierb.support.shown import Lines, Shown, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
@@ -71,10 +71,10 @@ class Body(Shown):
         for name, value in (("mass", masses), ("inertia", moments), ("com", centre)):
             object.__setattr__(self, name, value)
 
-    def of(self, which: int | slice) -> Body:
+    def of(self, which: Which) -> Body:
         """One body of the batch, or a part of it."""
         inertia = taken(self.inertia, which, 2)
-        if inertia.ndim == 2 and isinstance(which, slice):
+        if inertia.ndim == 2 and not isinstance(which, int):
             inertia = inertia[None]  # or a part of three bodies might be read in two ways
         return Body(taken(self.mass, which), inertia, taken(self.com, which, 1))
 

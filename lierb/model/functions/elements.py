@@ -28,7 +28,7 @@ from lierb.model.functions.tracing import (
     runnable,
     user_function,
 )
-from lierb.support.arrays import Array, as_floats, as_numbers, batch_size, taken
+from lierb.support.arrays import Array, Which, as_floats, as_numbers, batch_size, taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class Element:
             raise ArgumentError(f"on({link!r}, {other!r}); expected two different links")
         return replace(self, at=at)
 
-    def of_body(self, which: int | slice) -> Self:
+    def of_body(self, which: Which) -> Self:
         """That of one body of the batch, or of a part of it."""
         shapes = self.kind.shapes
         given = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}

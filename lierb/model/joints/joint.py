@@ -19,6 +19,7 @@ from lierb.model.joints.motions import TURNS, Factor, Motions, ProductMotions, S
 from lierb.support.arrays import (
     Array,
     Pose,
+    Which,
     as_floats,
     as_numbers,
     as_poses,
@@ -72,12 +73,12 @@ class Joint(Shown):
     subgroup: str | None = None
     factors: tuple[Factor, ...] = ()
 
-    def of(self, which: int | slice) -> Joint:
+    def of(self, which: Which) -> Joint:
         """Return the joint of one body of the batch, or of a part of it.
 
         Parameters
         ----------
-        which : int or slice
+        which : int, slice or array of int
             Number of the body, or the part.
 
         Returns

@@ -127,16 +127,33 @@ class System:
         """Every connection, moving at these twists."""
         found = []
         for at, p, body, length in self.connections:
-            relative = self.mechanism.relative(at, poses)
-            moving: Vec = (0.0,) * 6
-            if twists is not None:
-                moving = self.mechanism.relative_twist(at, poses, twists)
-            x = SE3.kinematics(body, relative, moving)._replace(time=t0)
+            x = self.kinematics(at, body, poses, twists)._replace(time=t0)
             rounding = rounding_of(p, poses[at.body])
             if at.parent >= 0:
                 rounding = rounding + ROUNDING * norm(poses[at.parent][1])
             found.append(Held(at, p, body, x, length, rounding))
         return found
+
+    def kinematics(
+        self, at: Connection, body: BodyConstants, poses: list[Pose], twists: list[Vec] | None
+    ) -> Kinematics:
+        """Relative motion of the two frames of a connection; at rest without twists."""
+        relative = self.mechanism.relative(at, poses)
+        moving: Vec = (0.0,) * 6
+        if twists is not None:
+            moving = self.mechanism.relative_twist(at, poses, twists)
+        return SE3.kinematics(body, relative, moving)
+
+    def wrenches(self, at: Connection, p: Parameters, x: Kinematics, row: Vec) -> dict[int, Vec]:
+        """A row of a connection, on the twist of each link about its centre of mass."""
+        wrenches = {at.body: _moved(p.body, row)}
+        if at.parent >= 0:
+            seen = se3.compose(p.ground, (x.q, x.d))  # B from the parent
+            wrenches[at.parent] = neg(_moved(seen, row))
+        return {
+            link: sub(wrench[:3], cross(self.metrics[link].com, wrench[3:])) + wrench[3:]
+            for link, wrench in wrenches.items()
+        }
 
     def decomposed(self, held: list[Held]) -> DecomposedRows:
         """All rows of these connections."""
@@ -145,18 +162,13 @@ class System:
         levers = np.zeros(self.count)
         number = 0
         for h in held:
-            seen = se3.compose(h.parameters.ground, (h.x.q, h.x.d))  # B from the parent
             for r in h.at.rows:
                 row = r.jacobian(h.x, h.body)
-                wrenches = {h.at.body: _moved(h.parameters.body, row)}
-                if h.at.parent >= 0:
-                    wrenches[h.at.parent] = neg(_moved(seen, row))
-                for link, wrench in wrenches.items():
-                    torque = sub(wrench[:3], cross(self.metrics[link].com, wrench[3:]))
-                    found[:, number, 6 * link : 6 * link + 6] = assembled(torque + wrench[3:])
+                for link, wrench in self.wrenches(h.at, h.parameters, h.x, row).items():
+                    found[:, number, 6 * link : 6 * link + 6] = assembled(wrench)
                     if r.is_translational:
                         with np.errstate(all="ignore"):  # no force, no lever
-                            lever = np.divide(plain(norm(torque)), plain(norm(wrench[3:])))
+                            lever = np.divide(plain(norm(wrench[:3])), plain(norm(wrench[3:])))
                         levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
                 number += 1
         found[~np.isfinite(found).all(axis=(1, 2))] = 0.0  # no step, so that it stays open
@@ -219,6 +231,12 @@ class DecomposedRows(Decomposed):
         freedoms: Array = self.vt.shape[1] - self.ranks
         return freedoms
 
+    @cached_property
+    def moving(self) -> Array:
+        """y of the motions `vt`, of which those from number `ranks` on are free: (count, n, n)."""
+        each = [self._energetic(self.vt[:, i]) for i in range(self.vt.shape[1])]
+        return np.stack(each, axis=1)
+
     def speed(self, twists: list[Vec]) -> Array:
         """‖x‖ of all links' twists, rad/s, (count,)."""
         total: Any = 0.0
@@ -235,7 +253,7 @@ class DecomposedRows(Decomposed):
         """
         x = self.least(wanted, damping)
         y = self._energetic(x)
-        moving = np.stack([self._energetic(self.vt[:, i]) for i in range(x.shape[1])], axis=1)
+        moving = self.moving
         for rank in np.unique(self.ranks[self.freedoms > 0]):
             these = self.ranks == rank
             x[these] += _easing(self.vt[these, rank:], moving[these, rank:], y[these])

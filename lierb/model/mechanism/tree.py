@@ -27,6 +27,7 @@ from lierb.model.mechanism.links import GROUND, NOWHERE, Connection, Link, Loop
 from lierb.support.arrays import (
     Array,
     Pose,
+    Which,
     as_numbers,
     as_poses,
     batch_size,
@@ -337,7 +338,7 @@ class Tree(Shown):
         """
         return self.part(member_of(body, self.batch_size()))
 
-    def part(self, which: int | slice) -> Self:
+    def part(self, which: Which) -> Self:
         """One member of the batch, or some that follow each other."""
         return type(self)(
             [Link(x.name, x.body.of(which), x.joint.of(which), x.parent) for x in self.links],
