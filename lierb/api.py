@@ -194,8 +194,8 @@ def integrate(
         Some trajectories have failed on the way. Each has a status in `summary`; the others are
         untouched.
     StiffStepWarning
-        Fixed steps are beyond the method's stability bound for a force of `lierb.forces`, at the
-        start. See `lierb.errors.StiffStepWarning`.
+        Fixed steps are beyond the method's stability bound for the stiffness or damping of a force
+        of `lierb.forces`. The run goes on.
 
     Notes
     -----
@@ -270,7 +270,8 @@ def integrate(
         return error is None
 
     _require_memory(plan, times, count, recorded)
-    warn_of_stiff_steps(problem, ready.pose0, ready.twist0, count, timing, stacklevel=3)
+    start = ready.pose0, ready.twist0, count
+    warn_of_stiff_steps(problem, start, timing, stacklevel=3)
     checked = on_violation != "off" and ready.before is None
     described_run = provenance(
         problem,

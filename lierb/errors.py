@@ -89,7 +89,12 @@ class FailedTrajectoryWarning(UserWarning):
 
 
 class StiffStepWarning(UserWarning):
-    """Fixed steps are beyond the method's stability bound for a force of `lierb.forces`."""
+    """Fixed steps are beyond the method's stability bound for a force of `lierb.forces`.
+
+    Forces are linearised at the start: springs and dampers as they are, friction at zero velocity,
+    stops as where they act. An error that they damp grows from step to step where |R(hλ)| > 1; the
+    warning is issued where it doubles within the run. Functions of the user's are not examined.
+    """
 
 
 class ScalarFunctionWarning(UserWarning):

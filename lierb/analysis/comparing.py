@@ -38,13 +38,14 @@ from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import as_array
-from lierb.results.failures import Failures, told_elsewhere
+from lierb.results.failures import Failures
 from lierb.results.result import Result
 from lierb.runs.options import check_options
 from lierb.runs.provenance import machine
 from lierb.runs.starts import told_cspace
 from lierb.runs.timing import checked_seed
 from lierb.support.arrays import as_positive, is_whole
+from lierb.support.collected_warnings import told_elsewhere
 from lierb.support.progress import check_progress, reporter
 from lierb.support.shown import counted, rounded
 

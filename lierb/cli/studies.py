@@ -13,11 +13,11 @@ import click
 
 from lierb.cli.terminal import INTERRUPTED, print_whole, wrapped
 from lierb.errors import StudyError
-from lierb.results.failures import told_elsewhere
 from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
 from lierb.studies.description.sources import as_file
+from lierb.support.collected_warnings import told_elsewhere
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, write_whole
 

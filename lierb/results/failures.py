@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
 from lierb.results.columns import as_codes
+from lierb.support.collected_warnings import is_told_elsewhere
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -150,25 +149,13 @@ def _row(summary: pa.Table, number: int) -> dict[str, Any]:
 
 # ---- warnings ----------------------------------------------------------------------------------
 
+
 # A context variable, not `warnings.catch_warnings`, which threads share.
-_told_elsewhere: ContextVar[bool] = ContextVar("told_elsewhere", default=False)
-
-
-@contextmanager
-def told_elsewhere() -> Iterator[None]:
-    """Nobody is warned of what fails in the block: whoever opens it says so, once for all runs."""
-    token = _told_elsewhere.set(True)
-    try:
-        yield
-    finally:
-        _told_elsewhere.reset(token)
-
-
 def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
     """Issue one FailedTrajectoryWarning, if there is reason to.
 
     look : where to look.   options : of `warnings.warn`.
     """
-    if failures is not None and not _told_elsewhere.get():
+    if failures is not None and not is_told_elsewhere():
         lines = (f"{failures}; {look}", *failures.remedies)
         warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)

@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import StiffStepWarning, body_label
+from lierb.errors import StiffStepWarning
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Motion, Parameters, frames_of
 from lierb.kernels.numbers.arithmetic import plain
@@ -30,6 +30,7 @@ from lierb.model.mechanism.row_system import System
 from lierb.model.problem import Problem
 from lierb.runs.timing import Timing
 from lierb.support.arrays import Array, assembled, components, pose_components, taken
+from lierb.support.collected_warnings import is_told_elsewhere
 
 Indices = NDArray[np.int64]
 Complex = NDArray[np.complex128]
@@ -39,34 +40,40 @@ MOST_GROWTH = math.log(2.0)  # of a mode in a run, as a logarithm
 FEW = 32  # members of a batch that are all linearised
 SPREAD = 8  # members of a larger batch at equal distances, beside those with the stiffest forces
 BODY = "body"  # name of a problem's only link
-BEYOND = 1e4  # hλ at which R is evaluated in place of larger ones: no product of 64 overflows
+LARGEST = 200.0  # decimal digits of |hλ| to the power of the number of stages: R is a number
 DIGITS = 20  # binary ones, of the longest stable step
 
 
 def warn_of_stiff_steps(
-    problem: Problem | Mechanism,
-    pose0: Any,
-    twist0: Any,
-    count: int,
-    timing: Timing,
-    **options: Any,
+    problem: Problem | Mechanism, start: tuple[Any, Any, int], timing: Timing, **options: Any
 ) -> None:
     """Issue one StiffStepWarning, if fixed steps are beyond the stability bound.
 
+    start, timing : as of `stiff_steps`.   options : of `warnings.warn`.
+    """
+    if is_told_elsewhere():
+        return
+    if message := stiff_steps(problem, *start, timing):
+        warnings.warn(message, StiffStepWarning, **options)
+
+
+def stiff_steps(
+    problem: Problem | Mechanism, pose0: Any, twist0: Any, count: int, timing: Timing
+) -> str:
+    """Message of the warning; empty where steps are short enough, or adaptive.
+
     pose0, twist0 : of the start, as arrays, of a mechanism by link; None for the closed joint.
-    count : of trajectories.   options : of `warnings.warn`.
+    count : of trajectories.
     """
     if timing.is_adaptive or not any(map(_is_known, problem.kinds)):
-        return
+        return ""
     if problem not in _own_forces:
         _own_forces[problem] = _OwnForces.of(problem)
     if isinstance(problem, Problem):
         pose0 = {BODY: problem.joint.closed_pose if pose0 is None else pose0}
         twist0 = {BODY: twist0}
     with np.errstate(all="ignore"):  # what overflows fails in the run
-        message = _own_forces[problem].message(pose0, twist0, count, timing)
-    if message:
-        warnings.warn(message, StiffStepWarning, **options)
+        return _own_forces[problem].message(pose0, twist0, count, timing)
 
 
 def _is_known(kind: Element) -> bool:
@@ -78,10 +85,10 @@ def amplification(tableau: ButcherTableau, z: Complex) -> Complex:
     """R(z) = 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ, the method's stability polynomial (Hairer and Wanner,
     Solving Ordinary Differential Equations II, IV.2).
 
-    z : hλ, shortened to BEYOND.
+    z : hλ, shortened where R would overflow.
     """
-    size = np.abs(z)
-    z = np.where(size > BEYOND, z * (BEYOND / np.where(size > 0.0, size, 1.0)), z)
+    size, most = np.abs(z), 10.0 ** (LARGEST / tableau.stages)
+    z = np.where(size > most, z * (most / np.where(size > 0.0, size, 1.0)), z)
     stages: list[Any] = []
     for row in (*tableau.A, tableau.b):
         stages.append(1.0 + z * sum(a * k for a, k in zip(row, stages, strict=True)))
@@ -152,7 +159,7 @@ class _OwnForces:
         force = self.mechanism.forces[modes[worst].shares[member, mode].argmax()]
         where = "" if self.is_one_body else f" on {' and '.join(map(repr, force.at))}"
         number = int(members[modes[worst].members[member]])
-        whose = f" of {body_label('trajectory', number, count)}" if count > 1 else ""
+        whose = f" of trajectory {number}" if count > 1 else ""
         return (
             f"dt={timing.dt:g} s is beyond the stability bound of {timing.tableau.name} for "
             f"{force.name}{where}{whose}: its errors grow from step to step; take dt of at most "

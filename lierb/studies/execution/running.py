@@ -16,11 +16,13 @@ import numpy as np
 import pyarrow as pa
 
 from lierb.api import integrate
-from lierb.errors import ArgumentError, StudyError, StudyWarning
+from lierb.errors import ArgumentError, StiffStepWarning, StudyError, StudyWarning
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
-from lierb.results.failures import Failures, told_elsewhere, warn_of
+from lierb.results.failures import Failures, warn_of
+from lierb.runs.options import check_options
 from lierb.runs.provenance import machine
+from lierb.runs.stiffness import stiff_steps
 from lierb.sampling import Design
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.changes import written
@@ -33,11 +35,13 @@ from lierb.studies.description.study_file import plain_changes
 from lierb.studies.execution.cluster import spread
 from lierb.studies.storage.parts import Part, Parts, parts_of
 from lierb.studies.storage.store import STUDY, Stored, parquet_files, part_named
+from lierb.support.collected_warnings import told_elsewhere
 from lierb.support.progress import BODY_STEPS, Progress, check_progress, reporter
 
 if TYPE_CHECKING:
     from distributed import Client
 
+LOOKED_AT = 4096  # bodies of a study, for which steps may be too long
 REPLAYED = 1000  # parts of the time of a trajectory with adaptive steps, that is replayed
 REPLAY = (
     "lierb.studies.execution.running.replay, or `lierb run STUDY --only NUMBER`, shows all that "
@@ -149,6 +153,8 @@ def run(
     -----
     FailedTrajectoryWarning
         Some trajectories have failed.
+    StiffStepWarning
+        Fixed steps are too long for a force of `lierb.forces`, as in `lierb.integrate`.
 
     Examples
     --------
@@ -172,6 +178,7 @@ def run(
         raise ArgumentError("client= is asynchronous; run takes a Client that waits")
     study, out = _given(study, design, out, settings)
     given, text = _loaded(study, changes or {})
+    _warn_of_stiff_steps(given, stacklevel=3)
     dataset = Dataset(out)
     with dataset.locked():
         parts = _opened(dataset, given, text, changes or {}, resume)
@@ -337,6 +344,8 @@ def integrate_batches(
     -----
     FailedTrajectoryWarning
         Some trajectories have failed. The warning comes at the end.
+    StiffStepWarning
+        Fixed steps are too long for a force of `lierb.forces`, as in `lierb.integrate`.
 
     Examples
     --------
@@ -352,6 +361,7 @@ def integrate_batches(
     5
     """
     given, _ = _loaded(study, {})
+    _warn_of_stiff_steps(given, stacklevel=3)
     if table not in given.table_names:
         raise ArgumentError(
             f'table={table!r}; expected "summary", "history" with save_every or save_at, or '
@@ -386,6 +396,22 @@ def integrate_batches(
         warn_of(seen, REPLAY, stacklevel=3)
 
     return pa.RecordBatchReader.from_batches(first.schema, batches())
+
+
+def _warn_of_stiff_steps(study: Study, **options: Any) -> None:
+    """Issue one StiffStepWarning for all settings of a study, by its first bodies.
+
+    options : of `warnings.warn`.
+    """
+    design = study.design
+    count = min(len(design), LOOKED_AT)
+    batch = study.batch(0, count, design)
+    messages = []
+    for setting in study.settings:
+        _, timing, _ = check_options(batch.problem, **study.options(setting))
+        messages.append(stiff_steps(batch.problem, batch.pose0, batch.twist0, count, timing))
+    if told := [*filter(None, dict.fromkeys(messages))]:
+        warnings.warn("\n  ".join(told), StiffStepWarning, **options)
 
 
 def compile_for(

@@ -11,13 +11,13 @@ import pyarrow as pa
 
 from lierb.api import integrate
 from lierb.results.columns import as_array, numbers, repeated, vectors
-from lierb.results.failures import told_elsewhere
 from lierb.results.tables import event_row_bytes, history_row_bytes
 from lierb.runs.lane_engine import SHARES
 from lierb.sampling import Design
 from lierb.studies.description.study import Batch, Setting, Study
 from lierb.studies.description.units import unit_of
 from lierb.support.arrays import Array
+from lierb.support.collected_warnings import told_elsewhere
 
 Progress = Callable[[int, int], None]
 HISTORY_BYTES = 64e6  # of a part's history, at most
