@@ -17,7 +17,12 @@ from studies import TEXT, sorted_rows, study
 
 import lierb
 from lierb.cli import cli
-from lierb.errors import ArgumentError, FailedTrajectoryWarning, UnknownNameError
+from lierb.errors import (
+    ArgumentError,
+    FailedTrajectoryWarning,
+    StiffStepWarning,
+    UnknownNameError,
+)
 from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, as_codes, numbers, texts, vectors
 from lierb.results.failures import FINE, REMEDIES, STATUS_NAMES, Failures
@@ -317,7 +322,10 @@ def stiff(**changes):
 def ran(tmp_path_factory):
     """A dataset with failures in it, and what was warned of while it was made."""
     folder = tmp_path_factory.mktemp("stiff") / "out"
-    with pytest.warns(FailedTrajectoryWarning) as told:
+    with (
+        pytest.warns(FailedTrajectoryWarning) as told,
+        pytest.warns(StiffStepWarning, match="drag"),
+    ):
         dataset = lierb.run(stiff(), folder)
     return dataset, told
 
@@ -355,7 +363,9 @@ def test_a_folder_that_is_read_again_tells_the_same(ran):
 
 
 def test_a_stream_tells_at_its_end(ran):
-    reader = lierb.integrate_batches(stiff())
+    with pytest.warns(StiffStepWarning, match="drag") as before:
+        reader = lierb.integrate_batches(stiff())
+    assert [each.filename for each in before] == [__file__]
     with pytest.warns(FailedTrajectoryWarning) as told:
         rows = sum(batch.num_rows for batch in reader)
     assert rows == 200
@@ -380,6 +390,8 @@ def test_the_commands_end_with_failures_and_how_to_replay_one(ran, tmp_path):
         lines = done.output.rstrip().splitlines()
         failures = dataset.failures()
         assert str(failures) in lines
+        words = " ".join(done.output.split())
+        assert ("stability bound of RK4 for drag" in words) is (command[0] == "run")
         assert lines[-1].startswith("  lierb run ")
         assert lines[-1].endswith(f"--out {folder} --only {failures.trajectory}")
     replayed = CliRunner().invoke(cli, lines[-1].split()[1:])

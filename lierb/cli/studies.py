@@ -141,6 +141,7 @@ def run(
         require("report")  # now, rather than after the run
     from lierb.studies.description.study import Study
     from lierb.studies.execution.running import run as run_study
+    from lierb.studies.execution.running import stiff_settings
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
@@ -150,6 +151,8 @@ def run(
     if only is not None:
         _replay(loaded, folder, only, threads)
         return
+    for message in stiff_settings(loaded):
+        click.secho(wrapped(message), fg="yellow", err=True)
     try:
         with _client(workers, scheduler) as client, told_elsewhere():
             dataset = run_study(

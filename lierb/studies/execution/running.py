@@ -35,7 +35,7 @@ from lierb.studies.description.study_file import plain_changes
 from lierb.studies.execution.cluster import spread
 from lierb.studies.storage.parts import Part, Parts, parts_of
 from lierb.studies.storage.store import STUDY, Stored, parquet_files, part_named
-from lierb.support.collected_warnings import told_elsewhere
+from lierb.support.collected_warnings import is_told_elsewhere, told_elsewhere
 from lierb.support.progress import BODY_STEPS, Progress, check_progress, reporter
 
 if TYPE_CHECKING:
@@ -399,10 +399,13 @@ def integrate_batches(
 
 
 def _warn_of_stiff_steps(study: Study, **options: Any) -> None:
-    """Issue one StiffStepWarning for all settings of a study, by its first bodies.
+    """Issue one StiffStepWarning for all settings of a study.   options : of `warnings.warn`."""
+    if not is_told_elsewhere() and (messages := stiff_settings(study)):
+        warnings.warn("\n  ".join(messages), StiffStepWarning, **options)
 
-    options : of `warnings.warn`.
-    """
+
+def stiff_settings(study: Study) -> list[str]:
+    """A message for each setting with too long steps for the first bodies of a study."""
     design = study.design
     count = min(len(design), LOOKED_AT)
     batch = study.batch(0, count, design)
@@ -410,8 +413,7 @@ def _warn_of_stiff_steps(study: Study, **options: Any) -> None:
     for setting in study.settings:
         _, timing, _ = check_options(batch.problem, **study.options(setting))
         messages.append(stiff_steps(batch.problem, batch.pose0, batch.twist0, count, timing))
-    if told := [*filter(None, dict.fromkeys(messages))]:
-        warnings.warn("\n  ".join(told), StiffStepWarning, **options)
+    return [message for message in dict.fromkeys(messages) if message]
 
 
 def compile_for(
