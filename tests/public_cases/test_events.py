@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clocks.shared import G, rows_of, thrown
-from clocks.test_events import EXACT, NEVER, height
+from clocks.shared import G, rows_of, spinning, thrown
+from clocks.test_events import EXACT, NEVER, NEVER_SO_FAST, height, turned
 
 import lierb
-from public_cases.shared import summed
+from public_cases.shared import angles_of, summed
 
 # ---- c02: a parachute that lands ---------------------------------------------------------------
 
@@ -194,3 +194,106 @@ def test_c30_a_damper_takes_nothing_across_its_line():
     found = result.position
     # RK4 of w dt = 0.0045, as above; 1.4e-10 m are measured
     np.testing.assert_allclose(found, np.repeat(right[:, None], 3, 1), rtol=0, atol=1e-9)
+
+
+# ---- c53: counting turns -----------------------------------------------------------------------
+# scipy/scipy#9228, SciML/DifferentialEquations.jl#258: a step that is longer than what an event
+# does between its ends. Right: R₂₁ = sin ωt.
+
+RATES = np.array([0.3, 1.0, 2.0, 5.0, 5.123, 7.7, 12.0, 20.0])  # rad/s
+
+
+def passes(rate, t_end) -> np.ndarray:
+    """Times after 0 at which sin ωt rises through zero."""
+    return np.arange(1, 1 + int(rate * t_end / (2 * np.pi))) * 2 * np.pi / rate
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("method", [None, "DP54"])
+def test_c53_revolutions_are_all_counted(method, rtol):
+    """scipy#9228, DifferentialEquations.jl#258. A free rotor for 100 s, some at 5 rad/s: 79."""
+    problem, start = spinning(RATES, events=[turned(sine=0.0), NEVER_SO_FAST])
+    result = lierb.integrate(problem, **start, t_end=100.0, rtol=rtol, method=method)
+    t, which = rows_of(result.events, "t"), rows_of(result.events, "trajectory")
+    for i, rate in enumerate(RATES):
+        risen = np.sort(np.concatenate([passes(rate, 100.0), passes(rate, 100.0) - np.pi / rate]))
+        last = risen[-1] + np.pi / rate if risen.size else np.pi / rate
+        right = risen if last > 100.0 else np.append(risen, last)
+        # the group's exponential turns it without error; what is left is rounding of an angle of up
+        # to 2000 rad, and of a continuous extension in steps of up to 25 rad
+        np.testing.assert_allclose(t[which == i], right, rtol=0, atol=1e-11 + 4e-16 * 2000 / rate)
+
+
+# ---- c54: a pulse ------------------------------------------------------------------------------
+# Users of thrusters: a short pulse in a force of t is stepped over. Right: closed form.
+
+
+@lierb.wrench(torque=0.1, begin=1.0, end=2.0)
+def pulse(t, R, r, omega, v, params):
+    on = (params.begin <= t) & (t < params.end)
+    return (0.0, 0.0, lierb.where(on, params.torque, 0.0)), (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("rtol", [1e-6, 1e-9])
+@pytest.mark.parametrize(
+    ("begin", "end", "t_end"), [(1.0, 2.0, 10.0), (1.0, 2.0, 1000.0), (7.0, 7.001, 100.0)]
+)
+def test_c54_pulse_is_met_where_it_is_told(begin, end, t_end, rtol):
+    """A torque pulse on a free body at rest, or turning about the same axis; breakpoints given."""
+    spin, moment = np.array([0.0, 0.3, -2.0]), 0.4
+    problem = lierb.Problem(
+        lierb.Body(1.0, (moment, moment, moment)), lierb.joints.free(),
+        forces=pulse(torque=0.1, begin=begin, end=end),
+    )  # fmt: skip
+    twist0 = np.zeros((3, 6))
+    twist0[:, 2] = spin
+    result = lierb.integrate(
+        problem, twist0=twist0, t_end=t_end, rtol=rtol, discontinuities=[begin, end]
+    )
+    gained = 0.1 * (end - begin) / moment
+    # 30 rtol, as of any smooth motion (clocks/test_tolerances.py), of 1 rad/s; and what that turns
+    off = np.abs(summed(result, "omega")[:, 2] - spin - gained)
+    assert np.all(off < 30.0 * rtol)
+    angle = spin * t_end + gained * (0.5 * (end - begin) + t_end - end)
+    apart = angles_of(result) - angle
+    assert np.all(np.abs(np.sin(0.5 * apart)) < 30.0 * rtol * (1.0 + t_end))
+
+
+# ---- c04: a bouncing ball ----------------------------------------------------------------------
+# SciML/DifferentialEquations.jl#138, #551, #696, sksat/orts#545: the ball falls through the floor
+# after some bounces. Right: parabolas.
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.05])
+@pytest.mark.parametrize("method", [None, pytest.param("DOP853", marks=pytest.mark.slow)])
+def test_c04_flights_shorter_than_a_step_end_on_the_floor(method, dt):
+    """Thrown up from the floor, flights from 3 s down to 3 µs, all with the same step."""
+    speeds = 14.0 * 0.8 ** np.arange(62)
+    landing = height(0.0, "landing", direction=-1, terminal=True)
+    problem, start = thrown(np.zeros(62), speeds, events=[landing, NEVER])
+    result = lierb.integrate(problem, **start, t_end=5.0, dt=dt, method=method, cspace="SO3xR3")
+    assert result.summary["status"].to_pylist() == ["event"] * 62
+    # the height is rounded to 1e-16 of the step's rise and fall, up to 0.1 m: 1e-17 m over a speed
+    allowed = 1e-12 + 1e-16 / speeds
+    np.testing.assert_array_less(np.abs(result.t - 2.0 * speeds / G), allowed)
+
+
+def test_c04_bounces_go_on_below_a_step():
+    """From 10 m, e = 0.8, dt = 0.01 s: bounce 27 is the first within a step of the one before."""
+    landing = height(0.0, "landing", direction=-1, terminal=True)
+    problem, start = thrown([10.0], [0.0], events=[landing, NEVER])
+    first, speed = np.sqrt(2.0 * 10.0 / G), np.sqrt(2.0 * 10.0 * G)
+    later = np.cumsum(2.0 * speed / G * 0.8 ** np.arange(1, 40))
+    t = 0.0
+    for right in first + np.concatenate([[0.0], later]):
+        result = lierb.integrate(problem, **start, t_end=3.0, dt=0.01, cspace="SO3xR3")
+        assert result.summary["status"].to_pylist() == ["event"]
+        t += result.t[0]
+        # each bounce starts where rounding has put it, 1e-16 m beside the floor, at up to 2 mm/s
+        assert t == pytest.approx(right, abs=1e-10)
+        up = summed(result, "v")
+        up[:, 2] *= -0.8
+        twist0 = np.concatenate([np.zeros((1, 3)), up], axis=1)
+        pose0 = np.eye(4)[None].copy()
+        pose0[:, :3, 3] = summed(result, "position")
+        start = {"pose0": pose0, "twist0": twist0}

@@ -83,6 +83,33 @@ def test_c15_slider_crank_runs_through_its_dead_points():
     np.testing.assert_allclose(pull, force, rtol=0, atol=1e-11 * np.abs(force).max())
 
 
+# ---- c15b: a start in a dead point -------------------------------------------------------------
+# KmolYuan/Pyslvs-UI#49: a slider-crank that starts in line. Right: what `project` is defined to be.
+
+
+@pytest.mark.parametrize("dead_point", ["stretched", "folded"])
+@pytest.mark.parametrize("speed", [1e-3, 30.0, 3e4])
+def test_c15b_twist_of_project_is_taken_in_a_dead_point(dead_point, speed):
+    """Pyslvs-UI#49. In line, the slider stands still at first whatever the crank does."""
+    machine = slider_crank()
+    folded = {"crank": np.pi, "rod": np.pi, "slider": -2.0 * CRANK}
+    pose0 = machine.close(machine.pose(folded if dead_point == "folded" else {}))
+    twist0 = machine.project(machine.twist({"crank": speed}, pose0), pose0)
+    rates = machine.velocities(twist0, pose0)
+    # rounding, of speeds at the pins of 0.1 … 0.35 m times the crank's
+    assert abs(rates["slider"][0]) < 1e-15 * abs(rates["crank"][0])
+    turn = np.pi / abs(rates["crank"][0])
+    result = integrate(machine, pose0=pose0, twist0=twist0, dt=turn / 500, t_end=turn)
+    assert result.summary["status"].to_pylist() == ["ok"]
+    omega = result["crank"].omega[-1, 0, 2]
+    x, _, _, mass, _ = slider_at(angles_of(result["crank"])[-1, 0])
+    # ½ M(φ) ω² stays. RK4 of half a turn in 500 steps, and a loop that drifts with it
+    np.testing.assert_allclose(result["slider"].position[-1, 0, 0], x, rtol=0, atol=1e-9)
+    start = slider_at(0.0 if dead_point == "stretched" else np.pi)[3]
+    right = rates["crank"][0] * np.sqrt(start / mass)
+    np.testing.assert_allclose(omega, right, rtol=1e-8)
+
+
 # ---- c13: two Cardan shafts side by side -------------------------------------------------------
 
 
@@ -92,6 +119,25 @@ def test_c13_a_double_cardan_turns_by_cardans_formula():
     machine = cardan(("first",), "bearing")
     assert tuple(machine.freedoms()) == (1, 1)
     assert_turns_by_cardan(machine, ("first",))
+
+
+@pytest.mark.xfail(
+    reason="ends `singular`: the pivot rule keeps a row that is redundant up to drift", strict=False
+)
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("branches", "closed_by", "redundant"),
+    [
+        (("first",), "cross", 1),
+        (("first", "second"), "bearing", 3),
+        pytest.param(("first", "second"), "cross", 3, marks=pytest.mark.long),
+    ],
+)
+def test_c13_cardan_shafts_turn_whatever_closes_the_loop(branches, closed_by, redundant):
+    """OpenModelica#8365. Right: Cardan's formula. Rows are redundant in space, not in a plane."""
+    machine = cardan(branches, closed_by)
+    assert tuple(machine.freedoms()) == (1, redundant)
+    assert_turns_by_cardan(machine, branches)
 
 
 # ---- c34: a stiff governor ---------------------------------------------------------------------

@@ -1,11 +1,13 @@
-"""One body: rackets, centres off the frame, tiny pendulums, long runs."""
+"""Rackets, centres off the frame, tiny pendulums, long runs, a satellite with panels."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import mpmath
 import numpy as np
 import pytest
-from cases import integrate
+from cases import integrate, rotation
 from clocks.shared import G, rows_of
 from clocks.test_events import NEVER_TURNED, rate
 from scipy.special import ellipk, ellipkinc
@@ -172,3 +174,46 @@ def test_c58_a_free_body_turns_as_at_rest_at_orbital_speed():
     np.testing.assert_allclose(
         summed(result, "omega"), np.broadcast_to(summed(result, "omega")[0], (4, 3)), atol=30e-9
     )
+
+
+@cache
+def satellite() -> lierb.Mechanism:
+    """A hub of 200 kg with two sprung panels and a wheel, in no field of gravity."""
+    hinge = lambda side: lierb.joints.revolute(
+        (-side * 0.9, 0.0, 0.0), parent_point=(side * 0.6, 0.0, 0.0), axis=(0.0, 1.0, 0.0)
+    )
+    panel, spring = lierb.Body(12.0, (1.0, 3.3, 4.3)), lierb.forces.torsional_spring
+    bearing = lierb.joints.revolute(parent_point=(0.1, 0.05, -0.1))
+    return lierb.Mechanism(
+        [
+            lierb.Link("hub", lierb.Body(200.0, (30.0, 35.0, 40.0)), lierb.joints.free()),
+            lierb.Link("left", panel, hinge(-1.0), "hub"),
+            lierb.Link("right", panel, hinge(1.0), "hub"),
+            lierb.Link("wheel", lierb.Body(8.0, (0.05, 0.05, 0.09)), bearing, "hub"),
+        ],
+        forces=[spring(stiffness=15.0, damping=0.2).on(side) for side in ("left", "right")],
+    )
+
+
+@pytest.mark.slow
+def test_c58_a_satellite_moves_as_at_rest_at_orbital_speed():
+    """newton#3868, Basilisk's hinged panels. 50 s, panels bent at first, the wheel at 60 rad/s."""
+    machine, spin = satellite(), rotation(0.3, -0.2, 0.5)
+    pose0 = machine.pose({"left": 0.2, "right": -0.1})
+    for name, pose in pose0.items():
+        pose0[name] = np.block([[spin, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]]) @ pose
+    twists = [
+        machine.twist({"hub": (0.02, 0.0, 0.1, *velocity), "wheel": 60.0}, pose0)
+        for velocity in VELOCITIES
+    ]
+    twist0 = {name: np.stack([twist[name] for twist in twists]) for name in machine.names}
+    result = lierb.integrate(
+        machine, pose0=pose0, twist0=twist0, t_end=50.0, rtol=1e-9, max_steps=3000
+    )
+    assert result.summary["status"].to_pylist() == ["ok"] * 4
+    steps = summed(result, "steps")
+    assert np.all(steps <= 1.2 * steps[0] + 5)
+    for name, turn in (("hub", 6.0), ("left", 6.0), ("right", 6.0), ("wheel", 3000.0)):
+        R = summed(result, f"{name}.rotation").reshape(-1, 3, 3)
+        # 30 times rtol, and of the angle by which it has turned
+        np.testing.assert_allclose(R, np.broadcast_to(R[0], R.shape), rtol=0, atol=30e-9 * turn)

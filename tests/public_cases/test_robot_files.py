@@ -102,3 +102,90 @@ def test_c39_a_planar_hopper_flies_as_in_mujoco(tmp_path):
         np.testing.assert_allclose(
             summed(result, f"{name}.position")[0], data.xpos[i], rtol=0, atol=1e-7
         )
+
+
+# ---- c37, c52: URDF files of robots ------------------------------------------------------------
+
+
+NONE, SMALL = (0.0, 0.0, 0.0), (1e-4, 1e-4, 1e-4)  # kg m²
+NO_BODYS = (1e-5, 1e-5, 1.0)  # one is more than the two others together
+
+
+def robot(root, foot, limit='lower="-1" upper="1"') -> str:
+    """A leg; `root` and `foot`, which is welded to its shin, are moments of inertia."""
+    return f"""<robot name="leg">
+      {urdf_link("base", 2.0, root)}
+      {urdf_link("thigh", 1.5, xyz="0 0.01 -0.1")}
+      {urdf_link("shin", 0.7, (0.004, 0.005, 0.006), xyz="0.02 0 -0.15")}
+      {urdf_link("foot", 0.1, foot)}
+      {
+        urdf_joint(
+            "hip",
+            "revolute",
+            "base",
+            "thigh",
+            f'<axis xyz="0 1 0"/><limit {limit} effort="1" velocity="1"/>',
+        )
+    }
+      {
+        urdf_joint(
+            "knee", "continuous", "thigh", "shin", '<origin xyz="0 0 -0.3"/><axis xyz="0 1 0"/>'
+        )
+    }
+      {urdf_joint("ankle", "fixed", "shin", "foot", '<origin xyz="0.03 0 -0.3"/>')}
+    </robot>"""
+
+
+@pytest.mark.parametrize(
+    ("root", "foot", "merge_fixed"),
+    [
+        (NONE, NONE, True), (NO_BODYS, SMALL, True), (NO_BODYS, NONE, True),
+        (NONE, NONE, False), (NO_BODYS, NONE, False),
+    ],
+)  # fmt: skip
+def test_c37_inertias_of_root_and_welded_links_do_not_matter(tmp_path, root, foot, merge_fixed):
+    """Gepetto/example-robot-data: 13 of 68 robots have such links. Right: the XML's own numbers.
+
+    A welded link that is no body by itself is part of what it is welded to.
+    """
+    text = robot(root, foot)
+    machine, _ = read_urdf(tmp_path / "leg.urdf", text, merge_fixed=merge_fixed)
+    assert machine.names == ("thigh", "shin")
+    shin = machine.link("shin").body
+    # both together: parallel axes, by hand
+    points = [(0.7, np.array((0.02, 0.0, -0.15))), (0.1, np.array((0.03, 0.0, -0.3)))]
+    np.testing.assert_allclose(shin.mass, 0.8, rtol=1e-14)
+    np.testing.assert_allclose(shin.com, sum(m * x for m, x in points) / 0.8, rtol=0, atol=1e-15)
+    about = np.diag([0.004, 0.005, 0.006]) + np.diag(foot)
+    about = about + sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in points)
+    np.testing.assert_allclose(shin.inertia, about, rtol=0, atol=1e-15)
+
+
+def test_c37_roots_mass_is_listed_as_left_out(tmp_path):
+    """Gepetto/example-robot-data: the ground has no mass, and 37 files said nothing of theirs."""
+    _, left_out = read_urdf(tmp_path / "leg.urdf", robot(SMALL, SMALL))
+    assert any("base" in what and "mass" in what for what in left_out), left_out
+
+
+@pytest.mark.parametrize("limit_stiffness", [None, 500.0])
+def test_c52_a_locked_joint_is_locked_or_listed(tmp_path, limit_stiffness):
+    """mujoco#3527, drake#11109. Limits 0 … 0 hold a joint: it is held, or listed as left out."""
+    text = robot(SMALL, SMALL, 'lower="0" upper="0"')
+    machine, left_out = read_urdf(tmp_path / "leg.urdf", text, limit_stiffness=limit_stiffness)
+    is_held = machine.link("thigh").joint.name == "fixed" or machine.forces
+    assert is_held or any("hip" in what and "limit" in what for what in left_out), left_out
+
+
+@pytest.mark.parametrize("depth", [1, 6, 20])
+def test_c52_the_link_at_fault_is_named(tmp_path, depth):
+    """mujoco#3527, drake#11109: a message that names no link is none, however long the path."""
+    folder = tmp_path
+    for number in range(depth):
+        folder = folder / f"a_folder_of_some_length_{number}"
+    folder.mkdir(parents=True)
+    bad = "left_front_lower_suspension_link_with_a_name_as_exporters_write_them"
+    text = robot(SMALL, SMALL).replace("shin", bad)
+    text = text.replace('ixx="0.004"', 'ixx="0.4"')  # more than the other two together
+    with pytest.raises(lierb.errors.ArgumentError) as caught:
+        read_urdf(folder / "leg.urdf", text)
+    assert bad in str(caught.value)
