@@ -27,6 +27,7 @@ __all__ = [
     "FailedTrajectoryWarning",
     "ScalarFunctionWarning",
     "StudyWarning",
+    "StiffStepWarning",
     "LeftOutWarning",
     "ForkError",
 ]
