@@ -271,7 +271,7 @@ def integrate(
 
     _require_memory(plan, times, count, recorded)
     start = ready.pose0, ready.twist0, count
-    warn_of_stiff_steps(problem, start, timing, stacklevel=3)
+    warn_of_stiff_steps(problem, start, timing, ready.before is not None, stacklevel=3)
     checked = on_violation != "off" and ready.before is None
     described_run = provenance(
         problem,

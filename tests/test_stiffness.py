@@ -225,6 +225,8 @@ def test_friction_too_stiff_for_the_step_warns_and_the_step_it_names_is_right():
     # the bound is of stability: near the end the time in which it stops is as long as a step
     assert angle_of(fine) == pytest.approx(truth, abs=SMOOTHED)
     assert abs(angle_of(coarse) - truth) > 0.03
+    with pytest.warns(StiffStepWarning, match="RK4 for joint_friction"):  # each call says so
+        lierb.integrate(problem, **coarse.end, dt=1e-2, t_end=2.0 * T_END)
 
 
 def angle_of(result) -> float:
@@ -357,6 +359,29 @@ def test_a_spring_between_two_links_acts_on_both():
         pose0 = mechanism.pose({"a": SLIDE.pose([0.5])})
         message = warned_of(mechanism, pose0)
         assert ("spring_damper on 'a' and 'b':" in message) is (share > 1.0)
+
+
+def test_a_loop_counts_with_the_inertia_of_all_that_it_moves():
+    """A parallelogram of three rods, with redundant rows: I = 2T/ω² of the crank."""
+    tip = {"axis": (0.0, 1.0, 0.0), "parent_point": (0.0, 0.0, -LENGTH / 2)}
+    half = (LENGTH / 2, 0.0, 0.0)
+    beside = lierb.joints.revolute(PIN["body_point"], (LENGTH, 0.0, 0.0), axis=PIN["axis"])
+    beam = lierb.bodies.box((LENGTH, 0.05, 0.05), mass=1.0)
+    links = [
+        lierb.Link("crank", ROD, lierb.joints.revolute(**PIN)),
+        lierb.Link("beam", beam, lierb.joints.revolute(np.negative(half), **tip), "crank"),
+        lierb.Link("rocker", ROD, beside),
+    ]
+    loop = lierb.Loop("pin", lierb.joints.revolute(half, **tip), "beam", "rocker")
+    pose0 = lierb.Mechanism(links).pose({"crank": ANGLE, "beam": -ANGLE, "rocker": ANGLE})
+    # two rods that turn about their ends, and the beam, which moves as these do at their tips
+    inertia = 2.0 * (ROD.inertia[1, 1] + LENGTH**2 / 4) + LENGTH**2
+    for share in (1.0 - NEAR, 1.0 + NEAR):
+        friction = lierb.forces.joint_friction(viscous=share * damped(inertia)).on("crank")
+        mechanism = lierb.Mechanism(links, loop, forces=friction)
+        assert mechanism.freedoms(pose0).redundant > 0
+        message = warned_of(mechanism, pose0)
+        assert ("joint_friction on 'crank':" in message) is (share > 1.0)
 
 
 def test_a_mechanism_says_so_before_it_is_compiled():

@@ -45,25 +45,35 @@ DIGITS = 20  # binary ones, of the longest stable step
 
 
 def warn_of_stiff_steps(
-    problem: Problem | Mechanism, start: tuple[Any, Any, int], timing: Timing, **options: Any
+    problem: Problem | Mechanism,
+    start: tuple[Any, Any, int],
+    timing: Timing,
+    goes_on: bool,
+    **options: Any,
 ) -> None:
     """Issue one StiffStepWarning, if fixed steps are beyond the stability bound.
 
-    start, timing : as of `stiff_steps`.   options : of `warnings.warn`.
+    start, timing, goes_on : as of `stiff_steps`.   options : of `warnings.warn`.
     """
     if is_told_elsewhere():
         return
-    if message := stiff_steps(problem, *start, timing):
+    if message := stiff_steps(problem, *start, timing, goes_on):
         warnings.warn(message, StiffStepWarning, **options)
 
 
 def stiff_steps(
-    problem: Problem | Mechanism, pose0: Any, twist0: Any, count: int, timing: Timing
+    problem: Problem | Mechanism,
+    pose0: Any,
+    twist0: Any,
+    count: int,
+    timing: Timing,
+    goes_on: bool = False,
 ) -> str:
     """Message of the warning; empty where steps are short enough, or adaptive.
 
     pose0, twist0 : of the start, as arrays, of a mechanism by link; None for the closed joint.
-    count : of trajectories.
+    count : of trajectories.   goes_on : whether the run starts at the end of another one, which
+        has been examined where it was by the same steps.
     """
     if timing.is_adaptive or not any(map(_is_known, problem.kinds)):
         return ""
@@ -73,7 +83,7 @@ def stiff_steps(
         pose0 = {BODY: problem.joint.closed_pose if pose0 is None else pose0}
         twist0 = {BODY: twist0}
     with np.errstate(all="ignore"):  # what overflows fails in the run
-        return _own_forces[problem].message(pose0, twist0, count, timing)
+        return _own_forces[problem].message(pose0, twist0, count, timing, goes_on)
 
 
 def _is_known(kind: Element) -> bool:
@@ -119,7 +129,7 @@ class _OwnForces:
     def __init__(self, mechanism: Mechanism, is_one_body: bool, is_alike: bool) -> None:
         """is_alike : whether the modes are the same at every start."""
         self.mechanism, self.is_one_body, self.is_alike = mechanism, is_one_body, is_alike
-        self._last: tuple[Any, str] = None, ""
+        self._last: tuple[Any, Any, str] = None, None, ""  # steps, start and message
 
     @classmethod
     def of(cls, problem: Problem | Mechanism) -> _OwnForces:
@@ -132,16 +142,18 @@ class _OwnForces:
         is_alike = only_joint and all(force.kind.needs_axis for force in forces)
         return cls(Mechanism(Link(BODY, problem.body, problem.joint), **given), True, is_alike)
 
-    def message(self, pose0: Starts, twist0: Starts, count: int, timing: Timing) -> str:
-        """The warning's message; empty where steps are short enough."""
-        key: Any = None
-        if count <= FEW:
-            arrays = () if self.is_alike else (*pose0.values(), *twist0.values())
-            start = [array.tobytes() for array in arrays]
-            key = timing.tableau, timing.dt, timing.steps, count, start
-        if key is None or key != self._last[0]:
-            self._last = key, self._message(pose0, twist0, count, timing)
-        return self._last[1]
+    def message(
+        self, pose0: Starts, twist0: Starts, count: int, timing: Timing, goes_on: bool
+    ) -> str:
+        """Message of the warning; empty where steps are short enough."""
+        steps = timing.tableau, timing.dt, timing.steps, count
+        arrays = () if self.is_alike else (*pose0.values(), *twist0.values())
+        start = [array.tobytes() for array in arrays] if count <= FEW or self.is_alike else None
+        known_steps, known_start, message = self._last
+        if steps != known_steps or not (goes_on or (start == known_start and start is not None)):
+            message = self._message(pose0, twist0, count, timing)
+            self._last = steps, start, message
+        return message
 
     def _message(self, pose0: Starts, twist0: Starts, count: int, timing: Timing) -> str:
         members, those = self._members(count), self

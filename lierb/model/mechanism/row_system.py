@@ -234,8 +234,7 @@ class DecomposedRows(Decomposed):
     @cached_property
     def moving(self) -> Array:
         """y of the motions `vt`, of which those from number `ranks` on are free: (count, n, n)."""
-        each = [self._energetic(self.vt[:, i]) for i in range(self.vt.shape[1])]
-        return np.stack(each, axis=1)
+        return np.swapaxes(self._energetic(np.swapaxes(self.vt, 0, 1)), 0, 1)
 
     def speed(self, twists: list[Vec]) -> Array:
         """‖x‖ of all links' twists, rad/s, (count,)."""
@@ -265,12 +264,12 @@ class DecomposedRows(Decomposed):
     def _parts(self, x: Array) -> Iterator[tuple[Vec, Vec, Metric]]:
         """Angular velocity, velocity of the centre of mass and metric of every link."""
         for i, metric in enumerate(self.system.metrics):
-            part = tuple(x[:, 6 * i + k] for k in range(6))
+            part = tuple(x[..., 6 * i + k] for k in range(6))
             yield part[:3], scale(self.lever, part[3:]), metric
 
     def _energetic(self, x: Array) -> Array:
-        """y of an x."""
-        return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=1)
+        """y of an x, (…, count, 6 links)."""
+        return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=-1)
 
 
 def _easing(free: Array, moving: Array, y: Array) -> Array:
