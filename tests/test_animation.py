@@ -300,6 +300,7 @@ def test_axes_of_every_joint_are_those_it_turns_about_or_slides_along(name):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")
 def test_what_failed_ends_as_nan_and_is_named():
     body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
     spring = lierb.forces.spring_damper(body_point=(0.05, 0.0, 0.0), stiffness=1e9)

@@ -143,6 +143,7 @@ def test_trace_is_a_map_of_equal_areas(problem, spun):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")
 def test_failed_trajectories_end():
     """As in the tests of the animation, on the same kernel."""
     body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)

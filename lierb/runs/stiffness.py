@@ -41,6 +41,8 @@ FEW = 32  # members of a batch that are all linearised
 SPREAD = 8  # members of a larger batch at equal distances, beside those with the stiffest forces
 BODY = "body"  # name of a problem's only link
 LARGEST = 200.0  # decimal digits of |hλ| to the power of the number of stages: R is a number
+ROUNDING = 1e-14  # of log|R|
+HALVINGS = 1000  # of a step, at most: numbers end there
 DIGITS = 20  # binary ones, of the longest stable step
 
 
@@ -82,8 +84,11 @@ def stiff_steps(
     if isinstance(problem, Problem):
         pose0 = {BODY: problem.joint.closed_pose if pose0 is None else pose0}
         twist0 = {BODY: twist0}
-    with np.errstate(all="ignore"):  # what overflows fails in the run
-        return _own_forces[problem].message(pose0, twist0, count, timing, goes_on)
+    try:
+        with np.errstate(all="ignore"):
+            return _own_forces[problem].message(pose0, twist0, count, timing, goes_on)
+    except np.linalg.LinAlgError:  # of numbers so large or small that the run shows it
+        return ""
 
 
 def _is_known(kind: Element) -> bool:
@@ -119,7 +124,8 @@ class _Modes(NamedTuple):
 
     def growth(self, tableau: ButcherTableau, steps: float, share: float = 1.0) -> Array:
         """Logarithm of the growth of each mode in so many steps of `share` of the length."""
-        found: Array = steps * np.log(np.abs(amplification(tableau, share * self.exponents)))
+        factors = np.abs(amplification(tableau, share * self.exponents))
+        found: Array = steps * (np.log(factors) - ROUNDING)
         return found
 
 
@@ -285,8 +291,10 @@ def _modes_of(
     companion[:, :freedoms, freedoms:] = np.eye(freedoms)
     companion[:, freedoms:, :freedoms] = -(gains * stiffness[:, None]) @ np.swapaxes(gains, 1, 2)
     companion[:, freedoms:, freedoms:] = -(gains * damping[:, None]) @ np.swapaxes(gains, 1, 2)
-    sound = np.isfinite(companion).all(axis=(1, 2))
+    sound: NDArray[np.bool_] = np.isfinite(companion).all(axis=(1, 2))
     exponents, vectors = np.linalg.eig(companion[sound])
+    sound[sound] = known = np.isfinite(exponents).all(axis=1)
+    exponents, vectors = exponents[known], vectors[known]
     stretch = np.abs(np.swapaxes(vectors[:, :freedoms], 1, 2) @ gains[sound]) ** 2
     parts = stretch * np.abs(stiffness[sound, None] + exponents[..., None] * damping[sound, None])
     shares = np.zeros((*exponents.shape, forces[-1] + 1))
@@ -303,9 +311,7 @@ def _stable_length(modes: list[_Modes], timing: Timing) -> float:
         growths = (each.growth(timing.tableau, timing.steps / share, share) for each in modes)
         return all(growth.max(initial=0.0) <= MOST_GROWTH for growth in growths)
 
-    share = 0.5
-    while not is_stable(share):
-        share *= 0.5
+    share = next((0.5**k for k in range(1, HALVINGS) if is_stable(0.5**k)), 0.5**HALVINGS)
     above = 2.0 * share
     for _ in range(DIGITS):
         middle = 0.5 * (share + above)

@@ -44,6 +44,7 @@ OWN_WARNINGS = (
     errors.FailedTrajectoryWarning,
     errors.InconsistentStateWarning,
     errors.ScalarFunctionWarning,
+    errors.StiffStepWarning,
 )
 
 # ---- values ------------------------------------------------------------------------------------
