@@ -291,7 +291,7 @@ def _modes_of(
     companion[:, :freedoms, freedoms:] = np.eye(freedoms)
     companion[:, freedoms:, :freedoms] = -(gains * stiffness[:, None]) @ np.swapaxes(gains, 1, 2)
     companion[:, freedoms:, freedoms:] = -(gains * damping[:, None]) @ np.swapaxes(gains, 1, 2)
-    sound: NDArray[np.bool_] = np.isfinite(companion).all(axis=(1, 2))
+    sound = np.asarray(np.isfinite(companion).all(axis=(1, 2)))
     exponents, vectors = np.linalg.eig(companion[sound])
     sound[sound] = known = np.isfinite(exponents).all(axis=1)
     exponents, vectors = exponents[known], vectors[known]
