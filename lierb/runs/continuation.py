@@ -71,15 +71,16 @@ class Continuation:
         return counted(self.t0, dt)
 
     def state_of(self, plan: AnyPlan) -> Array:
-        """`end_columns` of the run that goes on, NaN where there was but one clock."""
+        """`end_columns` of the run that goes on, NaN where the one before says nothing of it."""
         before, after = lane_end(self.plan), lane_end(plan)
-        if after.fields == before.fields:
+        has_its_rows = plan.rows == self.plan.rows
+        if after.fields == before.fields and has_its_rows:
             return self.state
         own = len(state_columns(plan))
         found = np.full((own + after.count, self.state.shape[1]), np.nan)
         found[:own] = self.state[:own]
         for field, part in after:
-            if field in before.fields:
+            if field in before.fields and (has_its_rows or field.name != "dropped"):
                 found[own:][part] = self.state[own:][before[field.name]]
         return found
 

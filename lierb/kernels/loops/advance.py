@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.loops.record import NAN, Record, are_finite
+from lierb.kernels.loops.record import NAN, Record, are_finite, with_rank
 from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
@@ -53,7 +53,7 @@ def _advanced(
     h: Any,
     still: tuple[int, ...],
 ) -> tuple[State, Record]:
-    body = body._replace(dropped=record.dropped)
+    body = with_rank(plan, body, record)
     moved, singular = _stepped(plan, body, state, time, h, still)
     # An angle that is not finite spoils all of Q.
     turns, places = system_of(plan).told_by(moved.chart)

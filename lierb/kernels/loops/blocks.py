@@ -33,6 +33,7 @@ from lierb.kernels.loops.record import (
     load_record,
     load_state,
     observe,
+    resumed_record,
     resumed_state,
     store_carried,
     store_end,
@@ -41,6 +42,7 @@ from lierb.kernels.loops.record import (
     store_start,
     store_state,
     store_summary,
+    with_rank,
     without_measures,
 )
 from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
@@ -53,10 +55,10 @@ SHARES = 8  # in which a thread takes what would be its part, the first of them
 
 
 for _formula in (
-    load_body, load_placed, load_given, initial_state, initial_record, resumed_state, load_state,
-    load_record, store_carried, advance, advance_still, has_still, is_still, is_gentle,
-    advance_gently, tidy, observe, store_measures, store_state, store_forces, store_summary,
-    store_start, store_end, heard, without_measures,
+    load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
+    resumed_record, load_state, load_record, store_carried, with_rank, advance, advance_still,
+    has_still, is_still, is_gentle, advance_gently, tidy, observe, store_measures, store_state,
+    store_forces, store_summary, store_start, store_end, heard, without_measures,
 ):  # fmt: skip
     kernel(_formula)
 
@@ -148,6 +150,8 @@ def integrate_blocks(plan, inputs, counter, jobs):
             record = load_record(plan, carried, first)
         else:
             record = initial_record(plan, body, state)
+        if resumes:
+            record = resumed_record(plan, inputs, record)
         still = is_still(plan, state, h)
         while True:
             time = time_of(clock, k)
@@ -192,7 +196,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
             store_carried(plan, carried, first, state, record)
         else:
             store_summary(plan, record, summary, column)
-            store_end(plan, state, ends, column)
+            store_end(plan, state, record, ends, column)
 
 
 @cached(parallel=True)

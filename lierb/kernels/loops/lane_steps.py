@@ -217,10 +217,11 @@ def goes_on(
 
 
 def store_lane_end(plan: AnyPlan, clock: LaneClock, held: Held, ends: Any) -> None:
-    """Behind the state, for a run that goes on."""
+    """Behind what `store_end` stores, for a run that goes on."""
     clock = clock._replace(ahead=clock.ahead + clock.steps)
     own = (getattr(clock, field.name) for field in LANE_END.fields)
-    for row, number in enumerate((*own, *flatten(held)), len(state_columns(plan))):
+    first = len(state_columns(plan)) + plan.keeps_rank
+    for row, number in enumerate((*own, *flatten(held)), first):
         store(ends, (row, 0), number, plan.lanes)
 
 
@@ -474,12 +475,10 @@ def attempted(
     plan: AnyPlan,
     body: Any,
     state: State,
-    record: Record,
     clock: LaneClock,
     trial: Trial,
     limits: Tolerances,
 ) -> Made:
-    body = body._replace(dropped=record.dropped)
     is_continuous = plan.looks and plan.extension is not None
     all_stages = is_continuous or plan.embedded is not None
     made = trial_step(plan, body, state, *inside(plan, trial), trial.h, all_stages)

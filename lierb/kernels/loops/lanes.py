@@ -87,6 +87,7 @@ from lierb.kernels.loops.record import (
     load_given,
     load_record,
     load_state,
+    resumed_record,
     resumed_state,
     store_carried,
     store_end,
@@ -94,6 +95,7 @@ from lierb.kernels.loops.record import (
     store_measures,
     store_start,
     store_summary,
+    with_rank,
 )
 from lierb.kernels.loops.workspace import (
     ACTIVE,
@@ -134,7 +136,7 @@ def _store_ends(plan, body, inputs, state, record, clock, held, fate, span, desk
     summary = numbers_at(own.summary)
     store_lane_summary(plan, state, held, clock, record, summary, own.own_summary)
     store_summary(plan, as_ended(record, clock, span, fate), summary, 0)
-    store_end(plan, state, numbers_at(own.ends), 0)
+    store_end(plan, state, record, numbers_at(own.ends), 0)
     store_lane_end(plan, clock, held, numbers_at(own.ends))
 
 
@@ -201,9 +203,11 @@ def integrate_lanes(plan, inputs, counter, jobs):
             else:
                 state = taken(fresh, own_start(plan, body, inputs, desk), state)
             begun = started(plan, body, state, desk, span, limits)
-            record, first = taken(fresh, begun[0], record), (begun[1], begun[2])
+            new, first = begun[0], (begun[1], begun[2])
             if job.begin == RESUMED:
+                new = resumed_record(plan, inputs, new)
                 first = goes_on(plan, begun[1], begun[2], limits, inputs)
+            record = taken(fresh, new, record)
             clock, held = taken(fresh, first[0], clock), taken(fresh, first[1], held)
             is_new = False
             if own.watched > 0:
@@ -222,7 +226,8 @@ def integrate_lanes(plan, inputs, counter, jobs):
                 stop = sooner(clock, stop, jumps[0, i])
             trial = next_trial(plan, body, state, clock, held, stop, active)
             seen = with_signals(plan, body, state, held)
-            made = attempted(plan, seen, state, record, clock, trial, limits)
+            ranked = with_rank(plan, seen, record)
+            made = attempted(plan, ranked, state, clock, trial, limits)
             accepted, failed, clock = verdict_on(
                 plan, body, state, made, clock, trial, limits, active
             )
@@ -231,7 +236,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             moved = made.state
             if own.watched > 0 or is_due_between(plan, clock, accepted):
                 marks = silenced(plan, accepted)
-                slopes = slopes_between(plan, seen, state, made, trial)
+                slopes = slopes_between(plan, ranked, state, made, trial)
                 part = parts_of(plan, seen, state, moved, trial, accepted)
                 begins, task, turn = own.watched > 0, SHOWING, 0
                 while True:
@@ -259,7 +264,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                     if is_end and ends_step(part):
                         there, time = moved, trial.end
                     else:
-                        there = state_between(plan, seen, state, slopes, trial, theta)
+                        there = state_between(plan, ranked, state, slopes, trial, theta)
                         if is_end:
                             there = taken(part.is_last, moved, there)
                             time = taken(part.is_last, trial.end, time)

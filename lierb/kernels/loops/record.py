@@ -152,6 +152,15 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     return state
 
 
+def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
+    """Record with the rank at the start of the run that goes on, unless that had other rows."""
+    if not plan.keeps_rank:
+        return record
+    at = system_of(plan).inputs["lane"]
+    (dropped,) = _columns(plan, inputs, range(at.start, at.start + 1), 0)
+    return record._replace(dropped=where(dropped == dropped, dropped, record.dropped))
+
+
 def load_state(plan: AnyPlan, body: Any, carried: Any, first: Any) -> State:
     numbers = _columns(plan, carried, range(system_of(plan).state.count), first)
     state: State = system_of(plan).state_of(numbers, body)
@@ -183,9 +192,11 @@ def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record:
         store(carried, (c, first), number, plan.lanes)
 
 
-def store_end(plan: AnyPlan, state: State, ends: Any, column: Any) -> None:
+def store_end(plan: AnyPlan, state: State, record: Record, ends: Any, column: Any) -> None:
     numbers = [*flatten(state)]
     going_on = [numbers[c] for c in state_columns(plan)]
+    if plan.keeps_rank:
+        going_on.append(record.dropped)
     places = [(c, column) for c in range(len(going_on))]
     scatter(ends, 1, places, going_on, plan.lanes)
 
@@ -366,6 +377,11 @@ def store_state(
         row = row + rows
 
 
+def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
+    """Body with the number of rows that were redundant at the start."""
+    return body._replace(dropped=record.dropped)
+
+
 def store_forces(
     plan: AnyPlan,
     body: Any,
@@ -384,7 +400,7 @@ def store_forces(
     """
     if not (plan.multipliers or plan.reaction):
         return
-    found, wrenches = system_of(plan).forces(body, state, time)
+    found, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
     alive = record.status == OK
     if plan.multipliers and found:
         places = [(row, first, c) for c in range(len(found))]

@@ -29,6 +29,7 @@ from lierb.kernels.numbers.arithmetic import (
     any_lanes,
     branch,
     fma,
+    maximum,
     sqrt,
     taken_for_granted,
     where,
@@ -50,13 +51,16 @@ from lierb.kernels.numbers.vec import (
     scale,
     sub,
 )
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 
 # A row whose pivot has shrunk to this part of what it moves by itself depends on the rows before
 # it: plain Cholesky, LDLᵀ and LU all return garbage there. Rounding leaves about 1e-15.
 PIVOT_TOLERANCE = 1e-12
 # Its right-hand side must have shrunk likewise, or the rows contradict each other.
 CONSISTENCY_TOLERANCE = 1e-6
+# Where pose and velocity are off the rows by δ, both tolerances are this δ and its root, if larger.
+# With a tolerance below the root of rounding, a pivot that is zero may be more than that.
+OPEN_PIVOT, ROUNDED_PIVOT = 10.0, 1e-7
 
 
 class Load(NamedTuple):
@@ -361,51 +365,96 @@ def multipliers_of(
     excess: list[Any],
     sizes: list[Any],
     brought: Callable[[int], Any],
-) -> tuple[list[Any], Any, Any]:
-    """λ of S λ = J V̇ − η, S = L D Lᵀ; whether rows contradict each other; how many depend on
-    others, NaN where S is none.
+    before: Any = ZERO,
+    openness: Callable[[], Any] | None = None,
+) -> tuple[tuple[Any, ...], Any, Any]:
+    """λ of S λ = J V̇ − η; whether rows contradict each other; how many depend on others, NaN where
+    S is NaN.
 
     schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
     alone.   brought : the acceleration of row i that load and motion could bring about.
-    """
-    m = len(schur)
-    lower: list[list[Any]] = []  # L
-    scaled: list[list[Any]] = []  # L D
-    pivots_inverse: list[Any] = []
-    dropped: list[Any] = []
-    y: list[Any] = []  # L⁻¹ excess
-    for i in range(m):
-        li: list[Any] = []
-        si: list[Any] = []
-        for j in range(i):
-            si.append(less(schur[i][j], li, scaled[j]))
-            li.append(si[j] * pivots_inverse[j])
-        pivot = less(schur[i][i], li, si)
-        y.append(less(excess[i], li, y))
-        goes = pivot <= PIVOT_TOLERANCE * (schur[i][i] + sizes[i])  # false for NaN, which stays
-        pivots_inverse.append(where(goes, 0.0, 1.0) / where(goes, 1.0, pivot))
-        dropped.append(where(goes, 1.0, 0.0 * pivot))
-        lower.append(li)
-        scaled.append(si)
-    multipliers: list[Any] = [y[i] * pivots_inverse[i] for i in range(m)]
-    for i in reversed(range(m)):
-        for j in range(i):
-            multipliers[j] = fma(-lower[i][j], multipliers[i], multipliers[j])
-    count = sum(dropped, start=ZERO)
+    before : how many rows depended on others at the start.   openness : δ, how far pose and
+    velocity are off the rows, in units of the mechanism's own length and speed.
 
-    def look() -> Any:
+    Off the rows, what depends on others has a pivot of δ² over the least one that is kept, and a
+    right-hand side of δ over its root. With a tolerance of δ the first is within it, and the second
+    within its root.
+    """
+    first = _Elimination(schur, excess, sizes, PIVOT_TOLERANCE)
+
+    def chosen() -> tuple[tuple[Any, ...], Any, Any]:
+        contradicts = first.contradicts(brought, CONSISTENCY_TOLERANCE)
+        found = tuple(first.multipliers), contradicts, first.count
+        is_open = (before - first.count > 0.5) | (contradicts > 0.5)
+
+        def again() -> tuple[tuple[Any, ...], Any, Any]:
+            assert openness is not None
+            off = maximum(OPEN_PIVOT * openness(), PIVOT_TOLERANCE)
+            second = _Elimination(schur, excess, sizes, maximum(off, ROUNDED_PIVOT))
+            contradicts = second.contradicts(brought, sqrt(off))
+            return where(is_open, (tuple(second.multipliers), contradicts, second.count), found)
+
+        if openness is None or is_zero(before):
+            return found
+        return branch(any_lanes(is_open), again, lambda: found, likely=False)
+
+    multipliers = tuple(first.multipliers)
+    if taken_for_granted(first.count <= 0.5):
+        return multipliers, ZERO, first.count
+    some = first.count if is_zero(before) else maximum(first.count, before)
+    independent = multipliers, 0.0, first.count
+    found: tuple[tuple[Any, ...], Any, Any] = branch(
+        any_lanes(some > 0.5), chosen, lambda: independent, likely=False
+    )
+    return found
+
+
+class _Elimination:
+    """S = L D Lᵀ and λ = S⁻¹ excess, without rows whose pivots in D are within the tolerance.
+
+    Arguments as of `multipliers_of`.   count : of rows that are left out.
+    """
+
+    def __init__(
+        self, schur: list[list[Any]], excess: list[Any], sizes: list[Any], tolerance: Any
+    ) -> None:
+        m = len(schur)
+        self.lower: list[list[Any]] = []  # L
+        self.dropped: list[Any] = []  # 1 for a row that is left out, else 0
+        self.y: list[Any] = []  # L⁻¹ excess
+        scaled: list[list[Any]] = []  # L D
+        pivots_inverse: list[Any] = []
+        for i in range(m):
+            li: list[Any] = []
+            si: list[Any] = []
+            for j in range(i):
+                si.append(less(schur[i][j], li, scaled[j]))
+                li.append(si[j] * pivots_inverse[j])
+            pivot = less(schur[i][i], li, si)
+            self.y.append(less(excess[i], li, self.y))
+            goes = pivot <= tolerance * (schur[i][i] + sizes[i])  # false for NaN, which stays
+            pivots_inverse.append(where(goes, 0.0, 1.0) / where(goes, 1.0, pivot))
+            self.dropped.append(where(goes, 1.0, 0.0 * pivot))
+            self.lower.append(li)
+            scaled.append(si)
+        self.multipliers: list[Any] = [self.y[i] * pivots_inverse[i] for i in range(m)]
+        for i in reversed(range(m)):
+            for j in range(i):
+                self.multipliers[j] = fma(
+                    -self.lower[i][j], self.multipliers[i], self.multipliers[j]
+                )
+        self.count = sum(self.dropped, start=ZERO)
+
+    def contradicts(self, brought: Callable[[int], Any], tolerance: Any) -> Any:
+        """1 where a row that is left out contradicts the others, else 0."""
         found: Any = 0.0
-        for i, mark in enumerate(dropped):
+        for i, mark in enumerate(self.dropped):
             size = brought(i)
-            for lij, yj in zip(lower[i], y, strict=False):
+            for lij, yj in zip(self.lower[i], self.y, strict=False):
                 size = size + absolute(lij * yj)
-            contradicts = (mark > 0.5) & (absolute(y[i]) > CONSISTENCY_TOLERANCE * size)
+            contradicts = (mark > 0.5) & (absolute(self.y[i]) > tolerance * size)
             found = where(contradicts, 1.0, found)
         return found
-
-    if taken_for_granted(count <= 0.5):
-        return multipliers, ZERO, count
-    return multipliers, branch(any_lanes(count > 0.5), look, lambda: 0.0, likely=False), count
 
 
 def is_other_rank(dropped: Any, before: Any) -> Any:

@@ -205,7 +205,7 @@ class TreeMotion:
         self.twists: list[Vec] = []  # V, of a frame in joint axes
         self.directions: list[list[Vec]] = []  # S
         self.own: list[range] = []  # numbers of these among all
-        self._poses = [*poses]
+        self._poses, self._velocities = [*poses], velocities
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
         self._above: dict[int, dict[int, Vec]] = {}
@@ -257,6 +257,10 @@ class TreeMotion:
         self.carried.append(carried)
         self.relative.append(sub(twist, carried))
         self.twists.append(twist)
+
+    def again(self) -> TreeMotion:
+        """The same state, with nothing found yet."""
+        return TreeMotion(self.nodes, self.body, self._poses, self._velocities, self.time)
 
     def columns(self, i: int) -> dict[int, Vec]:
         """Twists of a node, by the motion of one free direction each: of its own joint, and of all

@@ -15,7 +15,7 @@ light one would have rows cancel each other down to the ratio of their masses.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import product
 from typing import Any, NamedTuple
@@ -350,8 +350,12 @@ def solved(
     loads: dict[int, Vec],
     biases: Sequence[Vec] | None = None,
     fall: dict[int, Vec] | None = None,
+    openness: Callable[[], Any] | None = None,
 ) -> Solved:
-    """What the nodes do under loads and rows; see `ArticulatedBodies.respond`."""
+    """What the nodes do under loads and rows; see `ArticulatedBodies.respond`.
+
+    openness : as of `saddle.multipliers_of`.
+    """
     if not rows:
         return Solved(bodies.respond(loads, biases, fall), (), ZERO, ZERO, {})
     total = dict(loads)
@@ -373,12 +377,17 @@ def solved(
     sizes = [scales.of(each) for each in rows]
     alone = [size / fma(each.stiffness, size, 1.0) for size, each in zip(sizes, rows, strict=True)]
     multipliers, singular, dropped = multipliers_of(
-        schur, excess, alone, lambda i: scales.acceleration(rows[i])
+        schur,
+        excess,
+        alone,
+        lambda i: scales.acceleration(rows[i]),
+        bodies.motion.body.dropped,
+        openness,
     )
     for size, each in zip(multipliers, rows, strict=True):
         _add_loads(total, each.loads(-size))
     response = bodies.respond(total, biases, fall)
-    return Solved(response, tuple(multipliers), singular, dropped, bias)
+    return Solved(response, multipliers, singular, dropped, bias)
 
 
 def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:

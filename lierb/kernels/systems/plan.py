@@ -9,7 +9,7 @@ from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
-from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import Connection, Node
 
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
@@ -53,6 +53,7 @@ class AnyPlan(Tag):
     multipliers: bool
     reaction: bool
     rows: Rows  # of all joints
+    keeps_rank: bool = False  # whether a run's end has the number of redundant rows of its start
 
     @cached_property
     def _digest(self) -> int:
@@ -183,5 +184,19 @@ class MechanismPlan(AnyPlan):
     def rows(self) -> Rows:  # type: ignore[override]
         """Of all joints, then of motors and constraints."""
         return tuple(row for connection in self.connections for row in connection.rows)
+
+    @cached_property
+    def rows_with_multipliers(self) -> tuple[tuple[int, Row], ...]:
+        """Rows that have a multiplier, each with the number of its connection."""
+        found = []
+        for number, connection in enumerate(self.connections):
+            is_link = number < self.links
+            rows = self.tree[connection.node].others if is_link else connection.rows
+            found += [(number, row) for row in rows]
+        return tuple(found)
+
+    @property
+    def keeps_rank(self) -> bool:  # type: ignore[override]
+        return bool(self.rows_with_multipliers)
 
     __hash__ = AnyPlan.__hash__

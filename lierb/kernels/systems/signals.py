@@ -54,10 +54,14 @@ def signals_width(plan: AnyPlan) -> int:
 
 @lru_cache(64)
 def lane_end(plan: AnyPlan) -> Columns:
-    """What a trajectory with a clock of its own leaves beside its state, for a run that goes on."""
+    """What a trajectory leaves beside its state, for a run that goes on: the rank of its rows at
+    the start, and what belongs to a clock of its own.
+    """
+    rank = Field("dropped", (int(plan.keeps_rank),))
     if not plan.has_lane_clocks:
-        return Columns()
+        return Columns(rank)
     return Columns(
+        rank,
         *LANE_END.fields,
         Field("controls", (size_of(outputs_of(plan)),)),
         Field("memory", (size_of(memory_of(plan)),)),

@@ -228,7 +228,7 @@ class TreeFormulation(Watching):
 
     def dropped(self, body: TreeConstants, state: State) -> Any:
         """How many rows depend on others."""
-        if not self.rows:
+        if not self.plan.rows_with_multipliers:
             return ZERO
         return self.accelerate(body, self.seen(body, state, ZERO), forces=False).dropped
 
@@ -307,7 +307,7 @@ class TreeFormulation(Watching):
         a motor that prescribes its speed.
         """
         found = self.accelerate(body, self.seen(body, state, time))
-        solution = dict(zip(self.rows, found.solved.multipliers, strict=True))
+        solution = dict(zip(self.plan.rows_with_multipliers, found.solved.multipliers, strict=True))
         multipliers: list[Any] = []
         wrenches = []
         for number, joint in enumerate(self.plan.joints):
@@ -354,7 +354,7 @@ class TreeFormulation(Watching):
         """
         plan = self.plan
         is_small = len(plan.tree) * len(plan.stages) <= GENTLE
-        is_plain = not self.rows and plan.stabilisation.kind == "none"
+        is_plain = not self.plan.rows_with_multipliers and plan.stabilisation.kind == "none"
         return is_small and is_plain and not any(node.is_reduced for node in plan.tree)
 
     def before_step(self, body: TreeConstants, chart: tuple[Chart, ...]) -> None:
@@ -402,7 +402,7 @@ class TreeFormulation(Watching):
         motion = self.motion(body, moved, velocity, time)
         found = self.accelerate(body, motion)
         singular = found.singular
-        if self.rows:  # another rank is another mechanism
+        if self.plan.rows_with_multipliers:  # another rank is another mechanism
             singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
         for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
@@ -439,17 +439,6 @@ class TreeFormulation(Watching):
 
     # ---- accelerations ----
 
-    @cached_property
-    def rows(self) -> tuple[tuple[int, Row], ...]:
-        """Those that have a multiplier, with the number of their connection."""
-        plan = self.plan
-        found = []
-        for number, connection in enumerate(plan.connections):
-            is_link = number < plan.links
-            rows = plan.tree[connection.node].others if is_link else connection.rows
-            found += [(number, row) for row in rows]
-        return tuple(found)
-
     def accelerate(
         self, body: TreeConstants, motion: TreeMotion, forces: bool = True
     ) -> TreeAcceleration:
@@ -457,7 +446,10 @@ class TreeFormulation(Watching):
         plan = self.plan
         relatives = _Relatives(plan.connections, body.ends, motion)
         loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
-        wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
+        wanted = [
+            self._acceleration(number, row, relatives)
+            for number, row in self.plan.rows_with_multipliers
+        ]
         fall = {
             i: ZERO3 + neg(body.nodes[i].gravity)
             for i, node in enumerate(plan.tree)
@@ -467,8 +459,10 @@ class TreeFormulation(Watching):
         biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
         rows = self._asked(relatives, wanted)
         bodies = bodies_of(motion, rows)
-        found = solved(bodies, rows, loads, biases, fall)
-        for (number, r), multiplier in zip(self.rows, found.multipliers, strict=True):
+        found = solved(bodies, rows, loads, biases, fall, lambda: self._off_rows(motion))
+        for (number, r), multiplier in zip(
+            self.plan.rows_with_multipliers, found.multipliers, strict=True
+        ):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
         rates = self._state_rates(motion, found, damped)
@@ -479,7 +473,7 @@ class TreeFormulation(Watching):
     def _asked(self, relatives: _Relatives, wanted: list[Any]) -> list[Asked]:
         """All rows, those of joints of the tree stiff."""
         found = []
-        for (number, r), value in zip(self.rows, wanted, strict=True):
+        for (number, r), value in zip(self.plan.rows_with_multipliers, wanted, strict=True):
             each = relatives.asked(number, r, value)
             if number < self.plan.links:
                 mass, inertia = relatives.motion.body.nodes[each.node].burden
@@ -593,7 +587,7 @@ class TreeFormulation(Watching):
         most = fma(h, speed, UNMOVED * length)
         mark = where(way > most, 1.0, mark)
         change = self._onto_rows(body, chart, state.v_or_mu, time)
-        if all(row.is_holonomic for _, row in self.rows):
+        if all(row.is_holonomic for _, row in self.plan.rows_with_multipliers):
             mark = where(h * length * _size(length, change) > most * most, 1.0, mark)
         kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
         return Stabilised(kept, mark, x, change)
@@ -601,8 +595,26 @@ class TreeFormulation(Watching):
     def _openness(self, body: TreeConstants, chart: tuple[Chart, ...], time: Any) -> Any:
         """The sum of the squares of all rows' values, lengths in units of the mechanism's own."""
         motion = self.motion(body, chart, (ZERO,) * (6 * len(chart)), time)
-        relatives = _Relatives(self.plan.connections, body.ends, motion)
-        inverse = 1.0 / _length(body)
+        return self._open(_Relatives(self.plan.connections, body.ends, motion))
+
+    def _off_rows(self, motion: TreeMotion) -> Any:
+        """How far pose and velocity are off all rows, as `multipliers_of` takes it."""
+        again = motion.again()  # what is found here alone is not at hand elsewhere
+        relatives = _Relatives(self.plan.connections, motion.body.ends, again)
+        length, pose = _length(motion.body), self._open(relatives)
+        rates: Any = ZERO
+        for number, r in self.plan.rows_with_multipliers:
+            x, ends = relatives[number].x, motion.body.ends[number]
+            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate) - r.prescribed_rate(x, ends)
+            part = rate if r.is_translational else length * rate
+            rates = fma(part, part, rates)
+        speed = _size(length, tuple(x for relative in again.relative for x in relative))
+        whole = fma(speed, speed, rates)
+        return sqrt(pose + rates / where(whole > 0.0, whole, 1.0))
+
+    def _open(self, relatives: _Relatives) -> Any:
+        """`_openness` of poses that are seen already."""
+        inverse = 1.0 / _length(relatives.motion.body)
         total: Any = ZERO
         for number, connection in enumerate(self.plan.connections):
             for r, value in relatives.residuals(number, connection.rows).items():
@@ -614,7 +626,9 @@ class TreeFormulation(Watching):
         """A step of Newton's method onto all rows, in the algebra."""
         motion = self.motion(body, chart, (ZERO,) * (6 * len(chart)), time)
         relatives = _Relatives(self.plan.connections, body.ends, motion)
-        wanted = [-relatives.residual(number, row) for number, row in self.rows]
+        wanted = [
+            -relatives.residual(number, row) for number, row in self.plan.rows_with_multipliers
+        ]
         biases = [neg(self._off(i, motion)) for i in range(len(self.plan.tree))]
         return self._displaced(motion, relatives, wanted, biases)
 
@@ -625,7 +639,7 @@ class TreeFormulation(Watching):
         motion = self.motion(body, chart, velocity, time)
         relatives = _Relatives(self.plan.connections, body.ends, motion)
         wanted = []
-        for number, r in self.rows:
+        for number, r in self.plan.rows_with_multipliers:
             x, ends = relatives[number].x, body.ends[number]
             rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
             wanted.append(r.prescribed_rate(x, ends) - rate)
@@ -637,7 +651,8 @@ class TreeFormulation(Watching):
     ) -> Vec:
         """The smallest motion, in the kinetic metric, of which rows are `wanted`."""
         rows = [each._replace(fall=None) for each in self._asked(relatives, wanted)]
-        found = solved(bodies_of(motion, rows), rows, {}, biases)
+        bodies, openness = bodies_of(motion, rows), lambda: self._off_rows(motion)
+        found = solved(bodies, rows, {}, biases, openness=openness)
         moved: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             twist = found.response.moved[i]
