@@ -15,7 +15,7 @@ from numba import njit
 from lierb.compiler.code import OPTIONS, compiled
 from lierb.compiler.tags import Tag
 from lierb.kernels.numbers.arithmetic import fma, load, store
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.kernels.tracing.trace import kernel
 
 CHAINS = 12  # enough to hide the latency of two units; with the operands, they fit 16 registers

@@ -22,7 +22,7 @@ from lierb.errors import ArgumentError, items_of, require_name, told
 from lierb.kernels.groups.lie_functions import apply
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.mechanics.rows import parameters_of
-from lierb.kernels.tracing.lanes import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
+from lierb.kernels.tracing.cpu import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.methods import ButcherTableau, tableau_of
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import JOINTS, Joint

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from lierb.compiler.code import compiled, is_ready
 from lierb.errors import ArgumentError
 from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, width
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.support.arrays import FEWER, Array, as_floats, as_matrix
 from lierb.support.forks import check_compiler
 from lierb.support.memory import require_memory

@@ -12,7 +12,7 @@ from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
 from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.joints.joint import Joint
 from lierb.model.mechanism.links import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism

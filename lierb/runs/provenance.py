@@ -17,7 +17,7 @@ import numpy as np
 
 from lierb.compiler.threads import begun
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.functions.elements import Element
 from lierb.model.mechanism.links import Loop
 from lierb.model.mechanism.mechanism import Mechanism

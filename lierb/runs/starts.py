@@ -10,7 +10,7 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan, Stabilisation
 from lierb.kernels.systems.system_of import plan_of, system_of
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.continuation import continuation_of, continuing

@@ -11,7 +11,7 @@ from lierb.kernels.groups.coefficients import coefficients, half_angle_coefficie
 from lierb.kernels.numbers.arithmetic import gather, scatter
 from lierb.kernels.numbers.trigonometry import atan2, sincos
 from lierb.kernels.numbers.vec import inverse_symmetric, principal_axes
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.kernels.tracing.trace import kernel
 
 FORMULAS = {

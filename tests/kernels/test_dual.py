@@ -17,7 +17,7 @@ from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.user_number import Condition, UserNumber, raw, where
 from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 
 
 def matrix(x):

@@ -9,7 +9,7 @@ import lierb
 from kernels.samples import GROUPS, LINEAR, dim, twists
 from lierb.errors import ArgumentError
 from lierb.kernels.groups.lie_functions import SIGNATURES, apply
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 
 BATCHES = [(), (1,), (DEFAULT_LANES,), (DEFAULT_LANES + 1,), (5,), (2, 3), (2, 1, 3), (0,), (2, 0)]
 

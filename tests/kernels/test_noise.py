@@ -22,7 +22,7 @@ from lierb.kernels.functions.noise import (
     uniform,
 )
 from lierb.kernels.functions.signals import Noise
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.kernels.tracing.words import LOW
 
 COUNT = 5  # three blocks, the last one half used

@@ -22,7 +22,7 @@ from lierb.kernels.groups.lie_functions import SIGNATURES, LieFunction, apply, w
 from lierb.kernels.numbers.arithmetic import apart, flatten, fma, rounded_as_numpy, sqrt
 from lierb.kernels.numbers.dual import Dual, raw
 from lierb.kernels.numbers.zero import ZERO
-from lierb.kernels.tracing.lanes import DEFAULT_LANES
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.kernels.tracing.trace import kernel, trial
 
 ROOT = Path(__file__).parents[2]

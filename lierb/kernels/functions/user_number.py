@@ -30,8 +30,8 @@ from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of, side_by_side
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.numbers.zero import ZERO, Zero, is_zero
-from lierb.kernels.tracing import lanes
-from lierb.kernels.tracing.lanes import Lane, Mask
+from lierb.kernels.tracing.lane_by_lane import call_library, row_at
+from lierb.kernels.tracing.lanes import Lane, Mask, call_intrinsic
 
 FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
 HUGE = 2.0**1000  # beyond, sums of two numbers may overflow
@@ -373,7 +373,7 @@ def absolute_value(x: Any) -> Any:
 def _library(name: str, *operands: Any) -> Any:
     """The C library's function, number by number."""
     if any(isinstance(x, Lane) for x in operands):
-        return lanes.call_library(name, *map(plain, operands))
+        return call_library(name, *map(plain, operands))
     if hasattr(np, _IN_NUMPY.get(name, name)):
         return getattr(np, _IN_NUMPY.get(name, name))(*map(plain, operands))
     found = np.frompyfunc(getattr(math, name), len(operands), 1)(*map(plain, operands))
@@ -555,7 +555,7 @@ def _steps(name: str, of: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def _intrinsic(name: str, x: Any) -> Any:
-    return lanes.call_intrinsic(name, x) if isinstance(x, Lane) else getattr(np, name)(plain(x))
+    return call_intrinsic(name, x) if isinstance(x, Lane) else getattr(np, name)(plain(x))
 
 
 whole_floor = _steps("floor", floor)
@@ -592,7 +592,7 @@ def _exact_quotient(x: Any, y: Any, q: Callable[[Any], Any], name: str) -> Any:
     return branch(
         all_lanes(fits),
         lambda: fma(-q(quotient), y, x),
-        lambda: select(fits, fma(-q(quotient), y, x), lanes.call_library(name, x, y)),
+        lambda: select(fits, fma(-q(quotient), y, x), call_library(name, x, y)),
     )
 
 
@@ -630,7 +630,7 @@ def _floor_divide(x: Any, y: Any) -> Any:
 
 def _copysign(x: Any, y: Any) -> Any:
     if isinstance(x, Lane) or isinstance(y, Lane):
-        return lanes.call_intrinsic("copysign", plain(x), plain(y))
+        return call_intrinsic("copysign", plain(x), plain(y))
     return np.copysign(plain(x), plain(y))
 
 
@@ -743,7 +743,7 @@ def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) 
     are_constant = all(isinstance(n, (int, float, np.number)) for line in lines for n in line)
     if len(lines) > FEW_LINES and are_constant and isinstance(raw(x), Lane):
         columns = [[float(n) for n in column] for column in zip(*lines, strict=True)]
-        at, value, slope = map(UserNumber, lanes.row_at(raw(x), columns))
+        at, value, slope = map(UserNumber, row_at(raw(x), columns))
     else:
         at, value, slope = lines[0]
         for line in lines[1:]:

@@ -8,51 +8,21 @@ would depend on what is recorded. Fused multiply-adds are written as `fma` in th
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
-import llvmlite.binding as llvm
 from llvmlite import ir
-from numba import config, types
+from numba import types
 from numba.extending import models, register_model
 
 from lierb.compiler.internals import cgutils
 from lierb.kernels.numbers.arithmetic import joined
+from lierb.kernels.tracing.cpu import HAS_FMA
 
 DOUBLE = ir.DoubleType()
 BIT = ir.IntType(1)
 INT32 = ir.IntType(32)
-
-
-def _host_features() -> frozenset[str]:
-    """CPU features that Numba compiles for (its own override respected)."""
-    if config.CPU_FEATURES is not None:
-        return frozenset(f[1:] for f in config.CPU_FEATURES.split(",") if f.startswith("+"))
-    if config.CPU_NAME == "generic":
-        return frozenset()
-    return frozenset(name for name, present in llvm.get_host_cpu_features().items() if present)
-
-
-def _default_lanes() -> int:
-    """Doubles in one vector register: 8 with AVX-512, 4 with AVX, 2 otherwise."""
-    override = os.environ.get("LIERB_LANES")
-    if override is not None:
-        if override not in {"1", "2", "4", "8"}:
-            raise ValueError(f"LIERB_LANES must be 1, 2, 4 or 8, got {override!r}")
-        return int(override)
-    if "avx512f" in CPU_FEATURES:
-        return 8
-    return 4 if "avx" in CPU_FEATURES else 2
-
-
-CPU_FEATURES = _host_features()
-IS_X86 = llvm.get_process_triple().split("-")[0] in {"x86_64", "i386", "i686", "amd64"}
-# Without the instruction, llvm.fma would call libm once a lane.
-HAS_FMA = "fma" in CPU_FEATURES or not IS_X86
-DEFAULT_LANES = 1 if config.DISABLE_JIT else _default_lanes()
 
 
 # ---- the Numba type that carries lanes between traced formulas ---------------------------------
@@ -84,7 +54,7 @@ def _splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
     )
 
 
-def _constant(like: ir.Type, value: float) -> ir.Constant:
+def constant_of(like: ir.Type, value: float) -> ir.Constant:
     lanes = like.count if isinstance(like, ir.VectorType) else 1
     return _constant_pack(lanes, float(value).hex())
 
@@ -117,7 +87,7 @@ class Trace:
 
     def intrinsic(self, name: str, operands: Sequence[Any]) -> Lane:
         """`llvm.<name>` of some numbers."""
-        values = _same_type(self, *operands)
+        values = same_type(self, *operands)
         ty = values[0].type
         key = name, _count(ty)
         if key not in self.declared:
@@ -154,7 +124,7 @@ def _count(ty: ir.Type) -> int:
     return ty.count if isinstance(ty, ir.VectorType) else 1
 
 
-def _same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
+def same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
     """LLVM values of one type: the widest among `operands`; Python numbers become constants."""
     # A quarter of a trace's time goes by here.
     widest: Any = None
@@ -164,7 +134,7 @@ def _same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
 
     def convert(x: Any) -> ir.Value:
         if type(x) is not Lane:
-            return _constant(widest, x)
+            return constant_of(widest, x)
         if x.value.type is widest or x.value.type == widest:
             return x.value
         return _splat(trace.builder, x.value, widest.count)
@@ -179,7 +149,7 @@ def _emits(method: str) -> Any:
         if not isinstance(other, (Lane, int, float)):
             return NotImplemented
         trace = self.trace
-        return Lane(trace, emit(trace.builder, *_same_type(trace, self, other)))
+        return Lane(trace, emit(trace.builder, *same_type(trace, self, other)))
 
     return operator
 
@@ -191,7 +161,7 @@ def _emits_reflected(method: str) -> Any:
         if not isinstance(other, (int, float)):
             return NotImplemented
         trace = self.trace
-        return Lane(trace, emit(trace.builder, *_same_type(trace, other, self)))
+        return Lane(trace, emit(trace.builder, *same_type(trace, other, self)))
 
     return operator
 
@@ -200,7 +170,7 @@ def _compares(symbol: str) -> Any:
     def operator(self: Lane, other: Any) -> Any:
         if not isinstance(other, (Lane, int, float)):
             return NotImplemented
-        operands = _same_type(self.trace, self, other)
+        operands = same_type(self.trace, self, other)
         return Mask(self.trace, self.trace.builder.fcmp_ordered(symbol, *operands))
 
     return operator
@@ -212,10 +182,10 @@ def _calls(name: str) -> Any:
 
 def call_intrinsic(name: str, *operands: Any) -> Lane:
     """`llvm.<name>` on lanes, scalars and constants mixed."""
-    return _trace_of_any(operands).intrinsic(name, operands)
+    return trace_of_any(operands).intrinsic(name, operands)
 
 
-def _trace_of_any(operands: Sequence[Any]) -> Trace:
+def trace_of_any(operands: Sequence[Any]) -> Trace:
     for x in operands:
         if type(x) is Lane:
             return x.trace
@@ -264,14 +234,14 @@ class Lane(Traced):
 
     @staticmethod
     def fma(a: Any, b: Any, c: Any) -> Any:
-        trace = _trace_of_any((a, b, c))
+        trace = trace_of_any((a, b, c))
         return a * b + c if trace.rounds_twice else trace.intrinsic("fma", (a, b, c))
 
     @staticmethod
     def call(formula: Callable[..., Any], count: int, *numbers: Any) -> tuple[Lane, ...]:
         """Of `lierb.kernels.numbers.arithmetic.apart`."""
-        trace = _trace_of_any(numbers)
-        values = _same_type(trace, *numbers)
+        trace = trace_of_any(numbers)
+        values = same_type(trace, *numbers)
         function = trace.function_of(formula, [v.type for v in values], count)
         found = trace.builder.call(function, values)
         return tuple(Lane(trace, trace.builder.extract_value(found, k)) for k in range(count))
@@ -287,7 +257,7 @@ class Lane(Traced):
 
     def constant(self, number: float) -> Lane:
         """A number of this one's kind."""
-        return Lane(self.trace, _constant(self.value.type, number))
+        return Lane(self.trace, constant_of(self.value.type, number))
 
     def widened(self, lanes: int) -> Lane:
         """The same number in every one of `lanes` lanes."""
@@ -351,7 +321,7 @@ class Mask(Traced):
         like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
 
         def convert(x: Any) -> ir.Value:
-            return x.widened(count).value if isinstance(x, Lane) else _constant(like, x)
+            return x.widened(count).value if isinstance(x, Lane) else constant_of(like, x)
 
         return Lane(self.trace, self.builder.select(self.value, convert(a), convert(b)))
 
@@ -391,63 +361,6 @@ class Predicate(Traced):
         return joined(left, right, merged)
 
 
-def call_library(name: str, *operands: Any) -> Lane:
-    """A function of the C library, called for one lane after the other."""
-    trace = _trace_of_any(operands)
-    builder, values = trace.builder, _same_type(trace, *operands)
-    signature = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
-    function = cgutils.get_or_insert_function(builder.module, signature, name)
-    ty = values[0].type
-    if not isinstance(ty, ir.VectorType):
-        return Lane(trace, builder.call(function, values))
-    pack: ir.Value = ir.Constant(ty, ir.Undefined)
-    for lane in range(ty.count):
-        place = ir.Constant(INT32, lane)
-        result = builder.call(function, [builder.extract_element(v, place) for v in values])
-        pack = builder.insert_element(pack, result, place)
-    return Lane(trace, pack)
-
-
-def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
-    """The last row of a table whose first column, which increases, is at most x; else the first.
-
-    Lane by lane, by bisection without branches.
-    """
-    builder, count = x.builder, 1
-    while count < len(columns[0]):
-        count *= 2
-    filled = [[*column, *[math.inf] * (count - len(column))] for column in columns]
-    ty = ir.ArrayType(DOUBLE, count)
-    memory = [
-        cgutils.global_constant(builder.module, "table", ir.Constant(ty, column))
-        for column in filled
-    ]
-
-    def entry(column: ir.Value, place: ir.Value) -> ir.Value:
-        return builder.load(builder.gep(column, [ir.Constant(INT32, 0), place]))
-
-    def place_of(one: ir.Value) -> ir.Value:
-        place, step = ir.Constant(INT32, 0), count // 2
-        while step:
-            further = builder.add(place, ir.Constant(INT32, step))
-            is_below = builder.fcmp_ordered("<=", entry(memory[0], further), one)
-            place, step = builder.select(is_below, further, place), step // 2
-        return place
-
-    if not isinstance(x.value.type, ir.VectorType):
-        place = place_of(x.value)
-        return [Lane(x.trace, entry(column, place)) for column in memory]
-    packs: list[ir.Value] = [ir.Constant(x.value.type, ir.Undefined) for _ in memory]
-    for lane in range(x.lanes):
-        index = ir.Constant(INT32, lane)
-        place = place_of(builder.extract_element(x.value, index))
-        packs = [
-            builder.insert_element(pack, entry(column, place), index)
-            for pack, column in zip(packs, memory, strict=True)
-        ]
-    return [Lane(x.trace, pack) for pack in packs]
-
-
 def _widest_type(numbers: Sequence[Any]) -> ir.Type:
     found = [x.value.type for x in numbers if isinstance(x, Lane)] or [DOUBLE]
     return next((t for t in found if isinstance(t, ir.VectorType)), found[0])
@@ -455,141 +368,9 @@ def _widest_type(numbers: Sequence[Any]) -> ir.Type:
 
 def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:
     if not isinstance(x, Lane):
-        return _constant(ty, x)
+        return constant_of(ty, x)
     if x.value.type == ty:
         return x.value
     builder = ir.IRBuilder(block)
     builder.position_before(block.terminator)
     return _splat(builder, x.value, ty.count)
-
-
-# ---- traced integers and arrays ----------------------------------------------------------------
-
-
-LINE = 8  # doubles in a cache line
-
-
-class Index(Traced):
-    """A traced integer (intp), for array positions."""
-
-    __slots__ = ()
-
-    def __add__(self, other: int | Index) -> Index:
-        added = other.value if isinstance(other, Index) else self.value.type(other)
-        return Index(self.trace, self.builder.add(self.value, added))
-
-    def real(self) -> Lane:
-        return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))
-
-
-class ArrayRef(Traced):
-    """A C-contiguous float64 array of any dimension, read and written a pack at a time."""
-
-    __slots__ = ("data", "index_type", "shape")
-
-    def __init__(self, trace: Trace, context: Any, ty: types.Array, value: ir.Value) -> None:
-        super().__init__(trace, value)
-        array = context.make_array(ty)(context, self.builder, value)
-        self.data = array.data
-        self.shape = cgutils.unpack_tuple(self.builder, array.shape, ty.ndim)
-        self.index_type = self.shape[0].type
-
-    def _as_value(self, i: Any) -> ir.Value:
-        return i.value if isinstance(i, Index) else ir.Constant(self.index_type, i)
-
-    def _pointer(self, index: Sequence[Any]) -> ir.Value:
-        offset = self._as_value(index[0])
-        for i, extent in zip(index[1:], self.shape[1:], strict=True):
-            offset = self.builder.add(self.builder.mul(offset, extent), self._as_value(i))
-        return self.builder.gep(self.data, [offset])
-
-    def load(self, index: Sequence[Any], lanes: int) -> Lane:
-        """`lanes` consecutive doubles from `index` on."""
-        pointer = self._pointer(index)
-        if lanes > 1:
-            pointer = self.builder.bitcast(pointer, ir.VectorType(DOUBLE, lanes).as_pointer())
-        return Lane(self.trace, self.builder.load(pointer, align=8))
-
-    def store(self, index: Sequence[Any], number: Any, lanes: int) -> None:
-        """Write a pack to `lanes` consecutive places from `index` on."""
-        ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
-        value = number.widened(lanes).value if isinstance(number, Lane) else _constant(ty, number)
-        pointer = self._pointer(index)
-        if lanes > 1:
-            pointer = self.builder.bitcast(pointer, ty.as_pointer())
-        self.builder.store(value, pointer, align=8)
-
-    def prefetch(self, index: Sequence[Any], count: int) -> None:
-        """Have the cache lines of `count` consecutive doubles from `index` on at hand."""
-        builder, byte = self.builder, ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
-        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        start = self._pointer(index)
-        to_write, everywhere, data = INT32(1), INT32(3), INT32(1)
-        for place in (*range(0, count, LINE), count - 1):
-            line = builder.gep(start, [ir.Constant(self.index_type, place)])
-            builder.call(fetch, [builder.bitcast(line, byte), to_write, everywhere, data])
-
-    def gather(self, axis: int, place: Sequence[Any], lanes: int) -> Lane:
-        """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
-        builder = self.builder
-        start = self._as_value(place[axis])
-        last = builder.sub(self.shape[axis], ir.Constant(self.index_type, 1))
-        pack: ir.Value = ir.Constant(ir.VectorType(DOUBLE, lanes), ir.Undefined)
-        for lane in range(lanes):
-            moved = builder.add(start, ir.Constant(self.index_type, lane))
-            moved = builder.select(builder.icmp_signed("<", moved, last), moved, last)
-            element = builder.load(
-                self._pointer([*place[:axis], Index(self.trace, moved), *place[axis + 1 :]])
-            )
-            if lanes == 1:
-                return Lane(self.trace, element)
-            pack = builder.insert_element(pack, element, ir.Constant(INT32, lane))
-        return Lane(self.trace, pack)
-
-    def scatter(
-        self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
-    ) -> None:
-        """Write lane i of each pack at its place moved by i along `axis`, while inside."""
-        builder = self.builder
-        start = self._as_value(places[0][axis])
-        room = builder.sub(self.shape[axis], start)
-        width = ir.Constant(self.index_type, lanes)
-        if axis < len(self.shape) - 1:
-            count = builder.select(builder.icmp_signed("<", room, width), room, width)
-            self._scatter_lanes(axis, places, numbers, lanes, count)
-            return
-        with builder.if_else(builder.icmp_signed(">=", room, width), likely=True) as (whole, part):
-            with whole:
-                for place, number in zip(places, numbers, strict=True):
-                    self.store(place, number, lanes)
-            with part:
-                self._scatter_lanes(axis, places, numbers, lanes, room)
-
-    def _scatter_lanes(
-        self,
-        axis: int,
-        places: Sequence[Sequence[Any]],
-        numbers: Sequence[Any],
-        lanes: int,
-        count: ir.Value,
-    ) -> None:
-        """Lane by lane, `count` of them."""
-        builder = self.builder
-        packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
-        buffer = cgutils.alloca_once(builder, packs)
-        zero = ir.Constant(INT32, 0)
-        for n, number in enumerate(numbers):
-            ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
-            value = (
-                number.widened(lanes).value if isinstance(number, Lane) else _constant(ty, number)
-            )
-            pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), zero])
-            builder.store(value, builder.bitcast(pointer, ty.as_pointer()), align=8)
-        start = self._as_value(places[0][axis])
-        with cgutils.for_range(builder, count) as loop:
-            moved = Index(self.trace, builder.add(start, loop.index))
-            for n, place in enumerate(places):
-                pointer = builder.gep(buffer, [zero, ir.Constant(INT32, n), loop.index])
-                target = self._pointer([*place[:axis], moved, *place[axis + 1 :]])
-                builder.store(builder.load(pointer), target, align=8)

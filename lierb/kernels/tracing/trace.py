@@ -21,7 +21,8 @@ from lierb.compiler.tags import TagType
 from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.tracing.lanes import ArrayRef, Index, Lane, LaneType, Predicate, Trace
+from lierb.kernels.tracing.arrays import ArrayRef, Index
+from lierb.kernels.tracing.lanes import Lane, LaneType, Predicate, Trace
 
 
 class ConstantType(types.Type):
