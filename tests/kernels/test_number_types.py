@@ -212,10 +212,12 @@ def test_formulas_take_integers_for_numbers_in_users_njit_code():
 def test_sweeps_hold_with_the_jit_off(tmp_path):
     """The accuracy tests of the compiled way, run in plain Python: two roundings for each fma."""
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
-    files = [f"tests/kernels/test_{name}.py" for name in ("coefficients", "lie", "log", "vec")]
+    files = [
+        f"tests/kernels/test_{name}.py" for name in ("coefficients", "lie", "log", "repeat", "vec")
+    ]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files]
     run = subprocess.run(
-        [*command, "-k", "lanes and (sweep or inverse_symmetric)"],
+        [*command, "-k", "lanes and (sweep or inverse_symmetric) or test_repeat"],
         cwd=ROOT, env=environment, capture_output=True, text=True,
     )  # fmt: skip
     assert run.returncode == 0, run.stdout[-3000:] + run.stderr[-1000:]

@@ -1,1 +1,5 @@
-"""What formulas compute with: floats, arrays, structural zeros, packs of lanes, dual numbers."""
+"""Numbers that formulas compute with: floats, arrays, structural zeros, lane packs, duals."""
+
+from lierb.kernels.numbers.arithmetic import repeat
+
+__all__ = ["repeat"]

@@ -199,6 +199,62 @@ def branch(
     return bearer(type(predicate)).branch(predicate, then, otherwise, likely)
 
 
+Turn = Callable[[Any], tuple[Any, Any]]  # of a nested tuple: the next one, and a mask
+
+
+@unless_borne
+def repeat(start: Any, turn: Turn, most: int, like: Any) -> tuple[Any, Any, Any]:
+    """Repeat `turn` on numbers until it is finished, each lane for as many turns as it needs.
+
+    A lane that is finished keeps its numbers while others go on, so that its bits do not depend on
+    them. An ordered comparison, such as `error > tolerance`, is false with NaN: a lane whose error
+    is NaN stops, and holds up no other.
+
+    Parameters
+    ----------
+    start : tuple
+        Numbers, also in nested tuples.
+    turn : function
+        Takes such a tuple; returns the next one, of the same shape, and a mask of the lanes that
+        are not finished with it. Its results for finished lanes are dropped.
+    most : int
+        Largest number of turns, at least 1.
+    like : number
+        Every number of the tuple becomes one of this kind: a float, an array, a `Lane` of as many
+        lanes as there are, a `Dual` over one of these in as many directions. Only a float's and an
+        array's constants and structural zeros remain what they are.
+
+    Returns
+    -------
+    numbers : tuple
+        The last tuple of each lane.
+    unfinished : mask
+        Lanes that took `most` turns and are not finished.
+    turns : number
+        Number of turns of each lane.
+
+    Examples
+    --------
+    Newton's iteration for the square root of 2:
+
+    >>> def turn(numbers):
+    ...     (x,) = numbers
+    ...     change = 0.5 * (2.0 / x - x)
+    ...     return (x + change,), abs(change) > 1e-9
+    >>> repeat((1.0,), turn, 20, 1.0)
+    ((1.414213562373095,), False, 5.0)
+    """
+    numbers, is_unfinished, turns = start, True, 0.0
+    for _ in range(most):
+        after, remain = turn(numbers)
+        numbers = where(is_unfinished, after, numbers)
+        turns = where(is_unfinished, turns + 1.0, turns)
+        is_unfinished = is_unfinished & remain
+        if not any_lanes(is_unfinished):
+            break
+    return numbers, is_unfinished, turns
+
+
 def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Decorator: a formula that traces call, instead of having its instructions each time.
 
@@ -268,6 +324,13 @@ def flatten(numbers: Any) -> list[Any]:
     if isinstance(numbers, tuple):
         return [x for part in numbers for x in flatten(part)]
     return [numbers]
+
+
+def refilled(shape: Any, numbers: Iterator[Any]) -> Any:
+    """Nested tuples of the same shape, with other members, taken in order."""
+    if isinstance(shape, tuple):
+        return alike(shape, (refilled(part, numbers) for part in shape))
+    return next(numbers)
 
 
 def real(index: Any) -> Any:

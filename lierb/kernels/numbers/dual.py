@@ -7,17 +7,22 @@ second derivatives. A value has the bits that it has without derivatives.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any
 
 from lierb.kernels.numbers.arithmetic import (
+    Turn,
     absolute,
     bearer,
+    flatten,
     floor,
     fma,
     joined,
     maximum,
     minimum,
     plain,
+    refilled,
+    repeat,
     rint,
     sqrt,
     where,
@@ -106,6 +111,27 @@ class Dual:
         x, y = value_of(a), value_of(b)
         parts = tuple(fma(y, p, fma(x, q, r)) for p, q, r in side_by_side(a, b, c))
         return Dual(fma(x, y, value_of(c)), parts)
+
+    @staticmethod
+    def repeat(start: Any, turn: Turn, most: int, like: Any) -> tuple[Any, Any, Any]:
+        """Repeat on values and parts side by side; values alone say when a lane is finished."""
+        count = len(like.parts)
+
+        def spread(numbers: Any) -> tuple[Any, ...]:
+            duals = ((value_of(x), parts_of(x) or (ZERO,) * count) for x in flatten(numbers))
+            return tuple(part for value, parts in duals for part in (value, *parts))
+
+        def gathered(members: tuple[Any, ...]) -> Any:
+            rest = iter(members)
+            duals = (type(like)(value, tuple(islice(rest, count))) for value in rest)
+            return refilled(start, duals)
+
+        def inner(members: tuple[Any, ...]) -> tuple[Any, Any]:
+            numbers, is_unfinished = turn(gathered(members))
+            return spread(numbers), is_unfinished
+
+        members, is_unfinished, turns = repeat(spread(start), inner, most, like.value)
+        return gathered(members), is_unfinished, turns
 
     @staticmethod
     def sqrt(x: Any) -> Any:

@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import models, register_model
 
 from lierb.compiler.internals import cgutils
-from lierb.kernels.numbers.arithmetic import joined
+from lierb.kernels.numbers.arithmetic import Turn, flatten, joined, plain, refilled, where
 from lierb.kernels.tracing.cpu import HAS_FMA
 
 DOUBLE = ir.DoubleType()
@@ -245,6 +245,51 @@ class Lane(Traced):
         function = trace.function_of(formula, [v.type for v in values], count)
         found = trace.builder.call(function, values)
         return tuple(Lane(trace, trace.builder.extract_value(found, k)) for k in range(count))
+
+    @staticmethod
+    def repeat(start: Any, turn: Turn, most: int, like: Lane) -> tuple[Any, Mask, Lane]:
+        """Emit `turn` once, as the body of a loop whose state is held in phis."""
+        trace, builder, ty = like.trace, like.builder, like.value.type
+
+        def value_of(x: Any) -> ir.Value:
+            return x.widened(like.lanes).value if isinstance(x, Lane) else constant_of(ty, plain(x))
+
+        everywhere = (like == like) | True  # a constant
+        numbers, entry = [value_of(x) for x in flatten(start)], builder.block
+        loop, after = (builder.append_basic_block(name) for name in ("repeat", "repeated"))
+        builder.branch(loop)
+        builder.position_at_end(loop)
+        states = [builder.phi(ty) for _ in numbers]
+        going, turns, count = (
+            builder.phi(everywhere.value.type),
+            builder.phi(ty),
+            builder.phi(INT32),
+        )
+        mask, taken = Mask(trace, going), Lane(trace, turns)
+
+        old = refilled(start, (Lane(trace, state) for state in states))
+        # A mask that is taken for granted would be looked at after the last turn alone.
+        assumed, trace.assumed = trace.assumed, None
+        new, is_unfinished = turn(old)
+        trace.assumed = assumed
+        new, taken = where(mask, new, old), where(mask, taken + 1.0, taken)
+        mask = mask & is_unfinished
+        counted = builder.add(count, INT32(1))
+        is_next = builder.and_(
+            mask.reduced("or").value, builder.icmp_signed("<", counted, INT32(most))
+        )
+
+        for phi, first, last in (
+            *zip(states, numbers, (x.value for x in flatten(new)), strict=True),
+            (going, everywhere.value, mask.value),
+            (turns, constant_of(ty, 0.0), taken.value),
+            (count, INT32(0), counted),
+        ):
+            phi.add_incoming(first, entry)
+            phi.add_incoming(last, builder.block)
+        builder.cbranch(is_next, loop, after)
+        builder.position_at_end(after)
+        return new, mask, taken
 
     def real(self) -> Lane:
         return self
