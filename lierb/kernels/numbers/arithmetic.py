@@ -1,8 +1,9 @@
-"""What a formula may use besides + - * /: one function, every number type.
+"""Operations that a formula uses besides + − * /, on every kind of number.
 
 A formula that keeps to these functions runs unchanged as plain Python, over whole arrays, as SIMD
-code, and with derivatives. Each class of numbers bears its operations; here they are handed to the
-class of highest `rank` among the operands. One without a `rank` is `Plain`.
+code, and with derivatives (`lierb.kernels.numbers.number`). Each class of numbers implements its
+own operations; the functions here dispatch to the class of highest `rank` among the operands, and
+to `Plain` for operands without a `rank`.
 """
 
 from __future__ import annotations
@@ -14,13 +15,17 @@ from typing import Any
 
 import numpy as np
 
+from lierb.kernels.numbers.number import Mask, Number
 from lierb.kernels.numbers.zero import is_zero
 
 PI = 3.141592653589793
 
 
+Place = tuple[Any, ...]  # indices of an array's element
+
+
 class Plain:
-    """Floats, NumPy's scalars and its arrays; indices and conditions of such."""
+    """Operations on floats, NumPy scalars and arrays, on integer indices and on bool masks."""
 
     rank = 0
     sqrt, absolute, rint, floor = np.sqrt, np.abs, np.rint, np.floor
@@ -28,11 +33,11 @@ class Plain:
     real = float
 
     @staticmethod
-    def trace_of(number: Any) -> None:
+    def trace_of(number: Number) -> None:
         return None
 
     @staticmethod
-    def fma(a: Any, b: Any, c: Any) -> Any:
+    def fma(a: Number, b: Number, c: Number) -> Number:
         return a * b + c
 
     @staticmethod
@@ -52,95 +57,94 @@ class Plain:
         return then() if predicate else otherwise()
 
     @staticmethod
-    def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
-        return array[index]
+    def load(array: Any, place: Place, width: int) -> Any:
+        return array[place]
 
     @staticmethod
-    def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
-        array[index] = number
+    def store(array: Any, place: Place, number: Number, width: int) -> None:
+        array[place] = number
 
     @staticmethod
-    def prefetch(array: Any, index: tuple[Any, ...], count: int) -> None:
+    def prefetch(array: Any, place: Place, count: int) -> None:
         pass
 
     @staticmethod
-    def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
+    def gather(array: Any, axis: int, place: Place, width: int) -> Any:
         return array[place]
 
     @staticmethod
     def scatter(
-        array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
+        array: Any, axis: int, places: Sequence[Place], numbers: Sequence[Number], width: int
     ) -> None:
         for place, number in zip(places, numbers, strict=True):
             array[place] = number
 
 
-def _bearer(*kinds: Any) -> Any:
-    """The class that bears the operations on things of these types."""
+def _class_of(*kinds: Any) -> Any:
     ranked = (kind for kind in kinds if hasattr(kind, "rank"))
     return max(ranked, key=lambda kind: kind.rank, default=Plain)
 
 
-bearer: Callable[..., Any] = cache(_bearer)
+class_of: Callable[..., Any] = cache(_class_of)  # that implements operations on these types
 
 
-def unless_borne(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorator: a formula, but for numbers whose class bears an operation of that name."""
+def overridable(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a formula that a class of numbers replaces by an operation of the same name."""
 
     @wraps(formula)
     def dispatched(*numbers: Any) -> Any:
-        return getattr(bearer(*map(type, numbers)), formula.__name__, formula)(*numbers)
+        return getattr(class_of(*map(type, numbers)), formula.__name__, formula)(*numbers)
 
     return dispatched
 
 
-def fma(a: Any, b: Any, c: Any) -> Any:
-    """a·b + c, rounded once where traced for a CPU that can; rounded twice in plain Python."""
-    # Most of the time of a formula in Python goes by here.
-    return bearer(type(a), type(b), type(c)).fma(a, b, c)
+def fma(a: Number, b: Number, c: Number) -> Any:
+    """Return a·b + c, rounded once in traced code on a CPU that can, twice in plain Python."""
+    # A formula in plain Python spends most of its time here.
+    return class_of(type(a), type(b), type(c)).fma(a, b, c)
 
 
-def sqrt(x: Any) -> Any:
-    return bearer(type(x)).sqrt(x)
+def sqrt(x: Number) -> Any:
+    return class_of(type(x)).sqrt(x)
 
 
-def absolute(x: Any) -> Any:
-    return bearer(type(x)).absolute(x)
+def absolute(x: Number) -> Any:
+    return class_of(type(x)).absolute(x)
 
 
-def rint(x: Any) -> Any:
-    """Nearest integer, ties to even."""
-    return bearer(type(x)).rint(x)
+def rint(x: Number) -> Any:
+    """Return the nearest integer, ties to even."""
+    return class_of(type(x)).rint(x)
 
 
-def floor(x: Any) -> Any:
-    return bearer(type(x)).floor(x)
+def floor(x: Number) -> Any:
+    return class_of(type(x)).floor(x)
 
 
-def minimum(a: Any, b: Any) -> Any:
-    """The smaller one; the other one if one is NaN."""
+def minimum(a: Number, b: Number) -> Any:
+    """Return the smaller number; of a number and NaN the number."""
     a, b = plain(a), plain(b)
-    return bearer(type(a), type(b)).minimum(a, b)
+    return class_of(type(a), type(b)).minimum(a, b)
 
 
-def maximum(a: Any, b: Any) -> Any:
-    """The larger one; the other one if one is NaN."""
+def maximum(a: Number, b: Number) -> Any:
+    """Return the larger number; of a number and NaN the number."""
     if is_zero(a, b):
         return a
     a, b = plain(a), plain(b)
-    return bearer(type(a), type(b)).maximum(a, b)
+    return class_of(type(a), type(b)).maximum(a, b)
 
 
-def plain(x: Any) -> Any:
-    """A structural zero as a number."""
+def plain(x: Number) -> Any:
+    """Return x, with 0.0 in place of a structural zero."""
     return 0.0 if is_zero(x) else x
 
 
-Cuts = tuple[tuple[Any, int], ...]  # a mask, and how many terms are taken where it holds
+Cuts = tuple[tuple[Mask, int], ...]  # masks, and the number of terms taken where each holds
 
 
-def horner(z: Any, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
-    """Σ terms[k] zᵏ; where it is cut, to the bits of the shorter series."""
+def horner(z: Number, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
+    """Return Σ terms[k] zᵏ; where a cut's mask holds, with the bits of the shorter series."""
     total: Any = terms[-1]
     for k in range(len(terms) - 2, -1, -1):
         for mask, count in cuts:
@@ -153,57 +157,58 @@ def horner(z: Any, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
 # ---- choices -----------------------------------------------------------------------------------
 
 
-def where(mask: Any, a: Any, b: Any) -> Any:
-    """`a` where the mask holds, `b` elsewhere, lane by lane; tuples member by member."""
-    return joined(a, b, partial(bearer(type(mask)).select, mask))
+def where(mask: Mask, a: Any, b: Any) -> Any:
+    """Return `a` where the mask holds, `b` elsewhere, lane by lane; tuples member by member."""
+    return joined(a, b, partial(class_of(type(mask)).select, mask))
 
 
 def joined(a: Any, b: Any, join: Callable[[Any, Any], Any]) -> Any:
-    """`join` of the numbers in two tuples of one shape, of duals value by value and part by part;
-    constants on which both agree stay what they are.
+    """Join two tuples of one shape number by number, duals value by value and part by part.
+
+    Constants on which both agree stay constants.
     """
     if isinstance(a, tuple):
         return alike(a, (joined(x, y, join) for x, y in zip(a, b, strict=True)))
     if is_zero(a, b) or (type(a) is float and type(b) is float and a == b):
         return a
     a, b = plain(a), plain(b)
-    of_kind = getattr(bearer(type(a), type(b)), "joined", None)
+    of_kind = getattr(class_of(type(a), type(b)), "joined", None)
     return of_kind(a, b, join) if of_kind else join(a, b)
 
 
 def alike(a: tuple[Any, ...], members: Iterable[Any]) -> Any:
-    """A tuple of the same class, with other members."""
+    """Return a tuple of the same class, with other members."""
     return tuple(members) if type(a) is tuple else type(a)(*members)
 
 
-def all_lanes(mask: Any) -> Any:
-    """Whether the mask holds in every lane: something to `branch` on."""
-    return bearer(type(mask)).reduced(mask, "and")
+def all_lanes(mask: Mask) -> Any:
+    """Return whether the mask holds in every lane, a predicate for `branch`."""
+    return class_of(type(mask)).reduced(mask, "and")
 
 
-def any_lanes(mask: Any) -> Any:
-    """Whether the mask holds in some lane: something to `branch` on."""
-    return bearer(type(mask)).reduced(mask, "or")
+def any_lanes(mask: Mask) -> Any:
+    """Return whether the mask holds in some lane, a predicate for `branch`."""
+    return class_of(type(mask)).reduced(mask, "or")
 
 
 def branch(
     predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
 ) -> Any:
-    """`then()` or `otherwise()`, of which only one is computed; both give tuples of one shape.
+    """Return `then()` or `otherwise()`, of which one is computed; both give tuples of one shape.
 
-    For speed alone: a lane's bits must be the same on either side, or they would depend on the
-    neighbours that share its pack.
+    A branch serves speed alone: both sides must give a lane the same bits, or these would depend on
+    the neighbours that share its pack.
 
-    likely : whether `then` is the side that nearly always runs.
+    likely : True where `then` is the side that nearly always runs.
     """
-    return bearer(type(predicate)).branch(predicate, then, otherwise, likely)
+    return class_of(type(predicate)).branch(predicate, then, otherwise, likely)
 
 
 Turn = Callable[[Any], tuple[Any, Any]]  # of a nested tuple: the next one, and a mask
 
 
-@unless_borne
-def repeat(start: Any, turn: Turn, most: int, like: Any) -> tuple[Any, Any, Any]:
+@overridable
+def repeat(start: Any, turn: Turn, most: int, like: Number) -> tuple[Any, Any, Any]:
     """Repeat `turn` on numbers until it is finished, each lane for as many turns as it needs.
 
     A lane that is finished keeps its numbers while others go on, so that its bits do not depend on
@@ -256,17 +261,17 @@ def repeat(start: Any, turn: Turn, most: int, like: Any) -> tuple[Any, Any, Any]
 
 
 def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator: a formula that traces call, instead of having its instructions each time.
+    """Decorate a formula that traced code calls as a function, in place of inlining it.
 
-    For what is long and nearly never runs: it is compiled once, not in every stage.
+    A long formula that nearly never runs is so compiled once, not in every stage.
 
-    count : how many numbers it returns, in a tuple.
+    count : number of results, which the formula returns in a tuple.
     """
 
     def decorator(formula: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(formula)
         def evaluated(*numbers: Any) -> Any:
-            call = getattr(bearer(*map(type, numbers)), "call", None)
+            call = getattr(class_of(*map(type, numbers)), "call", None)
             return call(formula, count, *numbers) if call else formula(*numbers)
 
         return evaluated
@@ -274,16 +279,16 @@ def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return decorator
 
 
-# ---- what the trace is told --------------------------------------------------------------------
+# ---- settings of a trace -----------------------------------------------------------------------
 
 
 @contextmanager
-def rounded_as_numpy(number: Any) -> Iterator[None]:
-    """Here, `fma` rounds twice: a formula gives the bits that it gives on arrays.
+def rounded_as_numpy(number: Number) -> Iterator[None]:
+    """Context in which `fma` rounds twice, so that a formula has the bits that it has on arrays.
 
-    number : one of the formula's, by whose trace it goes.
+    number : one of the formula's numbers, whose trace is set.
     """
-    trace = bearer(type(number)).trace_of(number)
+    trace = class_of(type(number)).trace_of(number)
     if trace is None:
         yield
         return
@@ -293,13 +298,14 @@ def rounded_as_numpy(number: Any) -> Iterator[None]:
 
 
 @contextmanager
-def assumptions(number: Any) -> Iterator[list[Any]]:
-    """Here, what a formula asks of `taken_for_granted` holds; gives the masks that it asked for.
+def assumptions(number: Number) -> Iterator[list[Mask]]:
+    """Context in which masks that formulas pass to `taken_for_granted` are assumed to hold.
 
-    Where they hold, the bits are the same.   number : as of `rounded_as_numpy`.
+    Yields the list of these masks, which the caller checks; where all hold, the bits are those of
+    the formula without assumptions.   number : as in `rounded_as_numpy`.
     """
     masks: list[Any] = []
-    trace = bearer(type(number)).trace_of(number)
+    trace = class_of(type(number)).trace_of(number)
     if trace is not None:
         trace.assumed = masks
     yield masks
@@ -307,9 +313,9 @@ def assumptions(number: Any) -> Iterator[list[Any]]:
         trace.assumed = None
 
 
-def taken_for_granted(mask: Any) -> bool:
-    """Whether a formula may take it that a mask holds in all lanes: it is looked at afterwards."""
-    trace = bearer(type(mask)).trace_of(mask)
+def taken_for_granted(mask: Mask) -> bool:
+    """Return whether a formula may assume that a mask holds in all lanes; see `assumptions`."""
+    trace = class_of(type(mask)).trace_of(mask)
     if trace is None or trace.assumed is None:
         return False
     trace.assumed.append(mask)
@@ -320,46 +326,46 @@ def taken_for_granted(mask: Any) -> bool:
 
 
 def flatten(numbers: Any) -> list[Any]:
-    """The members of nested tuples, in order."""
+    """Return the members of nested tuples, in order."""
     if isinstance(numbers, tuple):
         return [x for part in numbers for x in flatten(part)]
     return [numbers]
 
 
-def refilled(shape: Any, numbers: Iterator[Any]) -> Any:
-    """Nested tuples of the same shape, with other members, taken in order."""
+def refilled(shape: Any, numbers: Iterator[Number]) -> Any:
+    """Return nested tuples of the same shape, with other members, taken in order."""
     if isinstance(shape, tuple):
         return alike(shape, (refilled(part, numbers) for part in shape))
     return next(numbers)
 
 
 def real(index: Any) -> Any:
-    """An integer as a double."""
-    return bearer(type(index)).real(index)
+    """Return an integer as a double."""
+    return class_of(type(index)).real(index)
 
 
-def load(array: Any, index: tuple[Any, ...], width: int) -> Any:
-    """A pack of `width` consecutive doubles from `index` on; one number in plain Python."""
-    return bearer(type(array)).load(array, index, width)
+def load(array: Any, place: Place, width: int) -> Any:
+    """Return the pack of `width` consecutive elements from `place` on; one in plain Python."""
+    return class_of(type(array)).load(array, place, width)
 
 
-def store(array: Any, index: tuple[Any, ...], number: Any, width: int) -> None:
-    """Write a pack to `width` consecutive places from `index` on."""
-    bearer(type(array)).store(array, index, plain(number), width)
+def store(array: Any, place: Place, number: Number, width: int) -> None:
+    """Write a pack to `width` consecutive elements from `place` on."""
+    class_of(type(array)).store(array, place, plain(number), width)
 
 
-def prefetch(array: Any, index: tuple[Any, ...], count: int) -> None:
-    """Have the memory of `count` consecutive places from `index` on at hand, to write there."""
-    bearer(type(array)).prefetch(array, index, count)
+def prefetch(array: Any, place: Place, count: int) -> None:
+    """Fetch the memory of `count` consecutive elements from `place` on, for writing."""
+    class_of(type(array)).prefetch(array, place, count)
 
 
-def gather(array: Any, axis: int, place: tuple[Any, ...], width: int) -> Any:
-    """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
-    return bearer(type(array)).gather(array, axis, place, width)
+def gather(array: Any, axis: int, place: Place, width: int) -> Any:
+    """Return lane i from `place` moved by i along `axis`, at most to the array's last element."""
+    return class_of(type(array)).gather(array, axis, place, width)
 
 
 def scatter(
-    array: Any, axis: int, places: Sequence[tuple[Any, ...]], numbers: Sequence[Any], width: int
+    array: Any, axis: int, places: Sequence[Place], numbers: Sequence[Number], width: int
 ) -> None:
-    """Write lane i of each pack at its place moved by i along `axis`, while inside the array."""
-    bearer(type(array)).scatter(array, axis, places, [plain(x) for x in numbers], width)
+    """Write lane i of each pack to its place moved by i along `axis`, where in the array."""
+    class_of(type(array)).scatter(array, axis, places, [plain(x) for x in numbers], width)

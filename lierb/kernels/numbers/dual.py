@@ -1,6 +1,6 @@
-"""Dual numbers: x + Σ xᵢ εᵢ with εᵢ εⱼ = 0. Run through them, a formula is differentiated exactly.
+"""Dual numbers x + Σ xᵢ εᵢ with εᵢ εⱼ = 0: a formula evaluated on them is differentiated exactly.
 
-Values and parts are of any number type: floats, arrays, traced lanes, or dual numbers again, for
+Values and parts are numbers of any kind: floats, arrays, traced lanes, or dual numbers again, for
 second derivatives. A value has the bits that it has without derivatives.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 from lierb.kernels.numbers.arithmetic import (
     Turn,
     absolute,
-    bearer,
+    class_of,
     flatten,
     floor,
     fma,
@@ -27,27 +27,28 @@ from lierb.kernels.numbers.arithmetic import (
     sqrt,
     where,
 )
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2, sincos
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Dual:
-    """A value and its parts along some directions; () where nothing is differentiated."""
+    """Value and parts, its derivatives along some directions; () without any direction."""
 
     __slots__ = ("parts", "value")
     __array_ufunc__: Any = None
     __hash__ = None  # type: ignore[assignment]
     rank = 3
-    _fields = ("value", "parts")  # as of a named tuple, which it is to compiled code
+    _fields = ("value", "parts")  # compiled code holds a dual number as a named tuple
 
-    def __init__(self, value: Any, parts: tuple[Any, ...] = ()) -> None:
+    def __init__(self, value: Number, parts: tuple[Any, ...] = ()) -> None:
         self.value = value
         self.parts = parts
 
     def trace_of(self) -> Any:
-        return bearer(type(self.value)).trace_of(self.value)
+        return class_of(type(self.value)).trace_of(self.value)
 
-    def __add__(self, other: Any) -> Any:
+    def __add__(self, other: Number) -> Any:
         if is_zero(other):
             return self
         parts = tuple(p + q for p, q in side_by_side(self, other))
@@ -55,66 +56,66 @@ class Dual:
 
     __radd__ = __add__
 
-    def __sub__(self, other: Any) -> Any:
+    def __sub__(self, other: Number) -> Any:
         if is_zero(other):
             return self
         parts = tuple(p - q for p, q in side_by_side(self, other))
         return Dual(self.value - value_of(other), parts)
 
-    def __rsub__(self, other: Any) -> Any:
+    def __rsub__(self, other: Number) -> Any:
         return Dual(other - self.value, tuple(-p for p in self.parts))
 
-    def __mul__(self, other: Any) -> Any:
+    def __mul__(self, other: Number) -> Any:
         return ZERO if is_zero(other) else self.fma(self, other, ZERO)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Any:
+    def __truediv__(self, other: Number) -> Any:
         inverse = 1.0 / value_of(other)
         value = self.value / value_of(other)
         parts = (fma(-value, q, p) * inverse for p, q in side_by_side(self, other))
         return Dual(value, tuple(parts))
 
-    def __rtruediv__(self, other: Any) -> Any:
+    def __rtruediv__(self, other: Number) -> Any:
         value = other / self.value
         return self.along(-(value / self.value), value)
 
     def __neg__(self) -> Any:
         return type(self)(-self.value, tuple(-part for part in self.parts))
 
-    def __lt__(self, other: Any) -> Any:
+    def __lt__(self, other: Number) -> Any:
         return raw(self) < raw(other)
 
-    def __le__(self, other: Any) -> Any:
+    def __le__(self, other: Number) -> Any:
         return raw(self) <= raw(other)
 
-    def __gt__(self, other: Any) -> Any:
+    def __gt__(self, other: Number) -> Any:
         return raw(self) > raw(other)
 
-    def __ge__(self, other: Any) -> Any:
+    def __ge__(self, other: Number) -> Any:
         return raw(self) >= raw(other)
 
     def __eq__(self, other: Any) -> Any:
         return raw(self) == raw(other)
 
-    def along(self, slope: Any, value: Any) -> Any:
-        """f(self), from f(value) and f′(value)."""
+    def along(self, slope: Number, value: Number) -> Any:
+        """Return f(self), given f(value) and f′(value)."""
         return type(self)(value, tuple(slope * part for part in self.parts))
 
     @classmethod
-    def joined(cls, a: Any, b: Any, join: Callable[[Any, Any], Any]) -> Any:
+    def joined(cls, a: Number, b: Number, join: Callable[[Any, Any], Any]) -> Any:
         value = joined(value_of(a), value_of(b), join)
         return cls(value, tuple(joined(p, q, join) for p, q in side_by_side(a, b)))
 
     @staticmethod
-    def fma(a: Any, b: Any, c: Any) -> Any:
+    def fma(a: Number, b: Number, c: Number) -> Any:
         x, y = value_of(a), value_of(b)
         parts = tuple(fma(y, p, fma(x, q, r)) for p, q, r in side_by_side(a, b, c))
         return Dual(fma(x, y, value_of(c)), parts)
 
     @staticmethod
-    def repeat(start: Any, turn: Turn, most: int, like: Any) -> tuple[Any, Any, Any]:
-        """Repeat on values and parts side by side; values alone say when a lane is finished."""
+    def repeat(start: Any, turn: Turn, most: int, like: Dual) -> tuple[Any, Any, Any]:
+        """Repeat on values and parts side by side; values alone decide when a lane is finished."""
         count = len(like.parts)
 
         def spread(numbers: Any) -> tuple[Any, ...]:
@@ -134,67 +135,67 @@ class Dual:
         return gathered(members), is_unfinished, turns
 
     @staticmethod
-    def sqrt(x: Any) -> Any:
+    def sqrt(x: Dual) -> Any:
         root = sqrt(x.value)
-        # of a norm at zero it is a slope that does no harm: ‖v‖v has one there
+        # slope 0 at zero: the norm in ‖v‖v then has a derivative, which is right for the product
         is_zero_there = raw(root) == 0.0
         return x.along(where(is_zero_there, 0.0, 0.5 / where(is_zero_there, 1.0, root)), root)
 
     @staticmethod
-    def absolute(x: Any) -> Any:
+    def absolute(x: Dual) -> Any:
         return x.along(where(raw(x) < 0.0, -1.0, 1.0), absolute(x.value))
 
     @staticmethod
-    def rint(x: Any) -> Any:
+    def rint(x: Dual) -> Any:
         return rint(x.value)
 
     @staticmethod
-    def floor(x: Any) -> Any:
+    def floor(x: Dual) -> Any:
         return floor(x.value)
 
     @staticmethod
-    def minimum(a: Any, b: Any) -> Any:
+    def minimum(a: Number, b: Number) -> Any:
         return _either(minimum(value_of(a), value_of(b)), a, b)
 
     @staticmethod
-    def maximum(a: Any, b: Any) -> Any:
+    def maximum(a: Number, b: Number) -> Any:
         return _either(maximum(value_of(a), value_of(b)), a, b)
 
     @staticmethod
-    def sincos(x: Any) -> Any:
+    def sincos(x: Dual) -> Any:
         sine, cosine = sincos(x.value)
         return x.along(cosine, sine), x.along(-sine, cosine)
 
     @staticmethod
-    def atan2(y: Any, x: Any) -> Any:
+    def atan2(y: Number, x: Number) -> Any:
         top, right = value_of(y), value_of(x)
         inverse = 1.0 / fma(top, top, right * right)
         parts = (inverse * fma(right, p, -(top * q)) for p, q in side_by_side(y, x))
         return Dual(atan2(top, right), tuple(parts))
 
 
-def _either(value: Any, a: Any, b: Any) -> Dual:
-    is_first = raw(value) == raw(a)  # the value is the number, of a number and NaN
+def _either(value: Number, a: Number, b: Number) -> Dual:
+    is_first = raw(value) == raw(a)  # false where a is NaN
     return Dual(value, tuple(where(is_first, p, q) for p, q in side_by_side(a, b)))
 
 
-def value_of(x: Any) -> Any:
+def value_of(x: Number) -> Any:
     return x.value if isinstance(x, Dual) else x
 
 
-def parts_of(x: Any) -> tuple[Any, ...]:
+def parts_of(x: Number) -> tuple[Any, ...]:
     return x.parts if isinstance(x, Dual) else ()
 
 
-def side_by_side(*numbers: Any) -> Iterator[tuple[Any, ...]]:
-    """Their parts, direction by direction; zeros for one without."""
+def side_by_side(*numbers: Number) -> Iterator[tuple[Any, ...]]:
+    """Parts of some numbers, direction by direction; zeros for a number without parts."""
     parts = [parts_of(x) for x in numbers]
     nothing = (ZERO,) * max(map(len, parts))
     return zip(*(p or nothing for p in parts), strict=True)
 
 
-def raw(x: Any) -> Any:
-    """The number itself, with no derivative left."""
+def raw(x: Number) -> Any:
+    """Return the value, also of nested dual numbers, without any derivative."""
     while isinstance(x, Dual):
         x = x.value
     return plain(x)

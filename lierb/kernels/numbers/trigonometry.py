@@ -1,4 +1,4 @@
-"""sin, cos and atan2 on every number type.
+"""sin, cos and atan2 on every kind of number.
 
 Kernel and reduction constants as in FreeBSD msun (k_sin.c, k_cos.c, e_rem_pio2.c, s_atan.c).
 """
@@ -13,12 +13,13 @@ from lierb.kernels.numbers.arithmetic import (
     floor,
     fma,
     horner,
+    overridable,
     rint,
-    unless_borne,
     where,
 )
+from lierb.kernels.numbers.number import Number
 
-SINCOS_RANGE = 1e5  # rad, of `sincos`: beyond, reducing an angle loses digits, at 1e16 rad all
+SINCOS_RANGE = 1e5  # rad; beyond, reducing an angle to [−π/4, π/4] loses digits, at 1e16 rad all
 _SIN = (
     -1.66666666666666324348e-01,
     8.33333333332248946124e-03,
@@ -52,9 +53,9 @@ _HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879
 _TAN_PI_8 = 0.41421356237309503
 
 
-@unless_borne
-def sincos(x: Any) -> tuple[Any, Any]:
-    """sin x and cos x for |x| ≤ SINCOS_RANGE, by Cody–Waite reduction to [−π/4, π/4]."""
+@overridable
+def sincos(x: Number) -> tuple[Any, Any]:
+    """Return sin x and cos x, |x| ≤ SINCOS_RANGE, by Cody–Waite reduction to [−π/4, π/4]."""
     quarters = rint(x * (2.0 / PI))
     y = x
     for part in _HALF_PI:
@@ -71,9 +72,9 @@ def sincos(x: Any) -> tuple[Any, Any]:
     )
 
 
-@unless_borne
-def atan2(y: Any, x: Any) -> Any:
-    """Angle of (x, y) in [−π, π] rad; 0 at the origin."""
+@overridable
+def atan2(y: Number, x: Number) -> Any:
+    """Return the angle of (x, y) in [−π, π] rad; 0 at the origin."""
     ax, ay = absolute(x), absolute(y)
     steep = ay > ax
     low, high = where(steep, (ax, ay), (ay, ax))

@@ -1,7 +1,8 @@
 """`ZERO`: a component that is zero by structure, not by value.
 
-0·x → ZERO and 0 + x → x are decided when a formula is traced or run, so a general SE(3) formula
-that is given structural zeros folds down to the subgroup's own, with no code for any subgroup.
+ZERO·x = ZERO and ZERO + x = x are resolved when a formula is traced or run. A general SE(3) formula
+with structural zeros among its operands so reduces to the subgroup's own formula, and no code is
+written for any subgroup.
 """
 
 from __future__ import annotations
@@ -10,11 +11,11 @@ from typing import Any
 
 
 class Zero:
-    """The only value of this class is `ZERO`. Elsewhere it is the number 0: ZERO == 0.0."""
+    """Class of the single value `ZERO`, which equals the number 0.0."""
 
     __slots__ = ()
-    __array_ufunc__ = None  # arrays and NumPy scalars leave the arithmetic to us
-    rank = 9  # whatever the other numbers are, it is known beforehand what they make
+    __array_ufunc__ = None  # arrays and NumPy scalars leave the arithmetic to this class
+    rank = 9  # the highest: the result does not depend on the kind of the other numbers
 
     def __add__(self, other: Any) -> Any:
         return other
@@ -28,6 +29,9 @@ class Zero:
         return self
 
     __rmul__ = __truediv__ = __mul__
+
+    def __rtruediv__(self, other: Any) -> Any:
+        raise ZeroDivisionError("division by a structural zero")
 
     def __neg__(self) -> Zero:
         return self
@@ -69,12 +73,12 @@ class Zero:
         return "ZERO"
 
     def __reduce__(self) -> str:
-        return "ZERO"  # of this module, in every process
+        return "ZERO"  # unpickled as this module's
 
 
 ZERO = Zero()
 
 
 def is_zero(number: Any, *others: Any) -> bool:
-    """Whether every one of these numbers is a structural zero."""
+    """Return whether every one of these numbers is a structural zero."""
     return number is ZERO and all(x is ZERO for x in others)

@@ -1,0 +1,80 @@
+"""Protocols of numbers: what formulas compute with, and what a class of numbers implements.
+
+| numbers                     | used for                                  | class     | `rank` |
+|-----------------------------|-------------------------------------------|-----------|--------|
+| float, NumPy scalar, array  | one body or a batch in plain Python       | `Plain`   | 0      |
+| lane pack                   | L bodies in compiled code                 | `Lane`    | 1      |
+| dual number                 | exact derivatives                         | `Dual`    | 3      |
+| number of a user's function | the same, with all of Python's operators  | `UserNumber` | 4   |
+| structural zero             | components that vanish for every body     | `Zero`    | 9      |
+
+A formula uses the operators of `Number` and the functions of `lierb.kernels.numbers.arithmetic`. It
+then runs unchanged on every row of the table. Lengths and angles are in SI units throughout.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+
+@runtime_checkable
+class Number(Protocol):
+    """A real number of each of some bodies, () or (bodies,): operators give a number again.
+
+    Comparisons give a mask of the same shape, which is false where an operand is NaN. Operands may
+    be of different kinds; the result is of the kind of higher rank.
+    """
+
+    def __add__(self, other: Any, /) -> Any: ...
+    def __radd__(self, other: Any, /) -> Any: ...
+    def __sub__(self, other: Any, /) -> Any: ...
+    def __rsub__(self, other: Any, /) -> Any: ...
+    def __mul__(self, other: Any, /) -> Any: ...
+    def __rmul__(self, other: Any, /) -> Any: ...
+    def __truediv__(self, other: Any, /) -> Any: ...
+    def __rtruediv__(self, other: Any, /) -> Any: ...
+    def __neg__(self) -> Any: ...
+    def __lt__(self, other: Any, /) -> Any: ...
+    def __le__(self, other: Any, /) -> Any: ...
+    def __gt__(self, other: Any, /) -> Any: ...
+    def __ge__(self, other: Any, /) -> Any: ...
+
+
+@runtime_checkable
+class Mask(Protocol):
+    """A truth value of each of some bodies: bool, an array of bool, or traced.
+
+    Masks are combined by & and |; `and`, `or` and `not` would ask for one truth value of all.
+    """
+
+    def __and__(self, other: Any, /) -> Any: ...
+    def __or__(self, other: Any, /) -> Any: ...
+
+
+@runtime_checkable
+class Operations(Protocol):
+    """What a class of numbers implements, as static methods or as methods of its first operand.
+
+    `lierb.kernels.numbers.arithmetic` hands each operation to the operands' class of highest rank;
+    a class with less than these cannot take part. A class may also implement `minimum`, `maximum`,
+    `sincos`, `atan2`, `repeat`, `joined` and `call`, in place of the general formulas, and
+    `trace_of`, the trace that its numbers belong to.
+    """
+
+    rank: int
+
+    @staticmethod
+    def fma(a: Any, b: Any, c: Any) -> Any:
+        """Return a·b + c, rounded once where the CPU can."""
+
+    def sqrt(self) -> Any:
+        """Return √x; NaN for x < 0."""
+
+    def absolute(self) -> Any:
+        """Return |x|."""
+
+    def rint(self) -> Any:
+        """Return the nearest integer, ties to even."""
+
+    def floor(self) -> Any:
+        """Return the largest integer that is at most x."""
