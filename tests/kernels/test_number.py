@@ -6,7 +6,7 @@ from llvmlite import ir
 
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers import number
-from lierb.kernels.numbers.arithmetic import Plain, absolute, fma, floor, rint, sqrt
+from lierb.kernels.numbers.arithmetic import Plain, absolute, floor, fma, rint, sqrt
 from lierb.kernels.numbers.dual import Dual, raw
 from lierb.kernels.numbers.number import Mask, Number, Operations
 from lierb.kernels.numbers.zero import ZERO, Zero

@@ -1,1 +1,1 @@
-"""Tracing of formulas: LLVM values as numbers, and the kernels made of them."""
+"""Tracing of formulas: lane packs, arrays, integers and calls that emit LLVM instructions."""

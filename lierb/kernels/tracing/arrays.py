@@ -15,7 +15,7 @@ LINE = 8  # doubles in a cache line
 
 
 class Index(Traced):
-    """A traced integer (intp), for array positions."""
+    """A traced integer (intp), the index of an array's element."""
 
     __slots__ = ()
 
@@ -28,7 +28,7 @@ class Index(Traced):
 
 
 class ArrayRef(Traced):
-    """A C-contiguous float64 array of any dimension, read and written a pack at a time."""
+    """A traced C-contiguous float64 array, read and written a pack at a time."""
 
     __slots__ = ("data", "index_type", "shape")
 
@@ -76,7 +76,7 @@ class ArrayRef(Traced):
             builder.call(fetch, [builder.bitcast(line, byte), to_write, everywhere, data])
 
     def gather(self, axis: int, place: Sequence[Any], lanes: int) -> Lane:
-        """Lane i from `place` moved by i along `axis`; past the array's end, its last element."""
+        """Return lane i from `place` moved by i along `axis`, at most to the last element."""
         builder = self.builder
         start = self._as_value(place[axis])
         last = builder.sub(self.shape[axis], ir.Constant(self.index_type, 1))
@@ -95,7 +95,7 @@ class ArrayRef(Traced):
     def scatter(
         self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
     ) -> None:
-        """Write lane i of each pack at its place moved by i along `axis`, while inside."""
+        """Write lane i of each pack to its place moved by i along `axis`, where in the array."""
         builder = self.builder
         start = self._as_value(places[0][axis])
         room = builder.sub(self.shape[axis], start)
@@ -119,7 +119,7 @@ class ArrayRef(Traced):
         lanes: int,
         count: ir.Value,
     ) -> None:
-        """Lane by lane, `count` of them."""
+        """Write the first `count` lanes one by one."""
         builder = self.builder
         packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
         buffer = cgutils.alloca_once(builder, packs)

@@ -1,4 +1,4 @@
-"""Functions of the user's that are compiled by Numba, called lane by lane, and what they raise."""
+"""Calls of users' functions that Numba compiled, lane by lane, and the exceptions they raise."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from lierb.kernels.tracing.lanes import BIT, DOUBLE, INT32, Lane, Predicate, Tra
 def call_compiled(
     dispatcher: Any, samples: list[Any], numbers: list[Any], count: int
 ) -> list[Lane]:
-    """`count` numbers from an @njit function that returns so many, called lane by lane.
+    """Call an @njit function lane by lane; return its `count` numbers.
 
-    samples : arguments like those that it takes: numbers, arrays, tuples of such.
-    numbers : all their members, one after the other.
+    samples : arguments of the types that it takes: numbers, arrays, tuples of such.
+    numbers : all members of the arguments, in order.
 
-    NaN where it raises, and where it is not called any more: see `Marks`.
+    The numbers are NaN in lanes in which the function raises, or is called no more; see `Marks`.
     """
     lanes = [x for x in numbers if isinstance(x, Lane)]
     trace, width = lanes[0].trace, max(x.lanes for x in lanes)
@@ -62,9 +62,9 @@ def call_compiled(
 
 
 class _Lanes:
-    """The code that calls a compiled function lane by lane.
+    """Emitter of the code that calls a compiled function lane by lane.
 
-    inputs, count : numbers that go in and come out.   width : lanes of these.
+    inputs, count : how many numbers the function takes and returns.   width : their lanes.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class _Lanes:
         return ir.ArrayType(ir.ArrayType(DOUBLE, self.width), count)
 
     def memory(self, builder: ir.IRBuilder) -> tuple[ir.Value, ir.Value]:
-        """For what goes in and comes out, a pack for each number."""
+        """Allocate a pack for each number that the function takes, and that it returns."""
         inward = cgutils.alloca_once(builder, self._packs(self.inputs))
         return inward, cgutils.alloca_once(builder, self._packs(self.count))
 
@@ -109,7 +109,7 @@ class _Lanes:
         marks: Marks,
         only_clear: bool = False,
     ) -> None:
-        """Call it for each lane, or for those that are CLEAR only."""
+        """Emit the call for each lane, or for lanes whose mark is CLEAR."""
         one = cgutils.alloca_once(builder, ir.ArrayType(DOUBLE, self.inputs))
         with cgutils.for_range(builder, ir.Constant(INT64, self.width)) as loop:
             lane = loop.index if self.width == marks.lanes else None
@@ -133,10 +133,10 @@ class _Lanes:
                     builder.store(number, _place(builder, outward, n, loop.index))
 
     def apart(self, module: ir.Module, lanes: int) -> ir.Function:
-        """A function (inward, outward, marks) that calls it for the lanes that are CLEAR.
+        """Return an LLVM function (inward, outward, marks) that calls for lanes that are CLEAR.
 
-        Conditions for each lane keep LLVM from computing several at once: a cheap function would
-        take 1.4 times as long, and in a loop of their own, beside the other one, 1.1 times.
+        A condition for each lane keeps LLVM from vectorising the calls: a cheap function takes 1.4
+        times as long with it, and 1.1 times with a second loop in the same function.
         """
         name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
         if name in module.globals:
@@ -161,20 +161,20 @@ def _place(builder: ir.IRBuilder, buffer: ir.Value, *index: Any) -> ir.Value:
     return builder.gep(buffer, list(steps))
 
 
-# ---- what functions raise ----------------------------------------------------------------------
+# ---- exceptions --------------------------------------------------------------------------------
 
-CLEAR, SILENT, HEARD, STOPPED = 0, 1, 2, 3  # marks; all beyond are addresses of exceptions
+CLEAR, SILENT, HEARD, STOPPED = 0, 1, 2, 3  # marks; larger ones are addresses of exceptions
 
 
 class Marks:
-    """Memory of the code that is being emitted, with a number for each lane of a block.
+    """Exception flags of a block, a number for each lane in the emitted function's memory.
 
-    CLEAR where functions are called; SILENT where they are not, as for a body that has failed. What
-    one raises is the number from then on: the address of an exception, or STOPPED, StopIteration
-    having none; HEARD once that is known outside. Numba's own way out, a status that each caller
-    hands on, would end the other lanes with it.
+    CLEAR: users' functions are called. SILENT: they are suppressed, as for a body that has failed.
+    A function that raises sets the flag to the address of its exception, or to STOPPED for
+    StopIteration, which has none; HEARD: the exception was collected. Numba's own way, a status
+    that each caller propagates, would end the other lanes too.
 
-    An address is exact as a double: it has at most 52 bits on the systems that there are.
+    A double holds an address exactly: addresses have at most 52 bits on supported systems.
     """
 
     def __init__(self, trace: Trace, lanes: int, memory: ir.Value) -> None:
@@ -182,7 +182,7 @@ class Marks:
 
     @classmethod
     def of(cls, trace: Trace, lanes: int) -> Marks:
-        """Those of the function that is being emitted; whoever asks first says how many lanes."""
+        """Return the marks of the emitted function; the first call fixes the number of lanes."""
         function = trace.builder.function
         if not hasattr(function, "lierb_marks"):
             memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # and cleared
@@ -197,7 +197,7 @@ class Marks:
 
     @property
     def whole(self) -> ir.Value:
-        """A pointer to all of them, as a pack."""
+        """Pointer to all marks, as a pack."""
         pack = ir.VectorType(DOUBLE, self.lanes) if self.lanes > 1 else DOUBLE
         return self.builder.bitcast(self.memory, pack.as_pointer())
 
@@ -207,18 +207,18 @@ class Marks:
 
     @property
     def are_clear(self) -> Predicate:
-        """Whether all of them are CLEAR."""
+        """Return whether all marks are CLEAR."""
         return (self.pack == float(CLEAR)).reduced("and")
 
     def is_clear(self, lane: ir.Value | None) -> ir.Value:
-        """Whether a lane's mark is CLEAR; without a lane, whether any is."""
+        """Return whether a lane's mark is CLEAR; without a lane, whether any mark is."""
         if lane is None:
             return (self.pack == float(CLEAR)).reduced("or").value
         mark = self.builder.load(_place(self.builder, self.memory, lane))
         return self.builder.fcmp_ordered("==", mark, DOUBLE(CLEAR))
 
     def put(self, lane: ir.Value | None, mark: ir.Value) -> None:
-        """Mark a lane; without a lane, all that are CLEAR."""
+        """Mark a lane; without a lane, all lanes that are CLEAR."""
         if lane is not None:
             self.builder.store(mark, _place(self.builder, self.memory, lane))
             return
@@ -228,14 +228,14 @@ class Marks:
 
 
 class _Python:
-    """The same with the JIT off, where one body is integrated after the other."""
+    """Mark and exceptions with the JIT off, where one body is integrated after the other."""
 
     mark = float(CLEAR)
     exceptions: ClassVar[dict[int, Exception]] = {}
 
 
 def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> Any:
-    """As `call_compiled`, for a function of one body's plain numbers."""
+    """Call a function of one body's plain numbers; NaN as in `call_compiled`."""
     if _Python.mark != CLEAR:
         return (math.nan,) * count
     try:
@@ -247,7 +247,7 @@ def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> 
 
 
 def marks(like: Any) -> Any:
-    """The marks of a block, in formulas.   like : a pack of the block's."""
+    """Return the marks of a block in a formula.   like : a pack of the block."""
     return Marks.of(like.trace, like.lanes).pack if isinstance(like, Lane) else _Python.mark
 
 
@@ -261,10 +261,10 @@ def set_marks(numbers: Any) -> None:
 
 
 def exception_of(mark: int) -> Exception:
-    """The exception that a mark is of. To be called once for each address: it frees its memory.
+    """Return the exception of a mark; call it once for each address, as it frees the memory.
 
-    Arrays among its arguments that lie in memory of the function's caller are gone with that: they
-    are replaced by words.
+    Arrays among the exception's arguments that lay in memory of the function's caller are gone:
+    a description of their shape replaces them.
     """
     if mark == STOPPED:
         return StopIteration()
@@ -295,7 +295,7 @@ def _raise(address):  # no annotations: Numba compares signatures
 def _argument(
     context: Any, builder: ir.IRBuilder, ty: types.Type, sample: Any, cells: Iterator[ir.Value]
 ) -> ir.Value:
-    """A value of that type, its members taken from `cells`: pointers, one after the other."""
+    """Return a value of that type, whose members are loaded from `cells`, pointers in order."""
     if isinstance(ty, types.Array):
         pointers = [next(cells) for _ in range(sample.size)]
         array = context.make_array(ty)(context, builder)

@@ -1,4 +1,4 @@
-"""Operations done for one lane after the other: calls of the C library, rows of a table."""
+"""Operations done lane by lane: calls of the C library, and table look-up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, same_type, trace_of
 
 
 def call_library(name: str, *operands: Any) -> Lane:
-    """A function of the C library, called for one lane after the other."""
+    """Call a function of the C library for one lane after the other."""
     trace = trace_of_any(operands)
     builder, values = trace.builder, same_type(trace, *operands)
     signature = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
@@ -30,9 +30,9 @@ def call_library(name: str, *operands: Any) -> Lane:
 
 
 def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
-    """The last row of a table whose first column, which increases, is at most x; else the first.
+    """Find the last row of a table whose first column is at most x; without one, the first row.
 
-    Lane by lane, by bisection without branches.
+    The first column increases. Each lane is searched by bisection without branches.
     """
     builder, count = x.builder, 1
     while count < len(columns[0]):
@@ -47,7 +47,7 @@ def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
     def entry(column: ir.Value, place: ir.Value) -> ir.Value:
         return builder.load(builder.gep(column, [ir.Constant(INT32, 0), place]))
 
-    def place_of(one: ir.Value) -> ir.Value:
+    def row_of(one: ir.Value) -> ir.Value:
         place, step = ir.Constant(INT32, 0), count // 2
         while step:
             further = builder.add(place, ir.Constant(INT32, step))
@@ -56,12 +56,12 @@ def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
         return place
 
     if not isinstance(x.value.type, ir.VectorType):
-        place = place_of(x.value)
+        place = row_of(x.value)
         return [Lane(x.trace, entry(column, place)) for column in memory]
     packs: list[ir.Value] = [ir.Constant(x.value.type, ir.Undefined) for _ in memory]
     for lane in range(x.lanes):
         index = ir.Constant(INT32, lane)
-        place = place_of(builder.extract_element(x.value, index))
+        place = row_of(builder.extract_element(x.value, index))
         packs = [
             builder.insert_element(pack, entry(column, place), index)
             for pack, column in zip(packs, memory, strict=True)

@@ -1,9 +1,9 @@
-"""Lane packs: L bodies side by side in SIMD registers, as a number that formulas compute with.
+"""Lane packs: L bodies side by side in SIMD registers, as one number of a formula.
 
-A `Lane` stands for an LLVM value, `<L x double>` or `double`, while a formula is being traced: each
-operator emits the instruction and returns the result. No instruction carries a fast-math flag: with
-`contract` LLVM may or may not fuse a product depending on what else uses it, and a body's bits
-would depend on what is recorded. Fused multiply-adds are written as `fma` in the formulas instead.
+A `Lane` represents an LLVM value, `<L x double>` or `double`, while a formula is traced: each
+operator emits an instruction and returns its result. No instruction carries a fast-math flag: with
+`contract` LLVM may or may not fuse a product, depending on its other uses, and a body's bits would
+depend on the recorded columns. Formulas write fused multiply-adds as `fma`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from functools import cache, partial
 from typing import Any
 
 from llvmlite import ir
-from numba import types
-from numba.extending import models, register_model
 
 from lierb.compiler.internals import cgutils
 from lierb.kernels.numbers.arithmetic import Turn, flatten, joined, plain, refilled, where
@@ -23,23 +21,6 @@ from lierb.kernels.tracing.cpu import HAS_FMA
 DOUBLE = ir.DoubleType()
 BIT = ir.IntType(1)
 INT32 = ir.IntType(32)
-
-
-# ---- the Numba type that carries lanes between traced formulas ---------------------------------
-
-
-class LaneType(types.Type):
-    """Numba type of a pack of `lanes` doubles."""
-
-    def __init__(self, lanes: int) -> None:
-        self.lanes = lanes
-        super().__init__(name=f"Lane<{lanes}>")
-
-
-@register_model(LaneType)
-class _LaneModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, fe_type: LaneType) -> None:
-        super().__init__(manager, fe_type, ir.VectorType(DOUBLE, fe_type.lanes))
 
 
 # ---- traced numbers ----------------------------------------------------------------------------
@@ -61,7 +42,7 @@ def constant_of(like: ir.Type, value: float) -> ir.Constant:
 
 @cache
 def _constant_pack(lanes: int, digits: str) -> ir.Constant:
-    """By its hexadecimal digits: as numbers, 0 and −0 would be the same."""
+    """Constant of a number given by hexadecimal digits; as cache keys, 0.0 and −0.0 are equal."""
     value = float.fromhex(digits)
     if lanes == 1:
         return ir.Constant(DOUBLE, value)
@@ -69,11 +50,11 @@ def _constant_pack(lanes: int, digits: str) -> ir.Constant:
 
 
 class Trace:
-    """What all numbers of one trace share.
+    """State that all numbers of one trace share.
 
-    builder : of the LLVM code that is emitted.   target : Numba's context that it is for; None for
-    a trace that is thrown away.   rounds_twice : whether `fma` rounds as NumPy does.   assumed :
-    masks that were taken for granted; None where nothing is.
+    builder : builder of the emitted LLVM code.   target : Numba's target context; None for a trace
+    that is thrown away.   rounds_twice : True where `fma` rounds as in NumPy.   assumed : masks
+    that were taken for granted; None where nothing may be.
     """
 
     __slots__ = ("assumed", "builder", "declared", "rounds_twice", "target")
@@ -86,7 +67,7 @@ class Trace:
         self.declared: dict[tuple[str, int], ir.Function] = {}
 
     def intrinsic(self, name: str, operands: Sequence[Any]) -> Lane:
-        """`llvm.<name>` of some numbers."""
+        """Emit `llvm.<name>` of some numbers."""
         values = same_type(self, *operands)
         ty = values[0].type
         key = name, _count(ty)
@@ -101,7 +82,7 @@ class Trace:
     def function_of(
         self, formula: Callable[..., Any], operands: list[ir.Type], count: int
     ) -> ir.Function:
-        """A function in the module that is traced, of `count` results; made where it is missing."""
+        """Return the traced module's function of a formula; add it on first use."""
         module, ty = self.builder.module, operands[0]
         rounding = "twice" if self.rounds_twice else "once"
         name = f"{formula.__module__}.{formula.__qualname__}.{_count(ty)}.rounded_{rounding}"
@@ -125,8 +106,8 @@ def _count(ty: ir.Type) -> int:
 
 
 def same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
-    """LLVM values of one type: the widest among `operands`; Python numbers become constants."""
-    # A quarter of a trace's time goes by here.
+    """Convert operands to LLVM values of the widest type; Python numbers become constants."""
+    # A quarter of a trace's time is spent here.
     widest: Any = None
     for x in operands:
         if type(x) is Lane and (widest is None or type(x.value.type) is ir.VectorType):
@@ -181,7 +162,7 @@ def _calls(name: str) -> Any:
 
 
 def call_intrinsic(name: str, *operands: Any) -> Lane:
-    """`llvm.<name>` on lanes, scalars and constants mixed."""
+    """Emit `llvm.<name>` of lanes, scalars and constants mixed."""
     return trace_of_any(operands).intrinsic(name, operands)
 
 
@@ -193,7 +174,7 @@ def trace_of_any(operands: Sequence[Any]) -> Trace:
 
 
 class Traced:
-    """What an LLVM value stands for."""
+    """A value of the trace, backed by an LLVM value."""
 
     __slots__ = ("trace", "value")
     rank = 1
@@ -239,7 +220,7 @@ class Lane(Traced):
 
     @staticmethod
     def call(formula: Callable[..., Any], count: int, *numbers: Any) -> tuple[Lane, ...]:
-        """Of `lierb.kernels.numbers.arithmetic.apart`."""
+        """Emit the call of a formula; see `lierb.kernels.numbers.arithmetic.apart`."""
         trace = trace_of_any(numbers)
         values = same_type(trace, *numbers)
         function = trace.function_of(formula, [v.type for v in values], count)
@@ -254,39 +235,31 @@ class Lane(Traced):
         def value_of(x: Any) -> ir.Value:
             return x.widened(like.lanes).value if isinstance(x, Lane) else constant_of(ty, plain(x))
 
-        everywhere = (like == like) | True  # a constant
-        numbers, entry = [value_of(x) for x in flatten(start)], builder.block
+        everywhere, none = (like == like) | True, like.constant(0.0)
+        first = [*map(value_of, flatten(start)), everywhere.value, none.value, INT32(0)]
+        entry = builder.block
         loop, after = (builder.append_basic_block(name) for name in ("repeat", "repeated"))
         builder.branch(loop)
         builder.position_at_end(loop)
-        states = [builder.phi(ty) for _ in numbers]
-        going, turns, count = (
-            builder.phi(everywhere.value.type),
-            builder.phi(ty),
-            builder.phi(INT32),
-        )
+        phis = [builder.phi(value.type) for value in first]
+        *states, going, turns, count = phis
+        old = refilled(start, (Lane(trace, state) for state in states))
         mask, taken = Mask(trace, going), Lane(trace, turns)
 
-        old = refilled(start, (Lane(trace, state) for state in states))
-        # A mask that is taken for granted would be looked at after the last turn alone.
+        # A mask that is taken for granted would be checked for the last turn alone.
         assumed, trace.assumed = trace.assumed, None
         new, is_unfinished = turn(old)
         trace.assumed = assumed
         new, taken = where(mask, new, old), where(mask, taken + 1.0, taken)
         mask = mask & is_unfinished
-        counted = builder.add(count, INT32(1))
-        is_next = builder.and_(
-            mask.reduced("or").value, builder.icmp_signed("<", counted, INT32(most))
-        )
 
-        for phi, first, last in (
-            *zip(states, numbers, (x.value for x in flatten(new)), strict=True),
-            (going, everywhere.value, mask.value),
-            (turns, constant_of(ty, 0.0), taken.value),
-            (count, INT32(0), counted),
-        ):
-            phi.add_incoming(first, entry)
-            phi.add_incoming(last, builder.block)
+        counted = builder.add(count, INT32(1))
+        is_allowed = builder.icmp_signed("<", counted, INT32(most))
+        is_next = builder.and_(mask.reduced("or").value, is_allowed)
+        last = [*(x.value for x in flatten(new)), mask.value, taken.value, counted]
+        for phi, before, now in zip(phis, first, last, strict=True):
+            phi.add_incoming(before, entry)
+            phi.add_incoming(now, builder.block)
         builder.cbranch(is_next, loop, after)
         builder.position_at_end(after)
         return new, mask, taken
@@ -301,11 +274,11 @@ class Lane(Traced):
         raise TypeError("a lane pack has no single truth value: use where(mask, a, b), not if")
 
     def constant(self, number: float) -> Lane:
-        """A number of this one's kind."""
+        """Return a constant of as many lanes."""
         return Lane(self.trace, constant_of(self.value.type, number))
 
     def widened(self, lanes: int) -> Lane:
-        """The same number in every one of `lanes` lanes."""
+        """Broadcast the number to `lanes` lanes."""
         if self.lanes == lanes:
             return self
         return Lane(self.trace, _splat(self.builder, self.value, lanes))
@@ -351,7 +324,7 @@ class Mask(Traced):
         )
 
     def reduced(self, kind: str) -> Predicate:
-        """One truth value for the whole pack: kind "and" (all lanes) or "or" (any lane)."""
+        """Reduce to one truth value: kind "and" (all lanes) or "or" (any lane)."""
         if not isinstance(self.value.type, ir.VectorType):
             return Predicate(self.trace, self.value)
         signature = ir.FunctionType(BIT, [self.value.type])
@@ -360,7 +333,7 @@ class Mask(Traced):
         return Predicate(self.trace, self.builder.call(function, [self.value]))
 
     def select(self, a: Any, b: Any) -> Lane:
-        """Lane by lane: `a` where it holds, `b` elsewhere; one for all lanes, if it is scalar."""
+        """Select `a` where the mask holds, `b` elsewhere; a scalar mask decides for all lanes."""
         widths = (x.lanes for x in (a, b) if isinstance(x, Lane))
         count = max(_count(self.value.type), *widths, 1)
         like = ir.VectorType(DOUBLE, count) if count > 1 else DOUBLE
@@ -372,7 +345,7 @@ class Mask(Traced):
 
 
 class Predicate(Traced):
-    """A traced truth value of the whole pack, fit for a branch."""
+    """A traced truth value of the whole pack, for a branch."""
 
     __slots__ = ()
 
@@ -382,10 +355,10 @@ class Predicate(Traced):
     def branch(
         self, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
     ) -> Any:
-        """Emit both sides as blocks, of which one runs; they give numbers in one shape.
+        """Emit both sides as blocks, of which one runs; they return numbers in one shape.
 
-        likely : whether the first one does, nearly always. LLVM then keeps the other side out of
-            the way, and what it needs out of the registers.
+        likely : True where the first block nearly always runs. LLVM then places the other block
+            apart, and keeps its values out of the registers.
         """
         trace, builder = self.trace, self.builder
         with builder.if_else(self.value, likely=likely) as (first, second):

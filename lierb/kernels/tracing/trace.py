@@ -1,9 +1,9 @@
-"""Formulas in @njit code: traced, so that Numba sees their instructions and not their Python.
+"""Formulas in @njit code, traced so that Numba compiles their instructions, not their Python.
 
-A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: Numba asks for the
-result's type, and then for its instructions, and both times the formula runs once on traced numbers
-(`lanes.Lane`). Loops over rows and stages, tuples and structural zeros thus cost nothing at run
-time, and Numba's type inference never sees the inside of a formula.
+A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: for the type of the
+result, and again for its instructions, the formula runs once on traced numbers (`lanes.Lane`).
+Loops over rows and stages, tuples and structural zeros thus cost nothing at run time, and Numba's
+type inference never enters a formula.
 """
 
 from __future__ import annotations
@@ -22,11 +22,25 @@ from lierb.kernels.numbers.arithmetic import alike, flatten
 from lierb.kernels.numbers.dual import Dual
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.tracing.arrays import ArrayRef, Index
-from lierb.kernels.tracing.lanes import Lane, LaneType, Predicate, Trace
+from lierb.kernels.tracing.lanes import DOUBLE, Lane, Predicate, Trace
+
+
+class LaneType(types.Type):
+    """Numba type of a pack of `lanes` doubles."""
+
+    def __init__(self, lanes: int) -> None:
+        self.lanes = lanes
+        super().__init__(name=f"Lane<{lanes}>")
+
+
+@register_model(LaneType)
+class _LaneModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, fe_type: LaneType) -> None:
+        super().__init__(manager, fe_type, ir.VectorType(DOUBLE, fe_type.lanes))
 
 
 class ConstantType(types.Type):
-    """Numba type of a number that the trace knows, `ZERO` above all: no data at run time."""
+    """Numba type of a number that is constant in the trace, such as `ZERO`; no data at run time."""
 
     def __init__(self, number: Any) -> None:
         self.number = number
@@ -39,9 +53,9 @@ register_model(ConstantType)(models.OpaqueModel)
 def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
     """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags.
 
-    numbers_only: take integers as numbers, and give constants and structural zeros back as plain
-    numbers, which any code can use; otherwise integers are indices, and constants stay constants on
-    their way to the next formula.
+    numbers_only : True to take integers as numbers and to return constants and structural zeros as
+    plain numbers, for code of any kind. Otherwise integers are indices, and constants remain
+    constants for the next formula.
     """
     seen: dict[tuple[types.Type, ...], types.Type] = {}
 
@@ -57,8 +71,8 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
             return signature(seen[args], *args)
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
-        # Otherwise packs that leave the registers lie across cache lines: LLVM aligns the stack to
-        # 16 bytes only, unless told so before it knows what it will spill.
+        # Otherwise spilled packs lie across cache lines: LLVM aligns the stack to 16 bytes, unless
+        # an attribute asks for more before registers are allocated.
         builder.function.attributes.alignstack = 64
         builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
         trace = Trace(builder, context)
@@ -71,7 +85,7 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
 
 
 def _floating(ty: types.Type) -> types.Type:
-    """float64 for integers, also inside tuples: Numba then converts the arguments."""
+    """Replace integers by float64, also inside tuples; Numba then converts the arguments."""
     if isinstance(ty, types.BaseTuple):
         members = [_floating(t) for t in ty]
         return ty if members == list(ty) else types.Tuple(members)
@@ -79,7 +93,7 @@ def _floating(ty: types.Type) -> types.Type:
 
 
 def _as_numbers(operands: Any, result: Any) -> Any:
-    """`result` with every constant as a traced number."""
+    """Return `result` with constants as traced numbers."""
     if isinstance(result, tuple):
         return alike(result, (_as_numbers(operands, x) for x in result))
     if isinstance(result, Lane):
@@ -89,12 +103,12 @@ def _as_numbers(operands: Any, result: Any) -> Any:
 
 
 def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
-    """Type of formula(*args), found by a trace into a function that is thrown away."""
+    """Type of formula(*args), by a trace into a function that is thrown away."""
     return _type_of_trace(_traced_alone(formula, args)[0])
 
 
 def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
-    """formula(*args), and the function of its own that it was traced into."""
+    """Return formula(*args), and the LLVM function that it was traced into."""
     context = tracing_context()
     function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
     trace = Trace(ir.IRBuilder(function.append_basic_block()))
@@ -104,7 +118,7 @@ def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> 
 
 
 def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
-    """What a formula of `count` packs returns, and all that it does, as text."""
+    """Return the result of a formula on `count` packs, and its LLVM code as text."""
     operands = (LaneType(2),) * count
     result, function = _traced_alone(formula, operands)
     numbers = (x.value.get_reference() if isinstance(x, Lane) else repr(x) for x in flatten(result))
@@ -137,7 +151,7 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
 
 
 def _members(result: Any) -> tuple[Any, ...]:
-    """Of a tuple; of a dual number, which goes from formula to formula as a named tuple does."""
+    """Members of a tuple, or of a dual number, which compiled code holds as a named tuple."""
     return result if isinstance(result, tuple) else (result.value, result.parts)
 
 

@@ -1,8 +1,7 @@
-"""Whole numbers of up to 64 bits, as a formula computes with them: *, +, ^, &, >>; and a number's
-own bits, by which its logarithm is roughly known.
+"""Words: integers of up to 64 bits in formulas, with *, +, ^, &, >>, and the bits of doubles.
 
-Of a float one of Python's own, of an array one of NumPy's, of a lane pack a pack of them. Formulas
-keep products below 2⁶⁴, which no operation here looks after.
+The word of a float is a Python integer, that of an array a NumPy array, that of a lane pack a pack.
+Formulas keep products below 2⁶⁴; no operation here checks that.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ LOW = 0xFFFFFFFF  # the lower half
 
 
 def words_of(x: Any) -> Any:
-    """A number that is whole, below 2⁵³ in size; a negative one modulo 2⁶⁴."""
+    """Return the word of a whole number |x| < 2⁵³, modulo 2⁶⁴."""
     if isinstance(x, Lane):
         kind = _like(INT64, x.value.type)
         return Words(x.trace, x.builder.fptosi(x.value, kind))
@@ -31,7 +30,7 @@ def words_of(x: Any) -> Any:
 
 
 def real_of(word: Any) -> Any:
-    """The number of a word below 2⁵³."""
+    """Return the number of a word below 2⁵³."""
     if isinstance(word, Words):
         kind = _like(DOUBLE, word.value.type)
         return Lane(word.trace, word.trace.builder.sitofp(word.value, kind))
@@ -39,7 +38,7 @@ def real_of(word: Any) -> Any:
 
 
 def bits_of(x: Any) -> Any:
-    """A number's 64 bits."""
+    """Return the 64 bits of a double."""
     if isinstance(x, Lane):
         return Words(x.trace, x.builder.bitcast(x.value, _like(INT64, x.value.type)))
     if isinstance(x, np.ndarray) and x.ndim:
@@ -48,7 +47,7 @@ def bits_of(x: Any) -> Any:
 
 
 def of_bits(word: Any) -> Any:
-    """The number of which these are the bits."""
+    """Return the double with these bits."""
     if isinstance(word, Words):
         kind = _like(DOUBLE, word.value.type)
         return Lane(word.trace, word.trace.builder.bitcast(word.value, kind))
@@ -60,12 +59,12 @@ def of_bits(word: Any) -> Any:
 
 
 def rough_log2(x: Any) -> Any:
-    """log₂ x, or up to 0.0861 less; x > 0, normal."""
+    """Return log₂ x, or up to 0.0861 less; x > 0, normal."""
     return real_of(bits_of(x)) * 2.0**-52 - 1023.0
 
 
 def rough_exp2(x: Any) -> Any:
-    """2ˣ to 0.33 %; |x| < 1000."""
+    """Return 2ˣ to 0.33 %; |x| < 1000."""
     whole = floor(x)
     part = x - whole
     return of_bits(words_of((whole + 1023.0) * 2.0**52)) * (1.0 + part * (0.6565 + 0.3435 * part))
@@ -99,11 +98,11 @@ class Words:
     __rshift__ = _emits("lshr")
 
     def constant_or(self, other: Any) -> Words:
-        """`other`, or the pack of a constant that is no such thing yet."""
+        """Return `other`, with an integer as a constant word."""
         return other if isinstance(other, Words) else Words(self.trace, INT64(other))
 
     def widened(self, other: Any) -> ir.Value:
-        """Its value, in as many lanes as another one has."""
+        """Return the LLVM value, broadcast to the lanes of another word."""
         ty = other.value.type if isinstance(other, Words) else INT64
         if self.value.type == ty or not isinstance(ty, ir.VectorType):
             return self.value
