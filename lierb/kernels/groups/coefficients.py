@@ -4,10 +4,10 @@
     a₁ = a′/θ          b₁ = b′/θ
     c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
 
-Each form where it loses nothing: five Taylor terms below 0.1 rad and eight below 0.75 rad (a time
-step's angles: RK4, and DOP853 or a spinning top); up to π the entire alternating series with
-2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms above. The usual test against a tiny ε
-would be wrong: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of 150 and 1900.
+Each form is used where it loses no digits: five Taylor terms below 0.1 rad and eight below 0.75 rad
+(angles of RK4's steps, and of DOP853's or a spinning top's); up to π the entire alternating series
+with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms above. A cut-over at a tiny ε fails:
+at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of 150 and 1900.
 `tests/kernels/test_coefficients.py` measures the errors.
 """
 
@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from fractions import Fraction
 from math import factorial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from lierb.kernels.numbers.arithmetic import (
     PI,
@@ -31,9 +31,11 @@ from lierb.kernels.numbers.arithmetic import (
     taken_for_granted,
     where,
 )
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
+from lierb.kernels.numbers.vec import Vec
 
-TINY = 0.0215**2  # θ² up to which a time step makes do with three terms, and four of sinc
+TINY = 0.0215**2  # θ² up to which a time step needs three terms, and four of sinc
 TINY_TERMS = 3
 SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
 MEDIUM = 0.75**2  # and eight; of c₀ and c₁, which have a pole, nine and ten
@@ -43,16 +45,16 @@ NAN = float("nan")
 
 
 class Coefficients(NamedTuple):
-    sinc: Any
-    a: Any
-    b: Any
-    a1: Any
-    b1: Any
-    c0: Any
-    c1: Any
+    sinc: Number
+    a: Number
+    b: Number
+    a1: Number
+    b1: Number
+    c0: Number
+    c1: Number
 
 
-def _alternating(terms: int, term: Any) -> tuple[float, ...]:
+def _alternating(terms: int, term: Callable[[int], Fraction]) -> tuple[float, ...]:
     return tuple(float((-1) ** k * Fraction(term(k))) for k in range(terms))
 
 
@@ -82,67 +84,65 @@ DOUBLE_ANGLE_TERMS = tuple(
 )  # fmt: skip
 
 
-def coefficients(z: Any) -> Coefficients:
-    """All coefficient functions at z = θ²; c₀ and c₁ have a pole at θ = 2π.
+def coefficients(z: Number) -> Coefficients:
+    """Coefficient functions at z = θ²; c₀ and c₁ have a pole at θ = 2π.
 
-    A caller takes what it needs: what is left over is dropped when the formula is compiled.
+    A compiled formula evaluates those that it uses.
     """
     return Coefficients(*_anywhere(z, 1.0, _taylor, _long))
 
 
 class HalfAngleCoefficients(NamedTuple):
-    """Functions of φ = θ/2, on which formulas of ξ/2 are built."""
+    """Functions of φ = θ/2, on which formulas in ξ/2 are built."""
 
-    cos_minus_1: Any  # cos φ − 1
-    sinc: Any  # sinc φ
-    sinc2: Any  # 2 sinc θ
-    a4: Any  # 4 a(θ)
-    b8: Any  # 8 b(θ)
-    c04: Any  # 4 c₀(θ)
-    c116: Any  # 16 c₁(θ)
+    cos_minus_1: Number  # cos φ − 1
+    sinc: Number  # sinc φ
+    sinc2: Number  # 2 sinc θ
+    a4: Number  # 4 a(θ)
+    b8: Number  # 8 b(θ)
+    c04: Number  # 4 c₀(θ)
+    c116: Number  # 16 c₁(θ)
 
 
-def half_angle_coefficients(z: Any) -> HalfAngleCoefficients:
-    """For a time step, in which φ² = z is small: what they multiply there is smaller still.
+def half_angle_coefficients(z: Number) -> HalfAngleCoefficients:
+    """Coefficient functions at z = φ², for a time step.
 
     Up to θ = 0.0215 rad three terms, and four of sinc θ, leave out less than 2⁻⁵⁴ of exp X and
-    dexp⁻¹ V, though a coefficient itself may be off by 3e-15. Beyond SINCOS_RANGE they are NaN:
-    what such a step leads to is seen to be no motion.
+    dexp⁻¹ V, though a coefficient itself may be off by 3e-15: it multiplies a small angle. Beyond
+    SINCOS_RANGE the functions are NaN, so that a run reports such a step as a failure.
     """
     tiny = z <= 0.25 * TINY
     if taken_for_granted(tiny):
         return HalfAngleCoefficients(*_half_taylor(z, TINY_TERMS, ()))
 
-    def within_range(z: Any) -> tuple[Any, ...]:
+    def within_range(z: Number) -> Vec:
         return _half_long(where(z <= 0.25 * SINCOS_RANGE**2, z, NAN))
 
-    found: tuple[Any, ...] = branch(
+    values: Vec = branch(
         all_lanes(tiny),
         lambda: _half_taylor(z, TINY_TERMS, ()),
         lambda: _anywhere(z, 0.25, _half_taylor, within_range, ((tiny, TINY_TERMS),)),
     )
-    return HalfAngleCoefficients(*found)
+    return HalfAngleCoefficients(*values)
 
 
-Taylor = Callable[[Any, int, Cuts], tuple[Any, ...]]  # of z, so many terms or, where cut, fewer
-Beyond = Callable[[Any], tuple[Any, ...]]
+Taylor = Callable[[Number, int, Cuts], Vec]  # at z, with so many terms or, where cut, fewer
+Beyond = Callable[[Number], Vec]
 
 
-def _anywhere(
-    z: Any, share: float, taylor: Taylor, beyond: Beyond, cuts: Cuts = ()
-) -> tuple[Any, ...]:
+def _anywhere(z: Number, share: float, taylor: Taylor, beyond: Beyond, cuts: Cuts = ()) -> Vec:
     small = z < share * SMALL
 
-    def beyond_small() -> Any:
+    def beyond_small() -> Vec:
         medium = z < share * MEDIUM
         series = taylor(z, MEDIUM_TERMS, (*cuts, (small, 5)))
         return branch(all_lanes(medium), lambda: series, lambda: where(medium, series, beyond(z)))
 
-    found: tuple[Any, ...] = branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
-    return found
+    values: Vec = branch(all_lanes(small), lambda: taylor(z, 5, cuts), beyond_small)
+    return values
 
 
-def _taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
+def _taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
     series = (A_TERMS, B_TERMS, A1_TERMS, B1_TERMS)
     return (
         _sinc_series(z, SINC_TERMS, terms, cuts),
@@ -151,7 +151,7 @@ def _taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
     )
 
 
-def _half_taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
+def _half_taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
     sinc2, a4, b8, c04, c116 = DOUBLE_ANGLE_TERMS
     return (
         -(z * horner(z, A_TERMS[:terms], cuts)),
@@ -162,8 +162,8 @@ def _half_taylor(z: Any, terms: int, cuts: Cuts) -> tuple[Any, ...]:
     )
 
 
-def _sinc_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> Any:
-    """Of θ: a term more than the others for tiny angles."""
+def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
+    """Series of sinc θ, for tiny angles with one term more than the others."""
 
     def taken(terms: int) -> int:
         return terms + (terms == TINY_TERMS)
@@ -171,34 +171,32 @@ def _sinc_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> A
     return horner(z, series[: taken(terms)], tuple((mask, taken(n)) for mask, n in cuts))
 
 
-def _pole_series(z: Any, series: tuple[float, ...], terms: int, cuts: Cuts) -> Any:
-    """Of c₀ or c₁: all terms there are for medium angles."""
+def _pole_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
+    """Series of c₀ or c₁, for medium angles with all its terms."""
     return horner(z, series if terms == MEDIUM_TERMS else series[:terms], cuts)
 
 
-def _long(z: Any) -> tuple[Any, ...]:
-    # Each form is fed arguments it can bear, the other's lanes are thrown away; NaN stays NaN.
+def _long(z: Number) -> Vec:
+    # Each form gets arguments inside its range; its other lanes are dropped. NaN stays NaN.
     below = z < SERIES
     return where(below, _entire(minimum(z, SERIES)), _closed(where(below, SERIES, z)))
 
 
-def _half_long(z: Any) -> tuple[Any, ...]:
+def _half_long(z: Number) -> Vec:
     below = z < 0.25 * SERIES
-    found: tuple[Any, ...] = branch(
-        all_lanes(below), lambda: _half_entire(z), lambda: _half_anywhere(z)
-    )
-    return found
+    values: Vec = branch(all_lanes(below), lambda: _half_entire(z), lambda: _half_anywhere(z))
+    return values
 
 
 @apart(len(HalfAngleCoefficients._fields))
-def _half_anywhere(z: Any) -> tuple[Any, ...]:
+def _half_anywhere(z: Number) -> Vec:
     below = z < 0.25 * SERIES
     entire = _half_entire(minimum(z, 0.25 * SERIES))
     return where(below, entire, _half_closed(where(below, 0.25 * SERIES, z)))
 
 
-def _half_entire(z: Any) -> tuple[Any, ...]:
-    """By (1 − cos φ)/φ² and (sinc φ − cos φ)/φ², of which 4c₀ is the second over sinc φ."""
+def _half_entire(z: Number) -> Vec:
+    """Functions up to π from a = (1 − cos φ)/φ² and g = (sinc φ − cos φ)/φ²; 4c₀ = g/sinc φ."""
     a, g = horner(z, A_TERMS[:10]), horner(z, G_TERMS)
     cos = 1.0 - z * a
     sinc = fma(z, g, cos)
@@ -209,7 +207,7 @@ def _half_entire(z: Any) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def _half_closed(z: Any) -> tuple[Any, ...]:
+def _half_closed(z: Number) -> Vec:
     half, whole = Coefficients(*_long(z)), Coefficients(*_closed(4.0 * z))
     return (
         -(z * half.a), half.sinc, 2.0 * whole.sinc, 4.0 * whole.a, 8.0 * whole.b, 4.0 * whole.c0,
@@ -217,14 +215,14 @@ def _half_closed(z: Any) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
-def _entire(z: Any) -> tuple[Any, ...]:
+def _entire(z: Number) -> Vec:
     a, b = horner(z, A_TERMS), horner(z, B_TERMS)
     a1, b1 = horner(z, A1_TERMS), horner(z, B1_TERMS)
     half_inverse = 0.5 / a
     return (1.0 - z * b, a, b, a1, b1, -a1 * half_inverse, horner(z, E_TERMS) * half_inverse)
 
 
-def _closed(z: Any) -> tuple[Any, ...]:
+def _closed(z: Number) -> Vec:
     theta = sqrt(z)
     s, c = sincos(0.5 * theta)
     sinc = 2.0 * s * c / theta

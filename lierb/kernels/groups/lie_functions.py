@@ -1,4 +1,4 @@
-"""One Lie-group function over arrays: row i of the output from row i of the inputs."""
+"""Lie-group functions over arrays: row i of the output is that of row i of the inputs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lierb.kernels.tracing.trace import kernel
 
 GROUPS: dict[str, ModuleType] = {"so3": so3, "se3": se3, "so3xr3": so3xr3}
 
-# What each function takes and gives: "g" a group element, "x" a vector of the algebra.
+# Operands and result of each function: "g" a group element, "x" a vector of the algebra.
 SIGNATURES = {
     "exp": ("x", "g"), "log": ("g", "x"), "inverse": ("g", "g"), "compose": ("gg", "g"),
     "Ad": ("gx", "x"), "ad": ("xx", "x"), "dexp": ("xx", "x"), "dexpinv": ("xx", "x"),
@@ -24,7 +24,7 @@ SIGNATURES = {
 
 @dataclass(frozen=True)
 class LieFunction(Tag):
-    """The function `name` of a group, on packs of `lanes` rows."""
+    """Tag of the function `name` of a group, on packs of `lanes` rows."""
 
     group: str
     name: str
@@ -37,7 +37,7 @@ class LieFunction(Tag):
 
 
 def width(group: str, kind: str) -> int:
-    """Numbers in one row: of a vector, or of a 3×3 or 4×4 matrix."""
+    """Number of components in a row: a vector, or a 3×3 or 4×4 matrix."""
     if kind == "x":
         return 3 if group == "so3" else 6
     return 9 if group == "so3" else 16
@@ -79,6 +79,6 @@ kernel(apply_block)
 
 @cached()
 def apply(tag, a, b, out, lanes):
-    """out[i] = f(a[i], b[i]); `b` is not read where f takes one operand."""
+    """Evaluate out[i] = f(a[i], b[i]); `b` is not read where f takes one operand."""
     for first in range(0, out.shape[0], lanes):
         apply_block(tag, a, b, out, first)

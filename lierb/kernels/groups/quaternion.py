@@ -1,7 +1,8 @@
-"""SE(3) with a unit quaternion for the rotation: a step in fewer operations than with a matrix.
+"""SE(3) with a unit quaternion for the rotation: the formulas of `se3` that a step evaluates.
 
 C = (p, r) with p = (w, v) of unit length; p and −p are one rotation, R(p). A vector X = (ξ, η) of
-the algebra is held as its half, Y = (υ, ν): exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2.
+the algebra is held as its half, Y = (υ, ν): exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2. A step
+so takes fewer operations than with matrices and X.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ Chart = tuple[Quaternion, Vec]
 
 
 def of_matrix(r: Mat) -> Quaternion:
-    """The unit quaternion p of this rotation with w ≥ 0."""
+    """Unit quaternion p of a rotation, with w ≥ 0."""
     p = so3.quaternion(r)
     return scale(1.0 / norm(p), p)
 
 
 def from_pose(c: Pose) -> Chart:
+    """Chart (p, r) of the pose (R, r), an element of `se3.compose`'s group."""
     return of_matrix(c[0]), c[1]
 
 
@@ -33,7 +35,7 @@ def pose(c: Chart) -> Pose:
 
 
 def matrix(p: Quaternion) -> Mat:
-    """R(p), a rotation even where p's length is off by rounding."""
+    """Matrix R(p), a rotation also where p's length is off by rounding."""
     _, x, y, z = p
     w2, x2, y2, z2 = scale(fma(-2.0, dot(p, p), 4.0), p)  # 2p/‖p‖²
     yy, zz = y2 * y, z2 * z
@@ -45,45 +47,48 @@ def matrix(p: Quaternion) -> Mat:
 
 
 def normalised(p: Quaternion) -> Quaternion:
-    """The unit quaternion nearest to a p that is off by rounding.
+    """Unit quaternion nearest to a p that is off by rounding, as `so3.orthonormalised` for R.
 
-    As p plus what is missing: times a factor beside 1, all of p would be rounded once more, and its
-    axis with it, in the same direction each time.
+    The correction is added to p. A product with a factor near 1 would round all of p once more, and
+    its axis with it, in the same direction each time.
     """
     return axpy(0.5 - 0.5 * dot(p, p), p, p)
 
 
 def product(p: Quaternion, x: Vec) -> Quaternion:
-    """p (0, x)."""
+    """Quaternion product p (0, x)."""
     w, v = p[0], p[1:]
     return (-dot(v, x), *cross_add(v, x, scale(w, x)))
 
 
 def rotated(p: Quaternion, x: Vec) -> Vec:
-    """R(p) x = x + 2w v×x + 2 v×(v×x), without the matrix."""
+    """Return R(p) x = x + 2w v×x + 2 v×(v×x), without the matrix."""
     w, v = p[0], p[1:]
     twice = cross(v, add(x, x))
     return cross_add(v, twice, axpy(w, twice, x))
 
 
 def rotated_back(p: Quaternion, x: Vec) -> Vec:
-    """R(p)ᵀ x."""
+    """Return R(p)ᵀ x."""
     return rotated((p[0], *neg(p[1:])), x)
 
 
 def angle_coefficients(y: Vec) -> HalfAngleCoefficients:
-    """The coefficient functions at φ = ‖υ‖, to share between the functions below."""
+    """Coefficient functions at φ = ‖υ‖, to share between the functions below."""
     return half_angle_coefficients(dot(y[:3], y[:3]))
 
 
 def rotate(y: Vec, x: Vec, k: HalfAngleCoefficients) -> Vec:
-    """exp(ξ) x = x + 2 sinc θ υ×x + 4a υ×(υ×x)."""
+    """Return exp(ξ) x = x + 2 sinc θ υ×x + 4a υ×(υ×x)."""
     turned = cross(y[:3], x)
     return axpy(k.a4, cross(y[:3], turned), axpy(k.sinc2, turned, x))
 
 
 def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Chart:
-    """C exp 2Y; the rotation as p + p (exp υ − 1): where υ is small, so is what is rounded."""
+    """Update C exp 2Y, the product `se3.compose` with `se3.exp` at X = 2Y.
+
+    The quaternion is p + p (exp υ − 1), so that rounding is small where υ is.
+    """
     k = k or angle_coefficients(y)
     (p, r), upsilon, nu = c, y[:3], y[3:]
     swung = cross(upsilon, nu)
@@ -92,18 +97,21 @@ def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Cha
 
 
 def turned(p: Quaternion, upsilon: Vec, k: HalfAngleCoefficients) -> Quaternion:
-    """p exp υ."""
+    """Return p exp υ, the rotation R(p) times `so3.exp` of ξ = 2υ."""
     return axpy(k.sinc, product(p, upsilon), axpy(k.cos_minus_1, p, p))
 
 
 def dexpinv_so3(upsilon: Vec, omega: Vec, k: HalfAngleCoefficients) -> Vec:
-    """`so3.dexpinv` at ξ = 2υ."""
+    """Evaluate `so3.dexpinv` at ξ = 2υ."""
     first = tuple(fma(k.c04, x, -w) for x, w in zip(cross(upsilon, omega), omega, strict=True))
     return cross_add(upsilon, first, omega)
 
 
 def dexpinv(y: Vec, v: Vec, k: HalfAngleCoefficients) -> Vec:
-    """`se3.dexpinv` at X = 2Y: −½ and c₀ share their last cross product, which saves a sum."""
+    """Evaluate `se3.dexpinv` at X = 2Y.
+
+    The terms of −½ and c₀ share their last cross product, which saves a sum.
+    """
     upsilon, nu, omega, slide = y[:3], y[3:], v[:3], v[3:]
     swung, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, slide))
     pitch = dot(upsilon, nu) * k.c116

@@ -1,4 +1,4 @@
-"""SO(3)×R³ with a unit quaternion for the rotation, and with X/2 as `quaternion` has it."""
+"""SO(3)×R³ with a unit quaternion for the rotation and Y = X/2 for X, as in `quaternion`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from lierb.kernels.numbers.vec import Vec, axpy
 
 
 def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Chart:
-    """C exp 2Y."""
-    return quaternion.turned(c[0], y[:3], k or quaternion.angle_coefficients(y)), axpy(
-        2.0, y[3:], c[1]
-    )
+    """Update C exp 2Y, the product `so3xr3.compose` with `so3xr3.exp` at X = 2Y."""
+    k = k or quaternion.angle_coefficients(y)
+    return quaternion.turned(c[0], y[:3], k), axpy(2.0, y[3:], c[1])
 
 
 def dexpinv(y: Vec, v: Vec, k: HalfAngleCoefficients) -> Vec:
-    """`so3xr3.dexpinv` at X = 2Y."""
+    """Evaluate `so3xr3.dexpinv` at X = 2Y."""
     return quaternion.dexpinv_so3(y[:3], v[:3], k) + v[3:]

@@ -1,4 +1,7 @@
-"""The rigid motions SE(3). C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first."""
+"""The rigid motions SE(3). C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first.
+
+These are the paper's formulas. A step evaluates them on unit quaternions and X/2, in `quaternion`.
+"""
 
 from __future__ import annotations
 
@@ -23,41 +26,52 @@ identity: Pose = (so3.identity, ZERO3)
 
 
 def angle_coefficients(x: Vec) -> Coefficients:
-    """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    """Coefficient functions at θ = ‖ξ‖, to share between the functions below."""
     return _angle_coefficients(x[:3])
 
 
 def compose(c1: Pose, c2: Pose) -> Pose:
-    """(R₁R₂, r₁ + R₁r₂)."""
+    """Product (R₁R₂, r₁ + R₁r₂).
+
+    The chart C₀ of a run holds a quaternion for R, `quaternion.from_pose`, and a step updates it by
+    `quaternion.compose_exp`.
+    """
     return so3.compose(c1[0], c2[0]), mat_vec_add(c1[0], c2[1], c1[1])
 
 
 def inverse(c: Pose) -> Pose:
-    """(Rᵀ, −Rᵀr); the paper prints R for Rᵀ (errata E5)."""
+    """Inverse (Rᵀ, −Rᵀr); the paper prints R for Rᵀ (errata E5)."""
     rt = so3.inverse(c[0])
     return rt, neg(mat_vec(rt, c[1]))
 
 
 def exp(x: Vec, k: Coefficients | None = None) -> Pose:
-    """(exp ξ, dexp_ξ η)  (Müller, eq. expX)."""
+    """Exponential (exp ξ, dexp_ξ η)  (Müller, eq. expX).
+
+    A step evaluates C exp X as `quaternion.compose_exp`, and as `turns.compose_exp` where the node
+    of a mechanism turns about one axis.
+    """
     k = k or angle_coefficients(x)
     return so3.exp(x[:3], k), so3.dexp(x[:3], x[3:], k)
 
 
 def log(c: Pose) -> Vec:
-    """The X with exp X = C and ‖ξ‖ ≤ π; its sign at π as in `so3.log`."""
+    """Return the X with exp X = C and ‖ξ‖ ≤ π; its sign at π as in `so3.log`."""
     xi = so3.log(c[0])
     return xi + so3.dexpinv(xi, c[1])
 
 
 def Ad(c: Pose, x: Vec) -> Vec:
-    """(Rξ, r × Rξ + Rη): a body-fixed twist seen from the other frame."""
+    """Return Ad_C X = (Rξ, r × Rξ + Rη), a body-fixed twist in the other frame.
+
+    A mechanism evaluates Ad of the inverse, `spatial.twist_at`.
+    """
     xi = mat_vec(c[0], x[:3])
     return xi + cross_add(c[1], xi, mat_vec(c[0], x[3:]))
 
 
 def ad(x: Vec, y: Vec) -> Vec:
-    """[X, Y] = (ξ×ξ′, ξ×η′ + η×ξ′)  (Müller, eq. adse3)."""
+    """Bracket [X, Y] = (ξ×ξ′, ξ×η′ + η×ξ′)  (Müller, eq. adse3)."""
     return cross(x[:3], y[:3]) + cross_add(x[:3], y[3:], cross(x[3:], y[:3]))
 
 
@@ -82,7 +96,7 @@ def dexpinv(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
     U = −½ η̂ + c₀ (η̂ξ̂ + ξ̂η̂) + (ξ·η) c₁ ξ̂².
 
     The paper's eq. dexpInvSE3Park prints γ = (2/θ) cot(θ/2) for (θ/2) cot(θ/2) (errata E1) and
-    p/θ³ for p/θ² before ξ̂² (E2).
+    p/θ³ for p/θ² before ξ̂² (E2). A step evaluates `quaternion.dexpinv` on X/2.
     """
     k = k or angle_coefficients(x)
     xi, eta = x[:3], x[3:]

@@ -1,4 +1,7 @@
-"""The rotation group SO(3). R: 9 entries row by row; ξ, ω: 3 components, rad and rad/s."""
+"""The rotation group SO(3). R: 9 entries row by row; ξ, ω: 3 components, rad and rad/s.
+
+These are the paper's formulas. A step evaluates them on unit quaternions, in `quaternion`.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ identity: Mat = IDENTITY
 
 
 def angle_coefficients(xi: Vec) -> Coefficients:
-    """The coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    """Coefficient functions at θ = ‖ξ‖, to share between the functions below."""
     return coefficients(dot(xi, xi))
 
 
@@ -43,7 +46,10 @@ def inverse(r: Mat) -> Mat:
 
 
 def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
-    """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues)."""
+    """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues).
+
+    A step evaluates R exp ξ as `quaternion.turned`.
+    """
     return add(IDENTITY, _exp_minus_identity(xi, k or angle_coefficients(xi)))
 
 
@@ -61,13 +67,16 @@ def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
 
 
 def orthonormalised(q: Mat) -> Mat:
-    """The rotation nearest to a Q that is off by rounding: Q (3 I − QᵀQ)/2."""
+    """Rotation nearest to a Q that is off by rounding: Q (3 I − QᵀQ)/2.
+
+    A run applies `quaternion.normalised` to the quaternion in place of it.
+    """
     gram = mat_t_mat(q, q)
     return mat_mat(q, tuple(1.5 - 0.5 * g if i % 4 == 0 else -0.5 * g for i, g in enumerate(gram)))
 
 
 def quaternion(r: Mat) -> tuple[Any, ...]:
-    """A quaternion (w, x, y, z) of this rotation with w ≥ 0, of any length.
+    """Quaternion (w, x, y, z) of a rotation with w ≥ 0, of any length.
 
     Its largest component is formed first, so that nothing cancels at any angle.
     """
@@ -83,20 +92,21 @@ def quaternion(r: Mat) -> tuple[Any, ...]:
 
 
 def log(r: Mat) -> Vec:
-    """The ξ with exp ξ = R and ‖ξ‖ ≤ π.
+    """Return the ξ with exp ξ = R and ‖ξ‖ ≤ π.
 
-    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive (the
-    first of them, where several are).
+    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive; of
+    several that are largest, the first.
     """
     q = quaternion(r)
     n = norm(q[1:])
-    rests = n == 0.0  # the limit there matters to derivatives
-    limit = 2.0 / where(rests, q[0], 1.0)
-    return scale(where(rests, limit, 2.0 * atan2(n, q[0]) / where(rests, 1.0, n)), q[1:])
+    is_identity = n == 0.0  # derivatives need the limit there
+    limit = 2.0 / where(is_identity, q[0], 1.0)
+    quotient = 2.0 * atan2(n, q[0]) / where(is_identity, 1.0, n)
+    return scale(where(is_identity, limit, quotient), q[1:])
 
 
 def Ad(r: Mat, x: Vec) -> Vec:
-    """Ad_R x = R x."""
+    """Return Ad_R x = R x."""
     return mat_vec(r, x)
 
 
@@ -113,7 +123,10 @@ def dexp(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
 
 
 def dexpinv(xi: Vec, w: Vec, k: Coefficients | None = None) -> Vec:
-    """Inverse of dexp: w − ½ ξ×w + c₀ ξ×(ξ×w), ‖ξ‖ < 2π  (Müller, eq. dexpInvSO3)."""
+    """Inverse of dexp: w − ½ ξ×w + c₀ ξ×(ξ×w), ‖ξ‖ < 2π  (Müller, eq. dexpInvSO3).
+
+    A step evaluates `quaternion.dexpinv_so3` on ξ/2.
+    """
     k = k or angle_coefficients(xi)
     xw = cross(xi, w)
     return axpy(k.c0, cross(xi, xw), axpy(-0.5, xw, w))

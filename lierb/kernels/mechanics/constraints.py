@@ -1,4 +1,4 @@
-"""All rows of a joint together: how far off it a body is, and how fast it leaves it."""
+"""Constraint residuals of a joint's rows together, and their rates."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from lierb.kernels.numbers.zero import ZERO
 
 
 def holds_a_point(rows: Rows) -> bool:
-    """Whether they hold the joint's point in all directions."""
+    """Return whether the rows hold the joint's point in all directions."""
     return {0, 1, 2} <= {r.held_axis for r in rows}
 
 
 def held_axes(rows: Rows) -> list[int]:
-    """The joint axes that rows without a value of their own keep parallel."""
+    """Return the joint axes that `Omega` rows keep parallel."""
     fixed = fixed_axes(rows)
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 
 def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Any]:
-    """h of every row; of `Omega` rows by how much, rad, the body has turned about their axes."""
+    """Value h of every row; of an `Omega` row the body's turn about its axis, rad."""
     fixed = fixed_axes(rows)
     turns: dict[int | None, Any] = {}
     if len(fixed) == 3:
@@ -36,12 +36,12 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Any]:
 
 
 def _tilt(q: Vec, axis: int) -> dict[int | None, Any]:
-    """The turn that has taken an axis of the body from the ground's, about the two other ones."""
+    """Turn, rad, of a body's axis away from the ground's, about each of the two other axes."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    seen = row(q, axis)  # the ground's axis, in body axes
-    sine = norm((seen[i], seen[j]))
-    stretch = atan2(sine, seen[axis]) / where(sine == 0.0, 1.0, sine)
-    return {i: stretch * seen[j], j: -stretch * seen[i]}
+    ground_axis = row(q, axis)  # in body axes
+    sine = norm((ground_axis[i], ground_axis[j]))
+    factor = atan2(sine, ground_axis[axis]) / where(sine == 0.0, 1.0, sine)
+    return {i: factor * ground_axis[j], j: -factor * ground_axis[i]}
 
 
 def _squares(numbers: list[Any]) -> Any:
@@ -56,7 +56,7 @@ def position_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
 
 
 def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
-    """Of rows with values; and for `Omega` rows, how far Q is from a turn about the free axis."""
+    """Square of the values of rotational rows, and of Q's entries that `Omega` rows zero."""
     entries = [r.value(x, body) for r in rows if r.has_value and not r.is_translational]
     fixed = fixed_axes(rows)
     if len(fixed) == 2:
@@ -73,7 +73,7 @@ def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
 def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Any, Any]:
-    """Squares of the translational and of the rotational rows of J V, less what is prescribed."""
+    """Squares of J V less the prescribed rates, of translational and of rotational rows."""
     rates = [
         (r.is_translational, dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body))
         for r in rows

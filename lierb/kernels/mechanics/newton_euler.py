@@ -1,13 +1,13 @@
-"""The rigid body in the frames that make its joint simplest, and Newton–Euler in both c-spaces.
+"""The rigid body in joint axes, and Newton–Euler's equations in both c-spaces.
 
-Joint axes. Every problem is brought to the joint's own frames before the first step and taken back
+Joint axes. Every problem is transformed to the joint's own frames before the first step and back
 after the last: Q = GᵣᵀRBᵣ turns the body's joint frame to the ground's. Rows of the constraint
 Jacobian are then unit vectors and rows of Q, however the joint is tilted.
 
-- On SE(3) the body frame *is* the joint frame: D = G⁻¹CB = (Q, d). Both c-space and method are
-  equivariant under this change (left and right translations), so the motion is the same.
-- On SO(3)×R³ only rotations are: C = (Q, s) with s the place of the body frame's origin, and
-  d = s + Q p with p the joint's point seen from there. That p ≠ 0 is what makes constraints drift.
+- On SE(3) the body frame *is* the joint frame: D = G⁻¹CB = (Q, d). C-space and method are
+  equivariant under this change (left and right translations), so that the motion is the same.
+- On SO(3)×R³ they are so under rotations alone: C = (Q, s) with s the position of the body frame's
+  origin, and d = s + Q p with p from there to the joint's point. Constraints drift where p ≠ 0.
 
 Forces and accelerations are those at the joint's point, in body axes, in both c-spaces.
 """
@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     UNIT,
@@ -49,79 +50,82 @@ from lierb.kernels.numbers.vec import (
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 Pose = tuple[Mat, Vec]
-Turn = Callable[[Vec], Vec]  # of a vector from one set of axes to another
+Turn = Callable[[Vec], Vec]  # a vector's components in other axes
 
 
 class Parameters(NamedTuple):
-    """A body and its joint as the user gives them (SI; rotation matrices row by row)."""
+    """A body and its joint in the user's frames; SI units, rotation matrices row by row."""
 
     mass: Any
     inertia: Mat  # about the body frame's origin
     com: Vec  # centre of mass in the body frame
     gravity: Vec  # in the ground frame
-    ground: Pose  # joint frame seen from the ground
-    body: Pose  # joint frame seen from the body
-    pitch: Any  # m/rad
-    length: Any  # m, of a rod
+    ground: Pose  # joint frame on the ground
+    body: Pose  # joint frame on the body
+    pitch: Number  # m/rad
+    length: Number  # m, of a rod
 
 
 def frames_of(p: Parameters) -> Frames:
-    """The way to joint axes for forces, which act from the joint's point on."""
+    """Transformation of points and directions of forces to joint axes."""
     return Frames(p.ground, *p.body)
 
 
 def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
-    """C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
+    """Pose C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
     return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
 
 
 class BodyConstants(NamedTuple):
-    """The same in joint axes, as the equations of motion want it."""
+    """Constants of a body in joint axes, for the equations of motion."""
 
-    mass: Any
+    mass: Number
     inertia: Mat  # Θ about the centre of mass
     inertia_inverse: Mat
     com: Vec  # c, from the body frame's origin
     arm: Vec  # p, from the body frame's origin to the joint's point
     gravity: Vec  # in the ground's joint frame
-    energy_origin: Any  # potential energy at the ground's joint frame, J
-    pitch: Any
-    length: Any
+    energy_origin: Number  # potential energy at the ground's joint frame, J
+    pitch: Number
+    length: Number
     origin_inertia: Mat  # about the body frame's origin
     first_moment: Vec  # m c
-    gain: tuple[Any, ...] = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
-    turn: Mat = IDENTITY  # from the user's joint axes on the body to those that are used
-    shift: Vec = ZERO3  # from the user's joint point on the body to the one that is used
-    # Of a body that turns about a point, in principal axes: K₁ K₂ K₃, K₂ − K₃, K₃ − K₁, K₁ − K₂
+    gain: Vec = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
+    turn: Mat = IDENTITY  # from the user's joint axes on the body to those in use
+    shift: Vec = ZERO3  # from the user's joint point on the body to the point in use
+    # Of a body that turns about a point, in principal axes: K₁ K₂ K₃ and K₂ − K₃, K₃ − K₁, K₁ − K₂
     moments: Vec = ()
     differences: Vec = ()
-    dropped: Any = ZERO  # how many of the rows depended on others at the start
-    elements: tuple[Any, ...] = ()  # what each force and each further constraint is made of
-    signals: Signals = NO_SIGNALS  # of the time that the body is asked about
-    girth: Any = ZERO  # the square of its radius of gyration, m²
+    dropped: Number = ZERO  # number of rows that depended on others at the start
+    elements: tuple[Any, ...] = ()  # parameters of each force and each further constraint
+    signals: Signals = NO_SIGNALS  # at the time of the evaluation
+    girth: Number = ZERO  # square of the radius of gyration, m²
 
     def momentum(self, velocity: Vec) -> Vec:
-        """M V about the body frame's origin, on SE(3)."""
+        """Return M V about the body frame's origin, on SE(3)."""
         omega, v = velocity[:3], velocity[3:]
         angular = cross_add(self.first_moment, v, mat_vec(self.origin_inertia, omega))
         return angular + cross_add(omega, self.first_moment, scale(self.mass, v))
 
     def wrench(self, fall: Vec, velocity: Vec, momentum: Vec) -> Vec:
-        """ad_Vᵀ (M V) + W about the body frame's origin, on SE(3); `fall` is gravity in body axes.
+        """Return ad_Vᵀ (M V) + W about the body frame's origin, on SE(3)  (Müller, eq. Poincare1).
 
-        momentum : M V, or one that is the same for the purpose.
+        A step on a subgroup joint evaluates its projection, `subgroup.momentum_rate`.
+
+        fall : gravity in body axes.   momentum : M V, or on a subgroup its projection.
         """
         omega, v = velocity[:3], velocity[3:]
         spin = gyroscopic(self, omega) if self.differences else cross(momentum[:3], omega)
-        # Of a body that turns and slides about its centre of mass, m v × v is but rounding.
+        # m v × v is nothing but rounding for a body that turns and slides about its centre of mass.
         torque = spin if not is_zero(*self.shift) else cross_add(momentum[3:], v, spin)
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force
 
 
 def girth_of(*bodies: tuple[Any, Mat]) -> Any:
-    """The square of a radius of gyration, m², of masses and inertias about centres of mass, as of
-    one body: tr Θ / 2m.
+    """Square of the radius of gyration, tr Θ / 2m, m², of bodies together.
+
+    bodies : mass and inertia about the centre of mass of each.
     """
     mass: Any = ZERO
     trace: Any = ZERO
@@ -131,7 +135,7 @@ def girth_of(*bodies: tuple[Any, Mat]) -> Any:
 
 
 class Kinematics(NamedTuple):
-    """What constraint rows are made of."""
+    """Kinematic quantities that constraint rows depend on."""
 
     q: Mat
     d: Vec  # the joint's point in the ground's joint frame
@@ -147,20 +151,20 @@ class Kinematics(NamedTuple):
         return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
-        """Translational part of a row along a direction, given in ground and in body axes."""
+        """Translational part of a row along a direction, in ground axes and in body axes."""
         return body if self.is_body_fixed else ground
 
     def at_point(self) -> Kinematics:
-        """The same, where rows act on ω and on the velocity of the joint's point, in body axes."""
+        """Kinematics for rows on ω and on the velocity of the joint's point, in body axes."""
         return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
 
 
 class Frames(NamedTuple):
-    """The way from the user's frames to joint axes, for points and directions."""
+    """Transformation from the user's frames to joint axes, of points and directions."""
 
     ground: Pose
-    axes: Mat  # the joint's, seen from the user's body frame
-    origin: Vec  # the joint's point, seen from the user's body frame
+    axes: Mat  # the joint's axes in the user's body frame
+    origin: Vec  # the joint's point in the user's body frame
 
     def body_point(self, p: Vec) -> Vec:
         return mat_t_vec(self.axes, sub(p, self.origin))
@@ -176,9 +180,9 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What applied forces depend on; points of the body are counted from the joint's."""
+    """Motion that applied forces depend on; points of the body are relative to the joint's."""
 
-    time: Any
+    time: Number
     q: Mat
     place: Vec  # the joint's point in the ground's joint frame
     omega: Vec
@@ -186,16 +190,16 @@ class Motion(NamedTuple):
     signals: Signals = NO_SIGNALS
 
     def place_of(self, point: Vec) -> Vec:
-        """In the ground's joint frame."""
+        """Position of a point of the body in the ground's joint frame."""
         return mat_vec_add(self.q, point, self.place)
 
     def velocity_of(self, point: Vec) -> Vec:
-        """In body axes."""
+        """Velocity of a point of the body, in body axes."""
         return cross_add(self.omega, point, self.v)
 
 
 def _body(p: Parameters, origin: Vec, arm: Vec) -> BodyConstants:
-    """Turn to joint axes; `origin`, from which c is counted, is in the user's body frame."""
+    """Constants in joint axes; c is relative to `origin`, a point in the user's body frame."""
     to_joint = p.body[0]
     inertia = mat_t_mat(to_joint, mat_mat(inertia_about_com(p), to_joint))
     com = mat_t_vec(to_joint, sub(p.com, origin))
@@ -215,41 +219,44 @@ def _body(p: Parameters, origin: Vec, arm: Vec) -> BodyConstants:
 
 
 def gyroscopic(body: BodyConstants, omega: Vec) -> Vec:
-    """(Kω) × ω of a body that turns about a point."""
+    """Return (Kω) × ω of a body that turns about a point."""
     return tuple(d * w for d, w in zip(body.differences, _products(omega), strict=True))
 
 
 def _products(omega: Vec) -> Vec:
-    """Ω₂Ω₃, Ω₃Ω₁, Ω₁Ω₂."""
+    """Return Ω₂Ω₃, Ω₃Ω₁, Ω₁Ω₂."""
     x, y, z = omega
     return y * z, z * x, x * y
 
 
 def spinning(body: BodyConstants, omega: Vec, fall: Vec, torque: Vec) -> Vec:
-    """α of a body that turns about a point freely: Euler's equations there.
+    """Return α of a body that turns about a point freely, by Euler's equations.
 
-    fall : gravity in body axes.   torque : of all other forces, about the point.
+    This is the solution of the saddle point, `saddle.solve`, for a spherical joint in the principal
+    axes at its point.
+
+    fall : gravity in body axes.   torque : torque of all other forces about the point.
     """
     c = sub(body.com, body.arm)
     products = _products(omega)
-    found = []
-    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # what stands before products is constant
-        easy = 1.0 / body.moments[i]
-        pull = body.mass * easy
+    rates = []
+    for i, (j, k) in enumerate(((1, 2), (2, 0), (0, 1))):  # the factors of products are constant
+        mobility = 1.0 / body.moments[i]
+        pull = body.mass * mobility
         rate = fma(pull * c[j], fall[k], -((pull * c[k]) * fall[j]))
-        rate = fma(body.differences[i] * easy, products[i], rate)
-        found.append(fma(easy, torque[i], rate))
-    return tuple(found)
+        rate = fma(body.differences[i] * mobility, products[i], rate)
+        rates.append(fma(mobility, torque[i], rate))
+    return tuple(rates)
 
 
-SLENDER = 1e3  # m c²/tr Θ from which on axes along c are taken before anything is added to Θ
+SLENDER = 1e3  # m c²/tr Θ above which Θ is taken in axes along c before m c² is added
 
 
 def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
-    """Principal axes at the joint's point, as a rotation's columns; in them c, the moments K_i, and
-    K₂ − K₃, K₃ − K₁, K₁ − K₂.
+    """Principal axes at the joint's point, as the columns of a rotation.
 
-    Where Θ is small beside m c², that of a spin about c keeps its digits, and so do differences.
+    Also returns, in these axes, c, the moments K_i, and K₂ − K₃, K₃ − K₁, K₁ − K₂. Where Θ is small
+    beside m c², the moment of a spin about c keeps its digits, and so do the differences.
     """
     c = sub(body.com, body.arm)
     heavy, none = body.mass * dot(c, c), 0.0 * body.mass
@@ -268,12 +275,12 @@ def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
 
 
 def inertia_about_com(p: Parameters) -> Mat:
-    """In the user's body axes  (Steiner)."""
+    """Inertia about the centre of mass, in the user's body axes  (Steiner)."""
     return sub(p.inertia, scale(p.mass, unit_inertia(p.com)))
 
 
 def unit_inertia(c: Vec) -> Mat:
-    """(c·c) I − c cᵀ, the inertia of a unit mass at c."""
+    """Inertia (c·c) I − c cᵀ of a unit mass at c."""
     x, y, z = c
     xx, yy, zz = x * x, y * y, z * z
     xy, xz, yz = -(x * y), -(x * z), -(y * z)
@@ -293,11 +300,11 @@ class SE3:
     """Velocity (ω, v), both in body axes; v is that of the body frame's origin."""
 
     group: ModuleType = se3
-    charts: ModuleType = quaternion  # the group as a step has it
+    charts: ModuleType = quaternion  # the group's formulas that a step evaluates
 
     @staticmethod
     def centred(body: BodyConstants, c: Vec) -> BodyConstants:
-        """The body with c, from the joint's point to the centre of mass, in place of its own."""
+        """Return the body with another c, from the joint's point to the centre of mass."""
         return body._replace(com=c, first_moment=scale(body.mass, c))
 
     @staticmethod
@@ -329,7 +336,7 @@ class SE3:
     def velocity_rate(
         body: BodyConstants, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec
     ) -> Vec:
-        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        """Return V̇, given ω̇ and the acceleration Qᵀd̈ of the joint's point."""
         return turning + cross_add(velocity[3:], velocity[:3], moving)
 
     @staticmethod
@@ -339,7 +346,7 @@ class SE3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Any:
-        """Of gravity."""
+        """Potential energy of gravity."""
         return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
 
 
@@ -387,7 +394,7 @@ class SO3xR3:
     def velocity_rate(
         body: BodyConstants, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec
     ) -> Vec:
-        """V̇ from ω̇ and the acceleration Qᵀd̈ of the joint's point."""
+        """Return V̇, given ω̇ and the acceleration Qᵀd̈ of the joint's point."""
         omega, com = velocity[:3], neg(body.arm)  # seen from the point
         bend = cross_add(omega, cross(omega, com), moving)
         return turning + to_ground(cross_add(turning, com, bend))
@@ -398,7 +405,7 @@ class SO3xR3:
 
     @staticmethod
     def potential_energy(body: BodyConstants, pose: Pose) -> Any:
-        """Of gravity."""
+        """Potential energy of gravity."""
         return _potential_energy(body, pose[1])
 
 

@@ -1,8 +1,8 @@
-"""The rows of the constraint Jacobian: a class for each kind, with all that is known about it.
+"""Rows of the constraint Jacobian: one class for each kind of row.
 
-The primitive rows of a joint act on D = (Q, d), the body's joint frame seen from the ground's.
-Every row has its value h, its Jacobian row (J V = ḣ, angular part first) and η of the acceleration
-constraint J V̇ = η, so that η = −(ḧ at V̇ = 0).
+The primitive rows of a joint act on D = (Q, d), the body's joint frame in the ground's joint frame.
+A row has a value h, its row of J (J V = ḣ, angular part first) and η of the acceleration constraint
+J V̇ = η, η = −ḧ at V̇ = 0.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Protocol
 from lierb.kernels.groups import quaternion
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.numbers.arithmetic import PI, fma, rint, where
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import (
     UNIT,
@@ -35,12 +36,12 @@ PITCHED = -2  # slot of v₃ = pitch·ω₃
 
 
 class HeldBody(Protocol):
-    """What rows take beside the motion: of a body, or of two frames in a mechanism."""
+    """Parameters of rows: of a body, or of two frames in a mechanism."""
 
     @property
-    def pitch(self) -> Any: ...
+    def pitch(self) -> Number: ...
     @property
-    def length(self) -> Any: ...
+    def length(self) -> Number: ...
     @property
     def elements(self) -> tuple[Any, ...]: ...
 
@@ -48,11 +49,11 @@ class HeldBody(Protocol):
 class Row:
     """One scalar constraint.
 
-    is_translational: whether h is a length: an error of position, with a force for λ.
-    is_holonomic: whether it says anything of the pose.
-    has_value: whether h can be told of it alone.
-    is_of_joint: whether it is one of the joint's, which see nothing but D.
-    parameters: those of the joint that it takes, with their units.
+    is_translational : True where h is a length, an error of position, and λ a force.
+    is_holonomic : True where the row constrains the pose.
+    has_value : True where h follows from this row alone.
+    is_of_joint : True for a row of the joint, which depends on D alone.
+    parameters : the joint parameters that the row takes, with their units.
     """
 
     is_translational: bool = False
@@ -63,7 +64,7 @@ class Row:
 
     @property
     def unit(self) -> str:
-        """Of its multiplier."""
+        """Unit of the multiplier."""
         return "N" if self.is_translational else "N m"
 
     @property
@@ -72,27 +73,27 @@ class Row:
 
     @property
     def held_axis(self) -> int | None:
-        """The ground's axis along which the row alone says how the joint's point moves, if any."""
+        """Ground axis along which this row alone determines the motion of the joint's point."""
         return None
 
     @property
     def fixed_axis(self) -> int | None:
-        """The body's axis about which the row alone says how the body turns, if any."""
+        """Body axis about which this row alone determines the turn."""
         return None
 
     @property
     def holds_slide(self) -> bool:
-        """Whether no joint that has it and keeps e₃ slides along it."""
+        """Return whether no joint that has this row and keeps e₃ slides along e₃."""
         return self.held_axis == 2
 
     @property
     def holds_turn(self) -> bool:
-        """Whether no joint that has it and keeps e₃ turns about it."""
+        """Return whether no joint that has this row and keeps e₃ turns about e₃."""
         return self.fixed_axis == 2
 
     @property
     def slot(self) -> tuple[int, int] | None:
-        """A component of (ω, v), and what it is in the algebra of a joint that is a subgroup."""
+        """Component of (ω, v) and its slot in the algebra of a subgroup joint."""
         axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
         return None if axis is None else (axis, FIXED)
 
@@ -101,7 +102,7 @@ class Row:
         return ZERO
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        """The row of J, 6 numbers: angular, translational."""
+        """Row of J, (6,): angular part, translational part."""
         raise NotImplementedError
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
@@ -109,7 +110,7 @@ class Row:
         return ZERO
 
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
-        """What J V has to be."""
+        """Prescribed value of J V."""
         return ZERO
 
 
@@ -117,23 +118,23 @@ Rows = tuple[Row, ...]
 
 
 def fixed_axes(rows: Rows) -> tuple[int, ...]:
-    """The body's axes about which rows forbid to turn, in order."""
+    """Return the body axes about which rows forbid to turn, in order."""
     axes = {r.fixed_axis for r in rows if r.is_holonomic and r.fixed_axis is not None}
     return tuple(sorted(axes))
 
 
 def keeps_axis(rows: Rows) -> bool:
-    """Whether e₃ of the body stays e₃ of the ground."""
+    """Return whether e₃ of the body stays e₃ of the ground."""
     return {0, 1} <= {*fixed_axes(rows)}
 
 
 def turns(rows: Rows) -> bool:
-    """Whether a joint that keeps e₃ turns about it."""
+    """Return whether a joint that keeps e₃ turns about it."""
     return not (any(r.holds_turn for r in rows) or (_is_screw(rows) and _holds_slide(rows)))
 
 
 def slides(rows: Rows) -> bool:
-    """Whether a joint that keeps e₃ slides along it."""
+    """Return whether a joint that keeps e₃ slides along it."""
     return not (_holds_slide(rows) or (_is_screw(rows) and any(r.holds_turn for r in rows)))
 
 
@@ -142,24 +143,24 @@ def _holds_slide(rows: Rows) -> bool:
 
 
 def _is_screw(rows: Rows) -> bool:
-    """Whether the joint turns as it slides, and only then."""
+    """Return whether the joint turns as it slides, and only then."""
     return any(isinstance(r, Screw) for r in rows)
 
 
 def parameters_of(rows: Rows) -> dict[str, str]:
-    """The parameters that rows of a joint take, with their units."""
+    """Return the parameters that rows of a joint take, with their units."""
     return {name: unit for row in rows for name, unit in row.parameters.items()}
 
 
 # ---- rows of joints ----------------------------------------------------------------------------
 
 
-JOINT_ROWS: dict[str, JointRow] = {}  # all there are, by name
+JOINT_ROWS: dict[str, JointRow] = {}  # all primitive rows, by name
 
 
 @dataclass(frozen=True)
 class JointRow(Row):
-    """A primitive row, named by its symbol and its axes, from 1; here they count from 0."""
+    """A primitive row. Axes i, j count from 0, in the row's name from 1."""
 
     i: int = -1
     j: int = -1
@@ -174,7 +175,7 @@ class JointRow(Row):
         return self.symbol + "".join(str(axis + 1) for axis in (self.i, self.j) if axis >= 0)
 
     def objection(self, rows: Rows) -> str | None:
-        """What is wrong with it among these rows of a joint, if anything, as in "it has …"."""
+        """Return why the row does not fit these rows of a joint, as in "has …"; None if it does."""
         return None
 
 
@@ -226,7 +227,7 @@ class GroundPoint(JointRow):
 
 
 class Turning(JointRow):
-    """Ω_i = 0, a fixed axis, as a condition on velocity."""
+    """Ω_i = 0: a fixed axis, as a condition on velocity."""
 
     symbol = "Omega"
     has_value = False
@@ -280,7 +281,7 @@ class Screw(JointRow):
         turn = 2.0 * PI * body.pitch
         slip = fma(-body.pitch, atan2(x.q[3], x.q[0]), x.d[2])
         turns = rint(slip / where(turn == 0.0, 1.0, turn))
-        return fma(-turn, turns, slip)  # φ is known up to whole turns: the nearest is meant
+        return fma(-turn, turns, slip)  # φ is determined up to whole turns; the nearest is taken
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         sliding = Point(2).jacobian(x, body)
@@ -324,7 +325,7 @@ class ConstantVelocity(JointRow):
     holds_turn = True
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
-        # not (Q₂₁ − Q₁₂)/2 = 2wz, which has no gradient at a half turn; of this J is a unit vector
+        # (Q₂₁ − Q₁₂)/2 = 2wz has no gradient at a half turn; the row of J of 2z is a unit vector
         return 2.0 * quaternion.of_matrix(x.q)[3]
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
@@ -340,7 +341,7 @@ class ConstantVelocity(JointRow):
 
 @dataclass(frozen=True)
 class AddedRow(Row):
-    """Row `i` of element number `place`: a motor's speed, or a function of the user's."""
+    """Row `i` of the element at index `place`: a motor's speed, or a user's constraint."""
 
     element: Any
     place: int
@@ -348,5 +349,5 @@ class AddedRow(Row):
     is_of_joint = False
 
     def placed(self, body: HeldBody) -> Any:
-        """What the element is made of."""
+        """Parameters of the element in joint axes."""
         return body.elements[self.place]

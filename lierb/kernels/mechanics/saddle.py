@@ -1,19 +1,20 @@
 """The index-1 saddle point  [[M, Jᵀ], [J, 0]] (V̇, λ) = (ad_Vᵀ M V + W, η)  (Müller, eq. index1).
 
-It is solved at the joint's point P, in body axes, for the angular acceleration α and for a, that of
-P (Qᵀd̈). There the rows `d` and `Omega`, and a motor's speed, say a component of a or α outright:
-what remains is the null space of these rows. λ is what their components of f − M V̇ lack. Other
-rows have a Schur complement on that null space.
+It is solved at the joint's point P, in body axes, for the angular acceleration α and the
+acceleration a = Qᵀd̈ of P. There `d` and `Omega` rows, and a motor's speed, prescribe a component of
+a or α each, and the body moves in the null space of these rows. Their λ are the components of
+f − M V̇ that are missing. Other rows have a Schur complement on that null space.
 
 With c from P to the centre of mass, P held along unit vectors n_h and w_h = c × n_h, the inertia
-against which the body turns is
+of a turn is
 
     K = Θ + m Σ w_h w_hᵀ,   adj K = adj Θ + m Σ ŵ_h Θ ŵ_hᵀ + m² γ c cᵀ,
     det K = det Θ + m Σ w_hᵀ (adj Θ) w_h + m² γ cᵀΘ c,   γ = Σ_{h<k} (c·(n_h × n_k))².
 
-Every term is a sum of what is not negative, so that a small body on a long arm loses nothing: about
-the centre of mass, a Schur complement loses digits like m c²/Θ. What cᵀ makes of a force at P is
-zero; it is left out, since the third term of adj K would multiply its rounding by c²/Θ.
+Every term is a sum of nonnegative numbers, so that a small body on a long arm keeps its digits;
+about the centre of mass, a Schur complement loses digits like m c²/Θ. The product of c with the
+moment of a force at P is zero. It is left out, since the third term of adj K would multiply its
+rounding by c²/Θ.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from lierb.kernels.numbers.arithmetic import (
     taken_for_granted,
     where,
 )
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,
@@ -53,10 +55,10 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
-# A row whose pivot has shrunk to this part of what it moves by itself depends on the rows before
-# it: plain Cholesky, LDLᵀ and LU all return garbage there. Rounding leaves about 1e-15.
+# A row whose pivot is this part of its mobility alone depends on the rows before it. Cholesky, LDLᵀ
+# and LU without that test return garbage there. Rounding leaves about 1e-15.
 PIVOT_TOLERANCE = 1e-12
-# Its right-hand side must have shrunk likewise, or the rows contradict each other.
+# The right-hand side of such a row must be as small, or the rows contradict each other.
 CONSISTENCY_TOLERANCE = 1e-6
 # Where pose and velocity are off the rows by δ, both tolerances are this δ and its root, if larger.
 # With a tolerance below the root of rounding, a pivot that is zero may be more than that.
@@ -64,9 +66,9 @@ OPEN_PIVOT, ROUNDED_PIVOT = 10.0, 1e-7
 
 
 class Load(NamedTuple):
-    """A wrench in body axes: about the centre of mass, and its torque about P.
+    """A wrench in body axes about the centre of mass, and its torque about P.
 
-    `about_point` may leave out what is no torque, such as c × c.
+    `about_point` may leave out terms that are zero, such as c × c.
     """
 
     torque: Vec
@@ -75,21 +77,21 @@ class Load(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """α, a, λ in the order of the rows, the wrench −Jᵀλ about P, and marks of trouble."""
+    """Solution of the saddle point."""
 
-    turning: Vec
-    moving: Vec
-    multipliers: tuple[Any, ...]
-    wrench: Vec
-    singular: Any  # 1 where rows contradict each other, else 0
-    dropped: Any  # how many rows depend on others
+    turning: Vec  # α
+    moving: Vec  # a
+    multipliers: Vec  # λ, in the order of the rows
+    wrench: Vec  # −Jᵀλ about P
+    singular: Number  # 1 where rows contradict each other, else 0
+    dropped: Number  # number of rows that depend on others
 
 
 class Support:
-    """A body whose point P is held along some directions, and which is kept from some turns.
+    """A body whose point P is held along some directions, and its turns about some axes.
 
-    held : of d1 d2 d3, from 0.   fixed : body axes about which the turning is given: none, two or
-    all, of two e₁ and e₂ or the like.
+    held : indices of the ground axes along which P is held.   fixed : body axes about which α is
+    prescribed: none, two or all.
     """
 
     def __init__(
@@ -97,13 +99,13 @@ class Support:
     ) -> None:
         self.body = body
         self.fixed = fixed
-        self.is_point = len(held) == 3  # all directions: the body's own will do
+        self.is_point = len(held) == 3  # all directions: body axes serve as well
         self.directions = UNIT if self.is_point else tuple(row(q, i) for i in held)
         self.centre = sub(body.com, body.arm)
         self.levers = tuple(cross(self.centre, n) for n in self.directions)
 
     def response(self, load: Load, turns: Vec, moves: Vec) -> tuple[Vec, Vec]:
-        """α and a under a load.
+        """Return α and a under a load.
 
         turns : α about the `fixed` axes.   moves : a along the directions.
         """
@@ -111,28 +113,28 @@ class Support:
         return turning, self.moving(load, turning, moves)
 
     def holding(self, load: Load, turning: Vec, moves: Vec) -> Vec:
-        """The forces that hold P, along the directions."""
+        """Forces that hold P, along the directions."""
         return tuple(
             fma(self.body.mass, dot(turning, w) + move, -dot(n, load.force))
             for n, w, move in zip(self.directions, self.levers, moves, strict=True)
         )
 
     def torques(self, load: Load, turning: Vec, holding: Vec) -> Vec:
-        """The torques that fix the turning, about body axes; zero about the others but rounding."""
-        lacking = sub(mat_vec(self.body.inertia, turning), load.torque)
+        """Torques about the fixed body axes; structurally zero about the others."""
+        missing = sub(mat_vec(self.body.inertia, turning), load.torque)
         for w, force in zip(self.levers, holding, strict=True):
-            lacking = axpy(force, w, lacking)
-        return tuple(x if i in self.fixed else ZERO for i, x in enumerate(lacking))
+            missing = axpy(force, w, missing)
+        return tuple(x if i in self.fixed else ZERO for i, x in enumerate(missing))
 
     def force(self, holding: Vec) -> Vec:
-        """The forces that hold P as a vector."""
+        """Sum of the forces that hold P, as a vector."""
         total = ZERO3
         for n, size in zip(self.directions, holding, strict=True):
             total = add(total, scale(size, n))
         return total
 
     def turning(self, load: Load, turns: Vec, moves: Vec) -> Vec:
-        """α."""
+        """Return α under a load."""
         mass = self.body.mass
         if len(self.fixed) == 3:
             return turns
@@ -160,14 +162,14 @@ class Support:
         return tuple(alpha if i == axis else turns[i] for i in range(3))
 
     def _inertia(self, i: int, j: int) -> Any:
-        """K_ij."""
+        """Return K_ij."""
         sides: Any = ZERO
         for w in self.levers:
             sides = fma(w[i], w[j], sides)
         return fma(self.body.mass, sides, self.body.inertia[3 * i + j])
 
     def _about_all(self, load: Load, torque: Vec, pushes: Vec) -> Vec:
-        """K⁻¹ torque, where torque = load.torque + Σ push w."""
+        """Return K⁻¹ torque, where torque = load.torque + Σ push w."""
         theta, c, mass = self.body.inertia, self.centre, self.body.mass
         along = dot(c, load.torque)  # c·w is zero
         if not self.levers:
@@ -176,25 +178,25 @@ class Support:
             spread, slender = self._point_inverse
             return axpy(slender * along, c, mat_vec(spread, torque))
         adjugate = adjugate_symmetric(theta)
-        found = mat_vec(adjugate, torque)
+        turning = mat_vec(adjugate, torque)  # times det K
         size = dot(row(theta, 0), row(adjugate, 0))
         for i, w in enumerate(self.levers):
             crossed = cross(load.torque, w)
             for j, push in enumerate(pushes):
                 if i != j:  # w × w is zero
                     crossed = axpy(push, cross(self.levers[j], w), crossed)
-            found = axpy(mass, cross(w, mat_vec(theta, crossed)), found)
+            turning = axpy(mass, cross(w, mat_vec(theta, crossed)), turning)
             size = fma(mass, dot(w, mat_vec(adjugate, w)), size)
         if len(self.levers) == 2:
             height = mass * dot(c, cross(*self.directions))
             gamma = height * height
-            found = axpy(gamma * along, c, found)
+            turning = axpy(gamma * along, c, turning)
             size = fma(gamma, dot(c, mat_vec(theta, c)), size)
-        return scale(1.0 / size, found)
+        return scale(1.0 / size, turning)
 
     @cached_property
     def _point_inverse(self) -> tuple[Mat, Any]:
-        """K⁻¹ = S + κ c cᵀ, P held in all directions: S and κ.
+        """Return S and κ of K⁻¹ = S + κ c cᵀ, for P held in all directions.
 
         S = (adj Θ + m((cᵀΘc) I − Θc cᵀ − c(Θc)ᵀ))/det K,   κ = m(m c² + tr Θ)/det K.
         """
@@ -219,7 +221,7 @@ class Support:
         return spread, inverse * (mass * (heavy + trace))
 
     def moving(self, load: Load, turning: Vec, moves: Vec) -> Vec:
-        """a."""
+        """Return a under a load, given α."""
         if self.is_point:
             return moves
         falling = axpy(1.0 / self.body.mass, load.force, cross(self.centre, turning))
@@ -235,7 +237,7 @@ class Support:
 
 
 def adjugate_symmetric(m: Mat) -> Mat:
-    """det(m) m⁻¹."""
+    """Return det(m) m⁻¹."""
     x, y, z = row(m, 0), row(m, 1), row(m, 2)
     return cross(y, z) + cross(z, x) + cross(x, y)
 
@@ -250,11 +252,15 @@ def solve(
     velocity: Vec | None = None,
     turning: Vec | None = None,
 ) -> Solution:
-    """The saddle point of these rows.
+    """Solve the saddle point of some rows  (Müller, eq. index1).
 
-    jacobian : of a row, at P and in body axes.   eta : of the rows, where P does not accelerate and
-    the body does not.   velocity : (ω, that of P), for the scale on which a dropped row's
-    contradiction is judged.   turning : α but for `others`, where it is known.
+    A step of a body that turns about a point freely evaluates α by Euler's equations,
+    `newton_euler.spinning`; a step on a subgroup joint evaluates `subgroup.momentum_rate`, which
+    has the same solution.
+
+    jacobian : row of J at P, in body axes.   eta : η of the rows at α = 0, a = 0.
+    velocity : (ω, velocity of P), which scales the contradiction of dropped rows.
+    turning : α without the rows beside the null space, where it is known.
     """
     asked = dict(zip(rows, eta, strict=True))
     held, fixed, others = kinds_of(rows)
@@ -307,14 +313,14 @@ def solve(
 
 
 def has_others(rows: Rows) -> bool:
-    """Whether there are rows that say neither a component of a nor one of α."""
+    """Return whether some row prescribes neither a component of a nor one of α."""
     return bool(kinds_of(rows)[2])
 
 
 def kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
-    """Rows that hold P along a direction and rows that fix a turning, by axis; all others.
+    """Sort rows into those that prescribe a or α along an axis, by axis, and all others.
 
-    An axis is given once: a motor beside `Omega3` is one of the others.
+    An axis has one such row: a motor beside `Omega3` is one of the others.
     """
     held: dict[int, Any] = {}
     fixed: dict[int, Any] = {}
@@ -330,7 +336,7 @@ def kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
 
 
 class _Scales:
-    """What rows and loads amount to, measured by the inertia about P that each axis has alone."""
+    """Sizes of rows and loads in the metric of the inertia about P that each axis has alone."""
 
     def __init__(
         self, body: BodyConstants, support: Support, load: Load, velocity: Vec | None
@@ -342,14 +348,14 @@ class _Scales:
         self.body, self.support, self.load, self.velocity = body, support, load, velocity
 
     def of(self, wrench: Vec) -> Any:
-        """Its square: of a row, what it would move; of a load, what moves."""
+        """Square of the size of a row or of a wrench."""
         total: Any = ZERO
         for x, easy in zip(wrench, self.mobility, strict=True):
             total = fma(x * x, easy, total)
         return total
 
     def acceleration(self, arm: Vec) -> Any:
-        """The acceleration of a row that the load and the motion could bring about."""
+        """Bound on the acceleration of a row by load and motion."""
         body, c, load = self.body, self.support.centre, self.load
         forced = sqrt(self.of(cross_add(c, load.force, load.torque) + load.force))
         moved: Any = ZERO
@@ -463,7 +469,7 @@ def is_other_rank(dropped: Any, before: Any) -> Any:
 
 
 def less(x: Any, left: list[Any], right: list[Any]) -> Any:
-    """x − left·right."""
+    """Return x − left·right."""
     for a, b in zip(left, right, strict=False):
         x = fma(-a, b, x)
     return x

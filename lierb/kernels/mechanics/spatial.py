@@ -1,13 +1,15 @@
-"""Twists, wrenches and inertias seen from other frames, angular part first.
+"""Twists, wrenches and inertias in other frames, angular part first.
 
-After Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2 and 7. A frame is a pose (R, p):
-its axes and its origin, seen from the frame that it is placed in.
+Formulas of Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2 and 7. A frame is a pose
+(R, p): its axes and its origin in the outer frame.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     ZERO6,
     Mat,
@@ -31,52 +33,52 @@ Pose = tuple[Mat, Vec]
 
 
 def twist_at(frame: Pose, twist: Vec) -> Vec:
-    """A twist of the outer frame, seen from one in it: Ad of the frame's inverse."""
+    """Transform a twist from the outer frame into a frame: `se3.Ad` of the frame's inverse."""
     r, p = frame
     return mat_t_vec(r, twist[:3]) + mat_t_vec(r, cross_add(twist[:3], p, twist[3:]))
 
 
 def wrench_from(frame: Pose, wrench: Vec) -> Vec:
-    """A wrench seen from a frame, taken to the outer one: (R τ + p × R f, R f)."""
+    """Transform a wrench from a frame into the outer one: (R τ + p × R f, R f)."""
     r, p = frame
     force = mat_vec(r, wrench[3:])
     return cross_add(p, force, mat_vec(r, wrench[:3])) + force
 
 
 class Rigid(NamedTuple):
-    """A rigid body's mass, m c and moments of inertia, about the origin of the frame it is in."""
+    """Mass, first moment and inertia of a rigid body about the origin of its frame."""
 
-    mass: Any
-    moment: Vec
-    inertia: Mat
+    mass: Number  # kg
+    moment: Vec  # m c, kg m
+    inertia: Mat  # J, kg m²
 
     def momentum(self, twist: Vec, start: Vec = ZERO6) -> Vec:
-        """start + M V; with accelerations for V, the wrench that they take beside `bias`."""
+        """Return start + M V; for an acceleration V, the wrench that it takes beside `bias`."""
         omega, v = twist[:3], twist[3:]
         angular = cross_add(self.moment, v, mat_vec_add(self.inertia, omega, start[:3]))
         return angular + cross_add(omega, self.moment, axpy(self.mass, v, start[3:]))
 
     def bias(self, omega: Vec) -> Vec:
-        """The wrench under which the body turns at ω while the frame's origin does not accelerate.
+        """Wrench (ω × J ω, ω × (ω × m c)) of a body that turns at ω, its origin not accelerating.
 
-        (ω × J ω, ω × (ω × m c)). No velocity of the origin is in it: in −ad_Vᵀ M V, which is the
-        same where V̇ is zero, rounding of v × m v would be a torque.
+        The velocity v of the origin is not in it. In −ad_Vᵀ M V, which has the same value where V̇
+        is zero, the rounding of v × m v is a torque.
         """
         return cross(omega, mat_vec(self.inertia, omega)) + cross(omega, cross(omega, self.moment))
 
     def needed(self, acceleration: Vec, omega: Vec) -> Vec:
-        """The wrench under which the frame has this acceleration (ω̇, that of its origin) at ω."""
+        """Wrench for an acceleration (ω̇, that of the origin) at ω."""
         return self.momentum(acceleration, self.bias(omega))
 
     def from_frame(self, frame: Pose) -> Articulated:
-        """Seen from outside the frame."""
+        """Transform into the outer frame."""
         r, p = frame
         moment = mat_vec(r, self.moment)
         middle = axpy(0.5 * self.mass, p, moment)  # t: J + 2(p·t) I − t pᵀ − p tᵀ  (Steiner)
         along = 2.0 * dot(p, middle)
         turned = conjugated(r, self.inertia)
 
-        def entry(i: int, j: int) -> Any:
+        def entry(i: int, j: int) -> Number:
             rest = turned[3 * i + j] - (middle[i] * p[j] + p[i] * middle[j])
             return rest + along if i == j else rest
 
@@ -86,7 +88,7 @@ class Rigid(NamedTuple):
 
 
 class Articulated(NamedTuple):
-    """[[J, H], [Hᵀ, L]]: what moves the first of bodies that hang together; J and L symmetric."""
+    """Articulated inertia [[J, H], [Hᵀ, L]] of the first of connected bodies; J, L symmetric."""
 
     angular: Mat
     mixed: Mat
@@ -101,7 +103,7 @@ class Articulated(NamedTuple):
         return Articulated(*(add(a, b) for a, b in zip(self, other, strict=True)))
 
     def less(self, u: Vec, g: Vec) -> Articulated:
-        """Without u gᵀ, of columns whose sum over all such pairs is symmetric."""
+        """Subtract u gᵀ, of columns whose sum over all such pairs is symmetric."""
         return Articulated(
             _symmetric(lambda i, j: self.angular[3 * i + j] - u[i] * g[j]),
             tuple(self.mixed[3 * i + j] - u[i] * g[3 + j] for i in range(3) for j in range(3)),
@@ -109,7 +111,7 @@ class Articulated(NamedTuple):
         )
 
     def from_frame(self, frame: Pose) -> Articulated:
-        """Seen from outside the frame: [[J + p̂Hᵀ − H′p̂, H′], [H′ᵀ, L]] of the turned blocks."""
+        """Transform into the outer frame: [[J + p̂Hᵀ − H′p̂, H′], [H′ᵀ, L]] of rotated blocks."""
         r, p = frame
         linear, mixed = conjugated(r, self.linear), mat_conjugated(r, self.mixed)
         levers = [cross(p, row(mixed, i)) for i in range(3)]
@@ -120,25 +122,25 @@ class Articulated(NamedTuple):
         return Articulated(angular, moved, linear)
 
 
-def _symmetric(entry: Any) -> Mat:
-    """The symmetric matrix whose lower triangle is entry(i, j)."""
+def _symmetric(entry: Callable[[int, int], Any]) -> Mat:
+    """Symmetric matrix whose lower triangle is entry(i, j)."""
     lower = {(i, j): entry(i, j) for i in range(3) for j in range(i + 1)}
     return tuple(lower[max(i, j), min(i, j)] for i in range(3) for j in range(3))
 
 
 def _crossed(p: Vec, m: Mat) -> Mat:
-    """p̂ m."""
+    """Return p̂ m."""
     columns = [cross(p, column(m, j)) for j in range(3)]
     return tuple(columns[j][i] for i in range(3) for j in range(3))
 
 
 def conjugated(r: Mat, m: Mat) -> Mat:
-    """R m Rᵀ of a symmetric m."""
+    """Return R m Rᵀ of a symmetric m."""
     half = mat_mat_t(m, r)
     return _symmetric(lambda i, j: dot(row(r, i), column(half, j)))
 
 
 def mat_conjugated(r: Mat, m: Mat) -> Mat:
-    """R m Rᵀ of any m."""
+    """Return R m Rᵀ of any m."""
     half = mat_mat_t(m, r)
     return tuple(dot(row(r, i), column(half, j)) for i in range(3) for j in range(3))

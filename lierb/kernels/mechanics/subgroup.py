@@ -1,12 +1,12 @@
-"""Joints whose motions are a subgroup H of SE(3): velocities in its algebra, as a few coordinates.
+"""Joints whose motions are a subgroup H of SE(3): velocities as coordinates of its algebra.
 
-What is integrated is their momentum μ = NᵀMV. A Runge–Kutta method takes the same steps in μ as in
-V, its linear image, but needs only V = N(NᵀMN)⁻¹μ in every stage, not M V as well.
+The momentum μ = NᵀMV is integrated. A Runge–Kutta method takes the same steps in μ as in V, its
+linear image, and needs V = N(NᵀMN)⁻¹μ in every stage, but not M V.
 
-In joint axes the algebra of every such joint is spanned by unit vectors (and, for a screw, one
-combination), so that V = N ν is a matter of *slots*: which of the six components are coordinates of
-ν, which depend on them through the pitch, and which are structurally zero. The general SE(3)
-formulas, fed V with its zeros, fold down to those of H, with no code for any H.
+In joint axes unit vectors span the algebra of every such joint, for a screw with one combination.
+So V = N ν is given by *slots*, one for each of the six components of V: the index of its coordinate
+of ν, PITCHED where it follows through the pitch, FIXED where it is structurally zero. With these
+zeros in V the general SE(3) formulas reduce to those of H, and no code is written for any H.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows
 from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import Vec, add, dot
 from lierb.kernels.numbers.zero import ZERO
 
@@ -25,14 +26,14 @@ Slots = tuple[int, ...]
 
 
 def slots_of(rows: Rows) -> Slots:
-    """For each of (ω, v) its coordinate's number, or FIXED or PITCHED."""
+    """Slots of (ω, v): the index of each component's coordinate, or FIXED or PITCHED."""
     bound = dict(r.slot for r in rows if r.slot)
     free = itertools.count()
     return tuple(bound[i] if i in bound else next(free) for i in range(6))
 
 
-def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:
-    """V = N ν, with structural zeros."""
+def lifted(slots: Slots, nu: Vec, pitch: Number) -> Vec:
+    """Return V = N ν, with structural zeros."""
     components: list[Any] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
     if PITCHED in slots:
         components[5] = pitch * components[2]
@@ -40,17 +41,17 @@ def lifted(slots: Slots, nu: Vec, pitch: Any) -> Vec:
 
 
 def coordinates(slots: Slots, velocity: Vec) -> Vec:
-    """The ν of a V = N ν."""
+    """Return ν of V = N ν."""
     return tuple(v for slot, v in zip(slots, velocity, strict=True) if slot >= 0)
 
 
-def in_subalgebra(slots: Slots, velocity: Vec, pitch: Any) -> Vec:
-    """A V that is in the algebra up to rounding, exactly there and with its structural zeros."""
+def in_subalgebra(slots: Slots, velocity: Vec, pitch: Number) -> Vec:
+    """Project a V that is in the algebra up to rounding onto it, with its structural zeros."""
     return lifted(slots, coordinates(slots, velocity), pitch)
 
 
-def projected(slots: Slots, wrench: Vec, pitch: Any) -> Vec:
-    """Nᵀ f, each number at its coordinate's slot, and structural zeros.
+def projected(slots: Slots, wrench: Vec, pitch: Number) -> Vec:
+    """Return Nᵀ f, each number in its coordinate's slot, and structural zeros.
 
     On the algebra this is the same covector as f; it is its own projection.
     """
@@ -61,7 +62,7 @@ def projected(slots: Slots, wrench: Vec, pitch: Any) -> Vec:
 
 
 def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Any]]:
-    """Nᵀ M N, from the momenta M N e_j."""
+    """Return Nᵀ M N, from the momenta M N e_j."""
     count = max(slots) + 1
     columns = []
     for j in range(count):
@@ -74,7 +75,7 @@ def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Any]]:
 def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
     """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
 
-    Symmetric to the last bit: half of it need not be held.
+    The result is symmetric to the last bit, so that half of it is stored.
     """
     n = len(matrix)
     rows = [list(row) + [1.0 if i == j else ZERO for j in range(n)] for i, row in enumerate(matrix)]
@@ -89,12 +90,12 @@ def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
 
 
 def momentum_of(slots: Slots, body: BodyConstants, velocity: Vec) -> Vec:
-    """μ = Nᵀ M V, as `projected` gives it."""
+    """Return μ = Nᵀ M V in the form of `projected`."""
     return projected(slots, body.momentum(velocity), body.pitch)
 
 
 def velocity_of(slots: Slots, body: BodyConstants, momentum: Vec) -> Vec:
-    """V = N (NᵀMN)⁻¹ μ."""
+    """Return V = N (NᵀMN)⁻¹ μ."""
     parts = coordinates(slots, momentum)
     n = len(parts)
     nu = tuple(dot(body.gain[n * i : n * i + n], parts) for i in range(n))
@@ -104,19 +105,20 @@ def velocity_of(slots: Slots, body: BodyConstants, momentum: Vec) -> Vec:
 def momentum_rate(
     slots: Slots, body: BodyConstants, fall: Vec, applied: Vec, velocity: Vec, momentum: Vec
 ) -> Vec:
-    """μ̇ = Nᵀ (ad_Vᵀ μ + W), Euler–Poincaré on H: the saddle point, solved once and for all.
+    """Return μ̇ = Nᵀ (ad_Vᵀ μ + W), Euler–Poincaré's equation on H  (Müller, eqs. 1 and 3a).
 
-    μ may stand for M V: they differ by what does no work on H's algebra, and with V and N w that
-    holds [V, N w] too.
+    This is the solution of the saddle point of `saddle.solve`, with a constant inverse, and Nᵀ of
+    `BodyConstants.wrench`. μ replaces M V: their difference does no work on H's algebra, to which
+    [V, N w] belongs with V and N w.
 
-    fall : gravity in body axes.   applied : the wrench of all other forces.
+    fall : gravity in body axes.   applied : wrench of all other forces.
     """
     wrench = add(body.wrench(fall, velocity, momentum), applied)
     return projected(slots, wrench, body.pitch)
 
 
 def on_subgroup(slots: Slots, chart: Chart) -> Chart:
-    """A pose in H, with H's structural zeros and ones; what is off H is dropped."""
+    """Return a pose in H, with its structural zeros and ones in place of components off H."""
     p, d = chart
     if slots[:3] == (FIXED, FIXED, FIXED):
         p = (1.0, ZERO, ZERO, ZERO)
