@@ -1,11 +1,11 @@
-"""What acts on a body beside gravity and its joint: applied forces, and further constraints.
+"""Elements: applied forces, further constraints, and users' functions of the motion.
 
-Each kind of element is a tag with formulas: those of `lierb.forces`, and functions of the user's
-here. `placed` takes its parameters from the user's frames to joint axes, once a run. A force has
-its `wrench`, evaluated in every stage, its `energy`, where it has a potential, and its `power`,
-where it does work beyond that; a constraint has rows, which the saddle point solves for with the
-joint's own. What only watches the motion, or has states and outputs of its own, is passive: it acts
-by what forces see of its `Signals`.
+Each kind of element is a tag with formulas: those of `lierb.forces`, and users' functions here.
+`placed` transforms its parameters from the user's frames to joint axes, once a run. A force has a
+`wrench`, evaluated in every stage, an `energy`, where it has a potential, and a `power`, where it
+does work beyond that. A constraint has rows, which the saddle point includes with the joint's own.
+Observables, events, states and controllers are passive: they act on the motion through forces that
+use their `Signals`.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from lierb.kernels.mechanics.newton_euler import (
 from lierb.kernels.mechanics.rows import AddedRow, HeldBody
 from lierb.kernels.mechanics.scale import ROUNDING
 from lierb.kernels.numbers.arithmetic import PI, absolute, flatten, fma, plain, where
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     ZERO3,
     ZERO6,
@@ -52,11 +53,12 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 
-# What a function of the pose does is unknown. An eighth of a turn is 0.2 rad between stages of
-# DOP853 and 0.45 rad between those of Tsit5; events are looked at four times in it.
+# Largest turn in a step where a force is an unknown function of the pose. An eighth of a turn is
+# 0.2 rad between stages of DOP853 and 0.45 rad between those of Tsit5; events are evaluated four
+# times in it.
 TURN = 0.25 * PI
 SHARE = 0.25  # of the distance from the frame's origin, beside the body's own size
-BEFORE = 1.0 - 1e-12  # of the way to a kink, and there the step ends
+BEFORE = 1.0 - 1e-12  # part of the distance to a kink at which a step ends
 
 Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's point
 Shape = tuple[int, ...]
@@ -76,19 +78,19 @@ class Tangent(NamedTuple):
 
 
 class Element:
-    """What all kinds have; by itself, one that does nothing.
+    """Base class of all elements, without any effect.
 
-    needs_axis: whether it acts about or along e₃ of the joint, which must then be the body's and
-    the ground's at once.   needs_slide: whether along it.   rows: how many constraints it adds.
-    does_work: whether it can change E = T + U, U being the `energy` of all elements.
-    is_passive: whether it does nothing to the motion by itself.   bounds_steps: whether adaptive
-    steps are to keep the bounds of `travel`.
+    needs_axis : True where it acts about or along e₃ of the joint, which must then be an axis of
+    the body and of the ground.   needs_slide : True where it acts along e₃.   rows : number of
+    constraints.   does_work : True where it can change E = T + U, U the `energy` of all elements.
+    is_passive : True where it has no effect on the motion by itself.   bounds_steps : True where
+    adaptive steps keep the bounds of `travel`.
     """
 
     needs_axis: ClassVar[bool] = False
     needs_slide: ClassVar[bool] = False
-    is_conservative: ClassVar[bool] = False  # but for what is `working`
-    is_users: ClassVar[bool] = False  # whether what it does is known to the user alone
+    is_conservative: ClassVar[bool] = False  # apart from the parameters in `working`
+    is_users: ClassVar[bool] = False  # True for a function of the user's
     does_work: ClassVar[bool] = True
     is_passive: ClassVar[bool] = False
     working: ClassVar[tuple[str, ...]] = ()  # parameters that do work beside its potential
@@ -98,22 +100,22 @@ class Element:
 
     @property
     def functions(self) -> tuple[Function, ...]:
-        """Those of the user's that it is made of."""
-        found = (getattr(self, name, None) for name in ("function", "potential"))
-        return tuple(f for f in found if isinstance(f, Function))
+        """User's functions of the element."""
+        members = (getattr(self, name, None) for name in ("function", "potential"))
+        return tuple(f for f in members if isinstance(f, Function))
 
     @property
     def shapes(self) -> dict[str, Shape]:
-        """Of the parameters, by name; those of a user's function are its own."""
+        """Shapes of the parameters, by name; for a user's function those of its parameters."""
         return dict(self.functions[0].shapes)
 
     @property
     def sees_body(self) -> bool:
-        """Whether one of them asks for mass, inertia and centre of mass."""
+        """Return whether a function takes mass, inertia and centre of mass."""
         return any(f.sees_body for f in self.functions)
 
     def row(self, place: int, i: int) -> AddedRow:
-        """Its constraint number i, where it is the problem's element number `place`."""
+        """Row of constraint i; `place` is the element's index in the problem."""
         raise NotImplementedError
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
@@ -133,17 +135,17 @@ class Element:
         return ZERO
 
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        """What its wrench adds to E = T + U, W: all its power, where it has no potential."""
+        """Power, W, that the wrench adds to E = T + U; without a potential, all its power."""
         torque, force = wrench
         return dot(torque, x.omega) + dot(force, x.v)
 
     def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
-        """Bounds on an adaptive step: how fast the pose moves at `end`, and how far it may go.
+        """Bounds on an adaptive step: rates of the pose at `end`, and largest displacements.
 
-        The error estimate of a step sees only what its stages meet. Where the element acts in a
-        part of the way alone, these bounds keep a step from passing over that part. Those here are
-        for a function of the pose of which nothing is known: a part of a turn, and a way that is
-        short beside the distance from the frame's origin.
+        The error estimate of a step depends on its stages alone. Where the element acts in a part
+        of the way, these bounds keep a step from passing over that part. The default is for an
+        unknown function of the pose: a part of a turn, and a displacement that is short beside the
+        distance from the frame's origin.
 
         start, end : motions at both ends of the step.   size : the body's radius of gyration, m.
         """
@@ -151,25 +153,25 @@ class Element:
         return Bound(norm(end.omega), TURN), Bound(norm(end.v), way)
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
-        """Times at which it may jump, s."""
+        """Times at which the element may jump, s."""
         return ()
 
 
 class Bound(NamedTuple):
-    """A step of length h is to keep h · rate ≤ distance.   rate : ≥ 0.   distance : > 0."""
+    """Bound h · rate ≤ distance on the length h of a step; rate ≥ 0, distance > 0."""
 
-    rate: Any
-    distance: Any
+    rate: Number
+    distance: Number
 
 
 def travel_to_kink(place: Any, rate: Any, kinks: tuple[Any, ...]) -> Bound:
-    """Bound up to the next place ahead at which a force has a kink.
+    """Bound up to the next kink of a force ahead, just before which a step ends.
 
-    place, rate : of the coordinate, counted from the middle of the kinks.
-    kinks : places in ascending order, on the way up; on the way down they are at minus these. The
-        last one is beyond any place.
+    All stages of a step are so on one side of a kink.
 
-    A step ends just before a kink, so that all its stages are on one side.
+    place, rate : the coordinate and its rate, relative to the middle of the kinks.
+    kinks : their coordinates for rate ≥ 0, ascending; for rate < 0 they are at minus these. The
+        last one is beyond any coordinate.
     """
     ahead = where(rate >= 0.0, place, -place)
     *near, last = kinks
@@ -181,7 +183,7 @@ def travel_to_kink(place: Any, rate: Any, kinks: tuple[Any, ...]) -> Bound:
 
 @dataclass(frozen=True)
 class UserWrench(Element):
-    """A function of the user's, of (t, R, r, ω, v) in the user's own frames."""
+    """User's wrench, a function of (t, R, r, ω, v) in the user's frames."""
 
     function: Function
     potential: Function | None = None
@@ -200,8 +202,8 @@ class UserWrench(Element):
         frame, parameters = UserFrame(*placed[0]), placed[1]
         r, place = frame.pose(x.q, x.place)
         omega, v = frame.twist(x.omega, x.v)
-        found = self.function(parameters, x.time, r, place, omega, v, signals=x.signals)
-        return frame.to_joint_axes(*found)
+        wrench = self.function(parameters, x.time, r, place, omega, v, signals=x.signals)
+        return frame.to_joint_axes(*wrench)
 
     def energy(self, placed: Any, x: Motion) -> Any:
         if self.potential is None:
@@ -209,34 +211,34 @@ class UserWrench(Element):
         return self.potential(placed[1], *UserFrame(*placed[0]).pose(x.q, x.place))
 
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        """Of the wrench, and dU/dt, exactly: nothing where the potential is of the whole wrench."""
+        """Power of the wrench and dU/dt; their sum is zero where all of it has the potential."""
         total = super().power(placed, x, wrench)
         if self.potential is None:
             return total
         frame = UserFrame(*placed[0])
         (r, place), (omega, v) = frame.pose(x.q, x.place), frame.twist(x.omega, x.v)
         turning = sum((cross(row(r, i), omega) for i in range(3)), start=())  # Ṙ = R ω̂
-        found = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
-        return total + found.parts[0] if isinstance(found, UserNumber) else total
+        energy = self.potential(placed[1], _moving(r, turning), _moving(place, mat_vec(r, v)))
+        return total + energy.parts[0] if isinstance(energy, UserNumber) else total
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
-        given = dict(zip(self.shapes, placed[1], strict=False))  # `body`'s come after them
+        given = dict(zip(self.shapes, placed[1], strict=False))  # those of `body` come last
         return tuple(flatten(tuple(given[name] for name in self.discontinuities)))
 
 
 class UserFrame(NamedTuple):
-    """The way back from joint axes, for functions of the user's."""
+    """Transformation from joint axes back to the user's frames."""
 
     ground: Pose
-    axes: Mat  # the joint's, seen from the user's body frame
-    origin: Vec  # of the user's body frame, in body axes and from the joint's point
+    axes: Mat  # the joint's axes in the user's body frame
+    origin: Vec  # origin of the user's body frame from the joint's point, in body axes
 
     @classmethod
     def of(cls, frames: Frames) -> UserFrame:
         return cls(frames.ground, frames.axes, frames.body_point(ZERO3))
 
     def pose(self, q: Mat, place: Vec) -> Pose:
-        """(R, r) of a pose in joint axes."""
+        """Return (R, r) of a pose in joint axes."""
         ground, ground_origin = self.ground
         r = mat_mat(ground, mat_mat_t(q, self.axes))
         return r, add(ground_origin, mat_vec(ground, mat_vec_add(q, self.origin, place)))
@@ -255,7 +257,7 @@ class UserFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class UserConstraint(Element):
-    """A function h(R, r) of the user's that shall stay zero."""
+    """User's constraint h(R, r) = 0."""
 
     does_work: ClassVar = False
     function: Function
@@ -270,7 +272,7 @@ class UserConstraint(Element):
 
 
 class UserRow(AddedRow):
-    """One of its numbers; J and η by running it on duals."""
+    """Row of a user's constraint; dual numbers give its J and η."""
 
     @property
     def is_translational(self) -> bool:  # type: ignore[override]
@@ -283,11 +285,11 @@ class UserRow(AddedRow):
         return self.element.function(self.placed(body)[1], r, place)[self.i]
 
     def value(self, x: Kinematics, body: HeldBody) -> Any:
-        found = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
-        return found.value if isinstance(found, UserNumber) else found
+        h = self._of(body, *UserFrame(*self.placed(body)[0]).pose(x.q, x.d))
+        return h.value if isinstance(h, UserNumber) else h
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
-        """Along the six unit twists: Ṙ = R ω̂ and ṙ = R v, in the user's body axes."""
+        """Derivative along the six unit twists, Ṙ = R ω̂ and ṙ = R v in the user's body axes."""
         frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
         entries = []
@@ -296,13 +298,13 @@ class UserRow(AddedRow):
             for entry, turning in ((a, (ZERO, -c, b)), (b, (c, ZERO, -a)), (c, (-b, a, ZERO))):
                 entries.append(UserNumber(entry, turning + ZERO3))
         places = [UserNumber(place[axis], ZERO3 + row(r, axis)) for axis in range(3)]
-        found = self._of(body, tuple(entries), tuple(places))
-        slope = found.parts if isinstance(found, UserNumber) else ZERO6
+        h = self._of(body, tuple(entries), tuple(places))
+        slope = h.parts if isinstance(h, UserNumber) else ZERO6
         torque, force = frame.to_joint_axes(slope[:3], slope[3:])
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        """−ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
+        """Return η = −ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
         frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
         omega, v = frame.twist(x.omega, x.point_rate)
@@ -314,8 +316,8 @@ class UserRow(AddedRow):
             entries += [_second(*xs) for xs in zip(along, rate, cross(rate, omega), strict=True)]
         bend = mat_vec(r, mat_vec(frame.axes, add(x.point_bias, swing)))
         places = [_second(*xs) for xs in zip(place, mat_vec(r, v), bend, strict=True)]
-        found = self._of(body, tuple(entries), tuple(places))
-        slope = found.parts[0] if isinstance(found, UserNumber) else ZERO
+        h = self._of(body, tuple(entries), tuple(places))
+        slope = h.parts[0] if isinstance(h, UserNumber) else ZERO
         return -slope.parts[0] if isinstance(slope, UserNumber) and slope.parts else ZERO
 
 
@@ -329,11 +331,11 @@ def _second(value: Any, rate: Any, bend: Any) -> UserNumber:
     return UserNumber(UserNumber(plain(value), (rate,)), (UserNumber(plain(rate), (bend,)),))
 
 
-# ---- what does nothing to the motion -----------------------------------------------------------
+# ---- passive elements --------------------------------------------------------------------------
 
 
 class Passive(Element):
-    """A function of the user's that is asked about a motion, and does nothing to it."""
+    """User's function of a motion, without effect on it."""
 
     does_work: ClassVar = False
     is_passive: ClassVar = True
@@ -346,19 +348,19 @@ class Passive(Element):
         return ZERO
 
     def arguments(self, placed: Any, x: Motion) -> tuple[Any, ...]:
-        """t, R, r, omega and v, as the function sees them."""
+        """Arguments t, R, r, omega and v of the function, in the user's frames."""
         frame = UserFrame(*placed[0])
         return x.time, *frame.pose(x.q, x.place), *frame.twist(x.omega, x.v)
 
     def asked(self, placed: Any, x: Motion, noise: Noise | None = None) -> Any:
-        """What the function gives."""
+        """Evaluate the function at a motion."""
         arguments = self.arguments(placed, x)
         return self.function(placed[1], *arguments, signals=x.signals, noise=noise)
 
 
 @dataclass(frozen=True)
 class UserObservable(Passive):
-    """A number that the user wants to know of a motion."""
+    """User's observable, a number of each motion."""
 
     function: Function
 
@@ -368,7 +370,7 @@ class UserObservable(Passive):
 
 @dataclass(frozen=True)
 class UserEvent(Passive):
-    """A number that is zero when something happens."""
+    """User's event, where its function crosses zero."""
 
     function: Function
 
@@ -376,14 +378,15 @@ class UserEvent(Passive):
         return self.asked(placed, x)
 
     def value_nearby(self, placed: Any, x: Motion) -> Any:
-        """The value where each number of the motion is off by some roundings of its vector."""
+        """Value at a motion each of whose numbers is off by some roundings of its vector."""
         moved = map(_nudged, self.arguments(placed, x))
         return self.function(placed[1], *moved, signals=x.signals)
 
 
 def _nudged(given: Any) -> Any:
-    """A number or a vector, off by ROUNDING of the sum of its magnitudes: up and down in turn, so
-    that differences do not cancel.
+    """Move a number or vector by ROUNDING of the sum of its magnitudes.
+
+    Components move up and down in turn, so that their differences do not cancel.
     """
     if not isinstance(given, tuple):
         return _nudged((given,))[0]
@@ -391,15 +394,15 @@ def _nudged(given: Any) -> Any:
     return tuple(plain(x) - size if i % 2 else plain(x) + size for i, x in enumerate(given))
 
 
-INITIAL = "initial."  # before the names of initial values among the parameters
+INITIAL = "initial."  # prefix of the names of initial values among the parameters
 
 
 class _Starting(Passive):
-    """With numbers of its own that have initial values, which are parameters."""
+    """Passive element with variables of its own; their initial values are parameters."""
 
     @property
     def own(self) -> Shapes:
-        """Of what has initial values, by name."""
+        """Shapes of the variables, by name."""
         raise NotImplementedError
 
     @property
@@ -408,20 +411,20 @@ class _Starting(Passive):
         return super().shapes | initial
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        """The frame, the function's parameters, and the initial values side by side."""
+        """Return the frame, the function's parameters, and the flattened initial values."""
         initial = flatten(tuple(given[f"{INITIAL}{name}"] for name, _ in self.own))
         rest = tuple(x for name, x in given.items() if not name.startswith(INITIAL))
         return UserFrame.of(frames), rest, tuple(initial)
 
     def initial(self, placed: Any) -> Vec:
-        """Initial values, side by side."""
-        found: Vec = placed[2]
-        return found
+        """Initial values, flattened."""
+        values: Vec = placed[2]
+        return values
 
 
 @dataclass(frozen=True)
 class UserStates(_Starting):
-    """States beside the body's, by their derivatives."""
+    """User's states beside the body's, given by their derivatives."""
 
     bounds_steps: ClassVar = True
     function: Function
@@ -432,16 +435,16 @@ class UserStates(_Starting):
         return self.states
 
     def rates(self, placed: Any, x: Motion) -> Vec:
-        """All derivatives, side by side."""
-        found: Vec = self.asked(placed, x)
-        return found
+        """Derivatives of all states, flattened."""
+        rates: Vec = self.asked(placed, x)
+        return rates
 
 
 @dataclass(frozen=True)
 class UserController(_Starting):
-    """What is called at the multiples of a period, and whose outputs are held until the next one.
+    """User's controller, called at multiples of a period, its outputs held in between.
 
-    outputs : by name; known once it is bound to a problem.   memory : by name.
+    outputs : shapes by name, set when it is bound to a problem.   memory : shapes by name.
     """
 
     function: Function
@@ -457,18 +460,18 @@ class UserController(_Starting):
         return {"every": (), **super().shapes}
 
     def placed(self, given: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
-        """As of `_Starting`, and the period."""
+        """Return the frame, the parameters, the initial values, and the period."""
         rest = {name: x for name, x in given.items() if name != "every"}
         return *super().placed(rest, frames), given["every"]
 
     def every(self, placed: Any) -> Any:
-        """The period, s."""
+        """Period, s."""
         return placed[3]
 
     def called(self, placed: Any, x: Motion, noise: Noise) -> tuple[Vec, Vec]:
-        """Outputs and memory, each side by side.   x.signals.memory : its own alone."""
-        found = self.asked(placed, x, noise)
-        return found if self.memory else (found, ())
+        """Outputs and memory, each flattened.   x.signals.memory : the controller's own."""
+        result = self.asked(placed, x, noise)
+        return result if self.memory else (result, ())
 
 
 # ---- all elements of a body -------------------------------------------------------------------
@@ -477,9 +480,9 @@ class UserController(_Starting):
 def all_placed(
     elements: tuple[Element, ...], numbers: list[Any], frames: Frames, parameters: Parameters
 ) -> tuple[Any, ...]:
-    """Every element's parameters, from the numbers of their input columns.
+    """Parameters of every element in joint axes, from the numbers of their input columns.
 
-    After them, where it sees the body, what `lierb.kernels.functions.function.BODY` names.
+    An element that takes the body also has what `lierb.kernels.functions.function.BODY` names.
     """
     rest = iter(numbers)
     placed = []
@@ -501,20 +504,20 @@ def body_with(
     elements: tuple[Element, ...],
     numbers: list[Any],
 ) -> BodyConstants:
-    """The body in that c-space, with its elements made of `numbers`, as in `all_placed`."""
+    """Constants of the body in a c-space, its elements' parameters from `numbers`."""
     placed = all_placed(elements, numbers, frames_of(parameters), parameters)
     return space.body(parameters)._replace(elements=placed)
 
 
 class Applied(NamedTuple):
-    """All applied forces together, but gravity."""
+    """Sum of all applied forces without gravity."""
 
     wrench: Vec  # torque and force
-    power: Any  # W, what they add to E
+    power: Number  # W, that they add to E
 
 
 def applied_to(body: BodyConstants, elements: tuple[Element, ...], x: Motion) -> Applied:
-    """Both at once: a function of the user's is called once."""
+    """Sum wrench and power of all elements; a user's function is called once for both."""
     total, power = ZERO6, ZERO
     x = x._replace(signals=body.signals)
     for element, placed in zip(elements, body.elements, strict=True):
@@ -525,7 +528,7 @@ def applied_to(body: BodyConstants, elements: tuple[Element, ...], x: Motion) ->
 
 
 def potential_energy(elements: tuple[Element, ...], body: BodyConstants, x: Motion) -> Any:
-    """Of all applied forces that have one."""
+    """Sum of the potential energies of all applied forces."""
     total: Any = ZERO
     for element, placed in zip(elements, body.elements, strict=True):
         total = total + element.energy(placed, x)

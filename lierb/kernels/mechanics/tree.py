@@ -1,21 +1,21 @@
-"""Bodies that hang on each other: a tree of links, and how it moves.
+"""Kinematics of a tree of links.
 
-A *node* is a link, or a massless piece between two motions that make up one joint. It hangs on the
-node before it, or on the ground, by D = (Q, d): its frame, seen from the joint's frame there. In
-joint axes its own frame is the joint's, so that
+A *node* is a link, or a massless frame between two motions that make up one joint. It is connected
+to its parent node, or to the ground, by D = (Q, d), its frame in the joint's frame there. In joint
+axes its own frame is the joint's, so that
 
     T = H D,   V = Ad(T⁻¹) V′ + V_rel,   A = Ad(T⁻¹) A′ + b + S ν̇,
 
-with H constant, V′ of the node before it, S the joint's free directions. A = (ω̇, v̇ + ω × v) is the
+with H constant, V′ and A′ of the parent, S the joint's free directions. A = (ω̇, v̇ + ω × v) is the
 acceleration of the frame and of its origin, in its axes, S ν̇ = (ω̇_rel, Qᵀd̈) that on the joint, and
-b what the node before gives it by turning: (ω′ × ω_rel, ω′ × (ω′ × p) + 2 ω′ × v_rel), in the
-node's axes, p the node's place on it. No absolute velocity v is in these: a mechanism moves as one
-at rest does, however fast it goes, and no rounding of v × m v is taken for a torque.
+b the centripetal and Coriolis part, (ω′ × ω_rel, ω′ × (ω′ × p) + 2 ω′ × v_rel) in the node's axes,
+p the node's position on the parent. No absolute velocity v is in these equations: a mechanism moves
+as one at rest, at any speed, and no rounding of v × m v acts as a torque.
 
-*Reduced*: D and V_rel = S ν are the state, S is constant. *Absolute*: C and V of every node are the
-state; S spans what the joint's rows leave free where the node is, on its joint or off it: the
-saddle point of M and these rows, solved on their null space.
-`lierb.kernels.mechanics.tree_dynamics` has ν̇.
+*Reduced*: D and V_rel = S ν are the state, and S is constant. *Absolute*: C and V of every node are
+the state; S spans the directions that the joint's rows leave free at the node's pose, on its joint
+or off it: the saddle point of M and these rows, solved on their null space.
+`lierb.kernels.mechanics.tree_dynamics` solves for ν̇.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from lierb.kernels.mechanics.spatial import (
     twist_at,
 )
 from lierb.kernels.mechanics.subgroup import Slots
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     IDENTITY,
     UNIT,
@@ -56,22 +57,22 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
-GROUND = -1  # in place of a node's number
-MASSLESS = -1  # in place of a link's number
-NONE = -1  # in place of a joint's number
-FEW = 3  # columns whose sum is less than a twist carried on
+GROUND = -1  # in place of a node's index
+MASSLESS = -1  # in place of a link's index
+NONE = -1  # in place of a joint's index
+FEW = 3  # columns whose sum takes fewer operations than the transformation of a twist
 FREE: Slots = (0, 1, 2, 3, 4, 5)
 HERE: Pose = (IDENTITY, ZERO3)
 
 
 @dataclass(frozen=True)
 class Node:
-    """A link, or a massless piece, and how it hangs on what is before it.
+    """A link, or a massless frame, and the joint that connects it to its parent.
 
-    parent : number of that node, or GROUND.   link : number of its link, or MASSLESS.
+    parent : index of the parent node, or GROUND.   link : index of the link, or MASSLESS.
     cspace : "reduced", or "SE3" or "SO3xR3" of its own pose.
-    slots : of reduced coordinates: which components of V_rel are free.
-    rows : what its joint asks for beyond the slots.
+    slots : components of V_rel that are free, for reduced coordinates.
+    rows : rows of the joint beyond the slots.
     """
 
     parent: int
@@ -86,7 +87,7 @@ class Node:
 
     @cached_property
     def free(self) -> tuple[int, ...]:
-        """Of the six directions of its joint those in which it is free; see `TreeMotion.free`."""
+        """Indices of the joint's six directions that are free; see `TreeMotion.free`."""
         if not self.rows:
             return tuple(i for i, slot in enumerate(self.slots) if slot >= 0)
         held, fixed, _ = kinds_of(self.rows)
@@ -95,17 +96,16 @@ class Node:
 
     @cached_property
     def others(self) -> Rows:
-        """The rows that are not kept by the null space of rows on which the tree is solved."""
+        """Rows beside the null space on which the tree is solved."""
         return tuple(kinds_of(self.rows)[2])
 
 
 @dataclass(frozen=True)
 class Connection:
-    """What acts between a frame on a node and one on another, or on the ground.
+    """Two frames, on a node and on another node or the ground, and the rows between them.
 
-    rows : that act there.
-    hangs : whether its frames are those of the joint by which `node` hangs on `other`: D is known.
-    joint : number of the joint whose frames they are; NONE: the nodes' own, and the user's ground.
+    hangs : True where the frames are those of the joint that connects `node` to its parent `other`.
+    joint : index of the joint whose frames they are; NONE for the nodes' own frames and the ground.
     """
 
     node: int
@@ -116,13 +116,14 @@ class Connection:
 
 
 class NodeConstants(NamedTuple):
-    """Of a node, in joint axes.
+    """Constants of a node, in joint axes.
 
-    rigid : about its joint's point.   inertia, com : about, and of, the centre of mass.
-    hang : H, the joint's frame on the node before it, or on the ground.
-    gravity : of a node on the ground, in the joint's axes there; else nothing.
-    frame : its own frame, seen from the user's body frame.
-    burden : mass, and about inertia, of it and all that hangs on it.
+    rigid : mass, first moment and inertia about the joint's point.
+    inertia : inertia about the centre of mass.   com : centre of mass.
+    hang : H, the joint's frame on the parent, or on the ground.
+    gravity : gravity in the joint's axes on the ground, for a node on the ground; else zero.
+    frame : the node's frame in the user's body frame.
+    burden : mass and approximate inertia of the node and its descendants.
     """
 
     rigid: Rigid
@@ -131,50 +132,51 @@ class NodeConstants(NamedTuple):
     hang: Pose
     gravity: Vec
     frame: Pose
-    pitch: Any
-    burden: tuple[Any, Any] = (ZERO, ZERO)
+    pitch: Number
+    burden: tuple[Number, Number] = (ZERO, ZERO)
 
 
 class Ends(NamedTuple):
-    """A connection's frames on both nodes, or on the ground; what its rows are made of."""
+    """Frames of a connection on its two nodes, or on the ground, and the rows' parameters."""
 
     inner: Pose
     outer: Pose
-    pitch: Any = ZERO
-    length: Any = ZERO
+    pitch: Number = ZERO
+    length: Number = ZERO
     elements: tuple[Any, ...] = ()
 
 
 class TreeConstants(NamedTuple):
-    """Everything about a mechanism that does not change.
+    """Constants of a mechanism.
 
-    ends : of the plan's connections.   elements : what each is made of.
-    dropped : how many rows depended on others at the start.
-    signals : of the time that the mechanism is asked about.
-    girth : of all nodes, as of one body.
+    ends : frames of the plan's connections.   elements : parameters of each element.
+    dropped : number of rows that depended on others at the start.
+    signals : signals at the time of the evaluation.
+    girth : square of the radius of gyration of all nodes together, m².
     """
 
     nodes: tuple[NodeConstants, ...]
     ends: tuple[Ends, ...]
     gravity: Vec
     elements: tuple[Any, ...] = ()
-    dropped: Any = ZERO
+    dropped: Number = ZERO
     signals: Signals = NO_SIGNALS
-    girth: Any = ZERO
+    girth: Number = ZERO
 
     @property
     def mass(self) -> Any:
-        """Of some link: a number such as all are."""
+        """Mass of some link, a number of the kind that all are."""
         return next(n.rigid.mass for n in self.nodes if n.rigid.mass is not ZERO)
 
 
 class Relative(NamedTuple):
-    """How a connection's inner frame moves, seen from the outer one.
+    """Motion of a connection's inner frame relative to the outer one.
 
-    seat : the inner frame seen from the other node, or from the ground.
-    bias : A of one less A of the other, both at the inner frame and by ω̇ and the acceleration of
-        the nodes' origins alone, where (ω̇_rel, Qᵀd̈) is zero.
-    fall : acceleration of the ground, if that is the other, seen from where `seat` is; else None.
+    x : kinematics for rows.
+    seat : the inner frame in the other node's frame, or in the ground's.
+    bias : A of the node less A of the other where (ω̇_rel, Qᵀd̈) is zero, both at the inner frame
+        and from ω̇ and the acceleration of the nodes' origins alone.
+    fall : acceleration of the ground in the frame of `seat`, if the ground is the other; else None.
     """
 
     x: Kinematics
@@ -184,10 +186,10 @@ class Relative(NamedTuple):
 
 
 class TreeMotion:
-    """A tree at one state.
+    """Motion of a tree at one state.
 
-    poses : D of reduced nodes; C of others, seen from the ground's frame at their tree's root.
-    velocities : V_rel of reduced nodes; V of others, as their c-space has it.
+    poses : D of reduced nodes; C of others, in the ground's frame at the root of their tree.
+    velocities : V_rel of reduced nodes; V of others, in their c-space.
     """
 
     def __init__(
@@ -204,7 +206,7 @@ class TreeMotion:
         self.relative: list[Vec] = []  # V_rel
         self.twists: list[Vec] = []  # V, of a frame in joint axes
         self.directions: list[list[Vec]] = []  # S
-        self.own: list[range] = []  # numbers of these among all
+        self.own: list[range] = []  # indices of these among those of all nodes
         self._poses, self._velocities = [*poses], velocities
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
@@ -259,20 +261,18 @@ class TreeMotion:
         self.twists.append(twist)
 
     def again(self) -> TreeMotion:
-        """The same state, with nothing found yet."""
+        """Return a motion of the same state, with nothing computed yet."""
         return TreeMotion(self.nodes, self.body, self._poses, self._velocities, self.time)
 
     def columns(self, i: int) -> dict[int, Vec]:
-        """Twists of a node, by the motion of one free direction each: of its own joint, and of all
-        before it.
-        """
+        """Twists of a node by unit rates of the free directions of its joint and its ancestors'."""
         if i not in self._columns:
             own = dict(zip(self.own[i], self.directions[i], strict=True))
             self._columns[i] = self._from_above(i) | own
         return self._columns[i]
 
     def _from_above(self, i: int) -> dict[int, Vec]:
-        """Those of the joints before its own."""
+        """Twists of a node by unit rates of its ancestors' free directions."""
         parent = self.nodes[i].parent
         if parent == GROUND:
             return {}
@@ -284,19 +284,19 @@ class TreeMotion:
         return self._above[i]
 
     def carry(self, i: int, twist: Vec, is_constant: bool = False) -> Vec:
-        """What a node would have of a twist of the node before it, did it rest there: Ad(T⁻¹) V.
+        """Return Ad(T⁻¹) V, the parent's twist V in a node's frame.
 
-        is_constant : whether the twist is: then Ad(H⁻¹) V is, and found once.
+        is_constant : True for a constant twist, of which Ad(H⁻¹) V is constant, too.
         """
         node = self.nodes[i]
         if node.is_reduced and node.parent != GROUND:
-            is_next = self.nodes[node.parent].parent == GROUND  # of whose twists most is zero
+            is_next = self.nodes[node.parent].parent == GROUND  # most of V is zero
             if is_constant or is_next:
                 return twist_at(self._poses[i], twist_at(self.body.nodes[i].hang, twist))
         return twist_at(self.steps[i], twist)
 
     def place(self, i: int) -> Pose:
-        """A node's frame, seen from the ground's frame at its tree's root."""
+        """A node's frame in the ground's frame at the root of its tree."""
         if i not in self._places:
             parent = self.nodes[i].parent
             step = self.steps[i]
@@ -307,11 +307,11 @@ class TreeMotion:
         return root_of(self.nodes, i)
 
     def pose(self, i: int) -> Pose:
-        """A node's frame, seen from the ground."""
+        """A node's frame in the ground frame."""
         return se3.compose(self.body.nodes[self.root(i)].hang, self.place(i))
 
     def hung(self, i: int) -> Pose:
-        """D of a node."""
+        """Return D of a node."""
         node, hang = self.nodes[i], self.body.nodes[i].hang
         if node.is_reduced or node.parent == GROUND:
             return self._poses[i] if node.is_reduced else self.place(i)
@@ -343,12 +343,12 @@ class TreeMotion:
         return Relative(x, seat, bias[:3] + sub(bias[3:], cross(own[:3], own[3:])), fall)
 
     def kinematics(self, d: Pose, velocity: Vec) -> Kinematics:
-        """What rows are made of, where they act on ω̇ and on Qᵀd̈."""
+        """Kinematics for rows that act on ω̇ and on Qᵀd̈."""
         omega, v = velocity[:3], velocity[3:]
         return Kinematics(d[0], d[1], omega, ZERO3, v, ZERO3, True, self.time)
 
     def _fork(self, i: int, other: int) -> int:
-        """The last node that both hang on, or that one of them is; of absolute nodes the ground."""
+        """Last common ancestor of two nodes, or one of them; GROUND for absolute nodes."""
         above = [GROUND]
         while other != GROUND and self.nodes[i].is_reduced:
             above.append(other)
@@ -358,9 +358,9 @@ class TreeMotion:
         return i
 
     def _seen_from(self, fork: int, i: int, of_ground: Callable[[int], Pose]) -> tuple[Pose, Vec]:
-        """A node's frame and twist, seen from a node that it hangs on, or from the ground.
+        """A node's frame and twist relative to an ancestor, or to the ground.
 
-        Along the tree: how far and fast both have gone together rounds nothing.
+        They are composed along the tree, so that no motion common to both is rounded.
         """
         if i == fork:
             return HERE, ZERO6
@@ -376,7 +376,7 @@ class TreeMotion:
         return self._paths[fork, i]
 
     def free(self, i: int) -> list[Vec]:
-        """S, the directions in which a node can move on its joint."""
+        """Return S, the directions in which a node can move on its joint."""
         node, pitch = self.nodes[i], self.body.nodes[i].pitch
         if not node.rows:
             return free_directions(node.slots, pitch)
@@ -388,7 +388,7 @@ class TreeMotion:
         return [*turns, *(ZERO3 + row(q, j) for j in range(3) if j not in held)]
 
     def held(self, i: int, v: Vec) -> Vec:
-        """Of a vector in a node's axes, the part along which its joint's rows hold the point."""
+        """Component of a vector, in a node's axes, along which its joint's rows hold the point."""
         held, _, _ = kinds_of(self.nodes[i].rows)
         if not held:
             return ZERO3
@@ -400,7 +400,7 @@ class TreeMotion:
         return total
 
     def bias(self, i: int) -> Vec:
-        """b of a node."""
+        """Return b of a node."""
         if i not in self._biases:
             parent, carried = self.nodes[i].parent, self.carried[i]
             swept = carried[3:]
@@ -411,22 +411,22 @@ class TreeMotion:
 
 
 def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
-    """b of a frame that moves at `relative` on one that turns: centripetal and Coriolis's.
+    """Centripetal and Coriolis part b for a frame that moves at `relative` on one that turns.
 
-    turning : ω′.   swept : ω′ × p.   All in the frame's axes.
+    turning : ω′.   swept : ω′ × p.   All are in the frame's axes.
     """
     return cross(turning, relative[:3]) + cross(turning, axpy(2.0, relative[3:], swept))
 
 
 def root_of(nodes: Sequence[Node], i: int) -> int:
-    """The node on the ground that another one hangs on in the end."""
+    """Index of the root of a node's tree, a node on the ground."""
     while nodes[i].parent != GROUND:
         i = nodes[i].parent
     return i
 
 
 def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
-    """S of slots: unit vectors, and for a screw one combination."""
+    """Return S of slots: unit vectors, and for a screw one combination."""
     directions = []
     for i, slot in enumerate(slots):
         if slot >= 0:
@@ -439,10 +439,10 @@ def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
 
 @lru_cache(64)
 def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
-    """Whether the mass matrix takes fewer operations than articulated bodies.
+    """Return whether the mass matrix takes fewer multiplications than articulated bodies.
 
-    By numbers of multiplications: of a column carried to one more node, with its products, 60; of
-    an inertia, 170; of a factorisation, n³/6.
+    A column carried to one more node takes 60, with its products; an inertia takes 170, and a
+    factorisation n³/6.
     """
     free = [len(node.free) for node in nodes]
     above: list[int] = []

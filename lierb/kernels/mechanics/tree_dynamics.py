@@ -1,16 +1,16 @@
-"""Accelerations of a tree of links under loads, and under rows that the tree does not keep.
+"""Dynamics of a tree of links: accelerations under loads and further rows.
 
-A = Ad(T⁻¹) A′ + b + S ν̇ of every node (`lierb.kernels.mechanics.tree`), with ν̇ by articulated
-bodies, in as many operations as there are nodes (Featherstone, Rigid Body Dynamics Algorithms,
-2008, ch. 7), or by the mass matrix of all ν (Kane), which is less for a few.
+A = Ad(T⁻¹) A′ + b + S ν̇ of every node (`lierb.kernels.mechanics.tree`). ν̇ is found by articulated
+bodies, with a cost proportional to the number of nodes (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, ch. 7), or by the mass matrix of all ν (Kane), at less cost for a few.
 
-All other rows, of loops, of joints whose motions are no group, of motors and of the user's, have a
+All other rows, of loops, of joints whose motions are no group, of motors and of the user, have a
 Schur complement on that. Gravity is an acceleration of the ground.
 
-A row of a joint of the tree is made stiff at its node: s (B ν̇ − η)² / 2 is added to what ν̇
-minimises, s being of the size of what hangs there. Where the row is satisfied that is nothing. But
-the complement is then one of numbers near 1/s, whatever the masses are, where a heavy link on a
-light one would have rows cancel each other down to the ratio of their masses.
+A row of a joint of the tree is made stiff at its node: s (B ν̇ − η)² / 2 is added to the function
+that ν̇ minimises, with s of the size of the node's descendants. The term vanishes where the row is
+satisfied. With it the entries of the complement are near 1/s, whatever the masses are; without it,
+a heavy link on a light one would make rows cancel down to the ratio of their masses.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ from lierb.kernels.mechanics.tree import (
     joint_space_pays,
 )
 from lierb.kernels.numbers.arithmetic import fma, sqrt
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, scale, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class ArticulatedBodies:
-    """The inertias of a tree, and what any loads do to it."""
+    """Solver by articulated inertias of a tree."""
 
     def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
         self.motion = motion
@@ -69,11 +70,11 @@ class ArticulatedBodies:
                 carried[parent] = moved if before is None else before.and_also(moved)
 
     def momentum(self, i: int, twist: Vec) -> Vec:
-        """Of all that hangs on a node and is free to move."""
+        """Momentum of the articulated body of a node."""
         return _sum([part.momentum(twist) for part in self.inertias[i]])
 
     def _passed_on(self, i: int) -> Articulated:
-        """I − U (SᵀIS)⁻¹ Uᵀ, seen from the node before."""
+        """Return I − U (SᵀIS)⁻¹ Uᵀ in the parent's frame."""
         step = self.motion.steps[i]
         parts = [part.from_frame(step) for part in self.inertias[i]]
         total = parts[0] if len(parts) == 1 else parts[0].and_also(parts[1])
@@ -90,26 +91,21 @@ class ArticulatedBodies:
         biases: Sequence[Vec] | None = None,
         fall: dict[int, Vec] | None = None,
     ) -> Response:
-        """What the nodes do under loads, wrenches about their frames' origins.
+        """Accelerations of the nodes under loads, wrenches about their frames' origins.
 
-        biases : what they do without ν̇.   fall : what the ground does, by root, in its axes there;
-        with it, the nodes have their velocities, else they are at rest.
+        biases : b of each node.   fall : acceleration of the ground for each root, in its joint's
+        axes; with it the nodes have their velocities, without it they are at rest.
         """
         nodes, steps = self.motion.nodes, self.motion.steps
-        totals = [loads.get(i, ZERO6) for i in range(len(nodes))]
-        if fall is not None:
-            for i, node in enumerate(nodes):
-                if node.link != MASSLESS:
-                    bias = self.motion.body.nodes[i].rigid.bias(self.motion.twists[i][:3])
-                    totals[i] = sub(totals[i], bias)
+        totals = _net_loads(self.motion, loads, is_moving=fall is not None)
         forced: list[Vec] = [()] * len(nodes)
         for i in reversed(range(len(nodes))):
             bias = biases[i] if biases else ZERO6
-            lacking = totals[i] if not biases else sub(totals[i], self.momentum(i, bias))
-            pushes = tuple(dot(s, lacking) for s in self.free[i])
+            rest = totals[i] if not biases else sub(totals[i], self.momentum(i, bias))
+            pushes = tuple(dot(s, rest) for s in self.free[i])
             forced[i] = _times(self.gains[i], pushes)
             if nodes[i].parent != GROUND:
-                passed = sub(lacking, combined(forced[i], self.columns[i]))
+                passed = sub(rest, combined(forced[i], self.columns[i]))
                 totals[nodes[i].parent] = add(
                     totals[nodes[i].parent], wrench_from(steps[i], passed)
                 )
@@ -127,14 +123,14 @@ class ArticulatedBodies:
         return Response(tuple(moved), tuple(rates), tuple(totals))
 
     def transmitted(self, i: int, response: Response) -> Vec:
-        """The wrench by which a joint moves its node, about the node's frame."""
+        """Wrench by which a joint moves its node, about the node's frame."""
         return sub(self.momentum(i, response.moved[i]), response.totals[i])
 
 
 class JointSpace:
-    """The same by the mass matrix of all free directions: less work for a few of them.
+    """Solver by the mass matrix of all free directions, cheaper for a few of them.
 
-    Kane's method, on the motion's columns: twists of a node by one free direction each.
+    Kane's method on the columns of `TreeMotion.columns`.
     """
 
     def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
@@ -166,39 +162,34 @@ class JointSpace:
         biases: Sequence[Vec] | None = None,
         fall: dict[int, Vec] | None = None,
     ) -> Response:
-        """As `ArticulatedBodies.respond`."""
+        """Accelerations of the nodes under loads; see `ArticulatedBodies.respond`."""
         motion = self.motion
-        start: list[Vec] = []  # what the nodes do without ν̇
+        start: list[Vec] = []  # A at ν̇ = 0
         forces: list[Any] = [ZERO] * self.count
         for i, node in enumerate(motion.nodes):
             before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else start[node.parent]
             carried = motion.carry(i, before)
             start.append(add(carried, biases[i]) if biases else carried)
-            lacking = loads.get(i, ZERO6)
+            rest = loads.get(i, ZERO6)
             rigid = motion.body.nodes[i].rigid
             if node.link != MASSLESS and fall is not None:
-                lacking = sub(lacking, rigid.needed(start[i], motion.twists[i][:3]))
+                rest = sub(rest, rigid.needed(start[i], motion.twists[i][:3]))
             elif node.link != MASSLESS and biases:
-                lacking = sub(lacking, rigid.momentum(start[i]))
-            if not is_zero(*lacking):
+                rest = sub(rest, rigid.momentum(start[i]))
+            if not is_zero(*rest):
                 for j, column in motion.columns(i).items():
-                    forces[j] = forces[j] + dot(column, lacking)
+                    forces[j] = forces[j] + dot(column, rest)
         rates = self.mass.solve(forces)
         moved, relative = [], []
         for i, directions in enumerate(motion.directions):
             columns = motion.columns(i)
             moved.append(combined([rates[j] for j in columns], [*columns.values()], start[i]))
             relative.append(combined([rates[j] for j in motion.own[i]], directions))
-        totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
-        if fall is not None:
-            for i, node in enumerate(motion.nodes):
-                if node.link != MASSLESS:
-                    bias = motion.body.nodes[i].rigid.bias(motion.twists[i][:3])
-                    totals[i] = sub(totals[i], bias)
+        totals = _net_loads(motion, loads, is_moving=fall is not None)
         return Response(tuple(moved), tuple(relative), tuple(totals))
 
     def transmitted(self, i: int, response: Response) -> Vec:
-        """As `ArticulatedBodies.transmitted`."""
+        """Wrench by which a joint moves its node, about the node's frame."""
         motion = self.motion
         total = neg(response.totals[i])
         if motion.nodes[i].link != MASSLESS:
@@ -211,9 +202,10 @@ class JointSpace:
 
 
 class Factored:
-    """A symmetric positive definite matrix, given by its lower triangle, as Lᵀ D L.
+    """Factorisation Lᵀ D L of a symmetric positive definite matrix, given by its lower triangle.
 
-    From the last row on: the pivots of a chain's last links are constant, and so divided by once.
+    It begins at the last row: the pivots of a chain's last links are constant, and their inverses
+    are computed once.
     """
 
     def __init__(self, lower: list[list[Any]]) -> None:
@@ -233,29 +225,39 @@ class Factored:
         y: list[Any] = []  # from the last row on
         for i in reversed(range(count)):
             y.append(less(right[i], self.upper[i], y))
-        found: list[Any] = []
+        solution: list[Number] = []
         for i in range(count):
             x = y[count - 1 - i] * self.inverses[i]
             for j in range(i):
-                x = fma(-self.upper[j][count - 1 - i], found[j], x)
-            found.append(x)
-        return found
+                x = fma(-self.upper[j][count - 1 - i], solution[j], x)
+            solution.append(x)
+        return solution
 
 
 Bodies = ArticulatedBodies | JointSpace
 
 
 def bodies_of(motion: TreeMotion, rows: Sequence[Asked] = ()) -> Bodies:
-    """By whichever takes fewer operations.   rows : of which some make nodes stiff."""
+    """Return the cheaper solver.   rows : further rows, of which some make nodes stiff."""
     return (JointSpace if joint_space_pays(motion.nodes) else ArticulatedBodies)(motion, rows)
 
 
 class Response(NamedTuple):
-    """moved : each node's A, or what stands for it.   rates : S ν̇.   totals : loads, passed on."""
+    """Accelerations of all nodes under some loads."""
 
-    moved: tuple[Vec, ...]
-    rates: tuple[Vec, ...]
-    totals: tuple[Vec, ...]
+    moved: tuple[Vec, ...]  # A of each node, or of unit loads
+    rates: tuple[Vec, ...]  # S ν̇
+    totals: tuple[Vec, ...]  # loads, with those that descendants pass on
+
+
+def _net_loads(motion: TreeMotion, loads: dict[int, Vec], is_moving: bool) -> list[Vec]:
+    """Loads on all nodes, less the bias wrenches of their bodies where these move."""
+    totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
+    for i, node in enumerate(motion.nodes):
+        if is_moving and node.link != MASSLESS:
+            bias = motion.body.nodes[i].rigid.bias(motion.twists[i][:3])
+            totals[i] = sub(totals[i], bias)
+    return totals
 
 
 def _sum(vectors: list[Vec]) -> Vec:
@@ -274,10 +276,10 @@ def _times(matrix: tuple[Any, ...], x: Vec) -> Vec:
 
 
 class Asked(NamedTuple):
-    """What a row asks of two nodes: push·(motion of one) − pull·(motion of the other) = wanted.
+    """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
 
-    push, pull : the row as wrenches about the nodes' frames.   fall : that of `Relative`.
-    stiffness : of a row of the joint by which `node` hangs on `other`.
+    push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
+    stiffness : s, for a row of the joint that connects `node` to its parent `other`.
     """
 
     node: int
@@ -285,18 +287,18 @@ class Asked(NamedTuple):
     push: Vec
     pull: Vec
     fall: Vec | None
-    wanted: Any
-    stiffness: Any = ZERO
+    wanted: Number
+    stiffness: Number = ZERO
 
-    def loads(self, size: Any = 1.0) -> dict[int, Vec]:
-        """size times the wrenches that the row's multiplier has, but for their sign."""
-        found = {self.node: scale(size, self.push)}
+    def loads(self, size: Number = 1.0) -> dict[int, Vec]:
+        """Wrenches on the nodes of a multiplier −size."""
+        wrenches = {self.node: scale(size, self.push)}
         if self.other != GROUND:
-            found[self.other] = scale(-size, self.pull)
-        return found
+            wrenches[self.other] = scale(-size, self.pull)
+        return wrenches
 
     def of(self, response: Response) -> Any:
-        """What it asks about, of what the nodes do."""
+        """Left-hand side of the row at some accelerations."""
         total = dot(self.push, response.moved[self.node])
         if self.other != GROUND:
             return total - dot(self.pull, response.moved[self.other])
@@ -306,14 +308,14 @@ class Asked(NamedTuple):
 def asked(
     connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
 ) -> Asked:
-    """Of a row with this Jacobian, J·V_rel."""
+    """Row of a connection on its nodes, with the Jacobian J of J·V_rel."""
     push = jacobian if connection.hangs else wrench_from(inner, jacobian)
     pull = wrench_from(relative.seat, jacobian)
     return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
 def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Any]]:
-    """Σ s Bᵀ B of the rows that make a node stiff, B being what they are of its ν̇."""
+    """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
     count = len(directions)
     total: list[list[Any]] = [[ZERO] * count for _ in range(count)]
     for each in rows:
@@ -327,10 +329,10 @@ def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[l
 
 
 class Solved(NamedTuple):
-    """response : with all rows.   multipliers : of the rows asked for.
+    """Accelerations and multipliers of a tree with further rows.
 
-    singular, dropped : marks, as of `saddle.Solution`.
-    bias : of each node that rows make stiff, the wrench s η about it, which is no load.
+    multipliers : λ of the rows, in order.   singular, dropped : as in `saddle.Solution`.
+    bias : wrench s η about each node that rows make stiff, which is no load.
     """
 
     response: Response
@@ -340,7 +342,7 @@ class Solved(NamedTuple):
     bias: dict[int, Vec]
 
     def transmitted(self, bodies: Bodies, i: int) -> Vec:
-        """The wrench by which a joint moves its node, about the node's frame, but for its rows."""
+        """Wrench by which a joint moves its node, about the node's frame, without its rows'."""
         return add(bodies.transmitted(i, self.response), self.bias.get(i, ZERO6))
 
 
@@ -352,7 +354,7 @@ def solved(
     fall: dict[int, Vec] | None = None,
     openness: Callable[[], Any] | None = None,
 ) -> Solved:
-    """What the nodes do under loads and rows; see `ArticulatedBodies.respond`.
+    """Solve for accelerations under loads and rows; see `ArticulatedBodies.respond`.
 
     openness : as of `saddle.multipliers_of`.
     """
@@ -371,8 +373,10 @@ def solved(
     schur = [[rows[i].of(responses[j]) for j in range(i + 1)] for i in range(len(rows))]
     excess = []
     for each in rows:
-        found = each.of(response) - each.wanted
-        excess.append(found if each.fall is None else found - dot(each.pull, ZERO3 + each.fall))
+        difference = each.of(response) - each.wanted
+        if each.fall is not None:
+            difference = difference - dot(each.pull, ZERO3 + each.fall)
+        excess.append(difference)
     scales = _TreeScales(bodies.motion, loads, fall)
     sizes = [scales.of(each) for each in rows]
     alone = [size / fma(each.stiffness, size, 1.0) for size, each in zip(sizes, rows, strict=True)]
@@ -396,7 +400,7 @@ def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
 
 
 class _TreeScales:
-    """What rows and loads amount to, measured by the inertia that each node has alone."""
+    """Sizes of rows and loads in the metric of the inertia that each node has alone."""
 
     def __init__(
         self, motion: TreeMotion, loads: dict[int, Vec], fall: dict[int, Vec] | None
@@ -414,12 +418,12 @@ class _TreeScales:
         return total
 
     def of(self, row: Asked) -> Any:
-        """Its square: what the row would move."""
+        """Square of the size of a row."""
         size = self._square(row.node, row.push)
         return size if row.other == GROUND else size + self._square(row.other, row.pull)
 
     def acceleration(self, row: Asked) -> Any:
-        """The acceleration of a row that loads and motion could bring about."""
+        """Bound on the acceleration of a row by loads and motion."""
         return sqrt(self.of(row)) * self._forced
 
     @cached_property
@@ -433,7 +437,7 @@ class _TreeScales:
         for i, node in enumerate(self.motion.nodes):
             if node.link != MASSLESS:
                 omega = self.motion.twists[i][:3]
-                # How fast a whole mechanism drifts brings no acceleration about.
+                # The drift of a whole mechanism causes no acceleration.
                 drifts = node.parent == GROUND and not node.rows
                 twist = omega + (ZERO3 if drifts else self.motion.relative[i][3:])
                 momentum = self.motion.body.nodes[i].rigid.momentum(twist)
