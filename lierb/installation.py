@@ -25,7 +25,8 @@ from lierb.kernels.mechanics.rows import parameters_of
 from lierb.kernels.tracing.cpu import CPU_FEATURES, DEFAULT_LANES, HAS_FMA
 from lierb.methods import ButcherTableau, tableau_of
 from lierb.model.bodies.body import Body
-from lierb.model.joints.joint import JOINTS, Joint
+from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint_type import JOINTS
 from lierb.model.problem import Problem
 from lierb.runs.options import check_names
 from lierb.runs.provenance import machine

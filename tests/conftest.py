@@ -32,7 +32,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """One worker for the tests that share kernels: two would compile them at the same time."""
     from xdist.scheduler import LoadScopeScheduling
 
-    from lierb.model.joints.joint import JOINTS
+    from lierb.model.joints.joint_type import JOINTS
 
     class ByKernels(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:

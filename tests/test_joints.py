@@ -14,7 +14,7 @@ from lierb.kernels.mechanics.constraints import position_error_squared, rotation
 from lierb.kernels.mechanics.newton_euler import CSPACES, Parameters
 from lierb.kernels.mechanics.rows import JOINT_ROWS, parameters_of
 from lierb.model.joints.catalogue import from_rows
-from lierb.model.joints.joint import JOINTS
+from lierb.model.joints.joint_type import JOINTS
 
 mp = mpmath.mp.clone()
 mp.dps = 50

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
 
-from lierb.model.joints.joint import JointType
+from lierb.model.joints.joint_type import JointType
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

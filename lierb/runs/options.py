@@ -12,7 +12,7 @@ from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.methods import ButcherTableau
-from lierb.model.joints.joint import JOINTS
+from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs import start_checks as checks

@@ -17,7 +17,7 @@ from lierb.kernels.loops.job import JOB
 from lierb.kernels.systems.system_of import plan_of, takes_gentle_steps
 from lierb.kernels.tracing.cpu import DEFAULT_LANES, HAS_FMA, IS_X86
 from lierb.methods import TABLEAUS
-from lierb.model.joints.joint import JOINTS
+from lierb.model.joints.joint_type import JOINTS
 
 pytestmark = [
     pytest.mark.slow,

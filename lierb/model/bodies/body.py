@@ -13,8 +13,6 @@ from lierb.support.arrays import Array, Which, as_numbers, assembled, batch_size
 from lierb.support.shown import Lines, Shown, quantity
 
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
-
-
 TRIANGLE_TOLERANCE = 1e-12  # relative to the largest principal moment
 MOMENTS_OF_EACH = "inertia[:, :, None] * np.eye(3)"
 
@@ -72,7 +70,7 @@ class Body(Shown):
             object.__setattr__(self, name, value)
 
     def of(self, which: Which) -> Body:
-        """One body of the batch, or a part of it."""
+        """Return one body of the batch, or a part of it."""
         inertia = taken(self.inertia, which, 2)
         if inertia.ndim == 2 and not isinstance(which, int):
             inertia = inertia[None]  # or a part of three bodies might be read in two ways
@@ -119,22 +117,22 @@ def _checked_symmetric(moments: Array) -> Array:
 
 @np.errstate(all="ignore")
 def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
-    """The inertia about the centre of mass. Raises InertiaError where it overflows."""
+    """Inertia about the centre of mass; raises InertiaError where it overflows."""
     shift = unit_inertia(components(centre))
     parts = zip(components(moments, 2), shift, strict=True)
-    found = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
-    flat = found.reshape(-1, 9)
+    about_com = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
+    flat = about_com.reshape(-1, 9)
     for body in np.flatnonzero(~np.isfinite(flat).all(axis=1))[:1]:
         raise InertiaError(
             f"{body_label('inertia', int(body), len(flat))} has no inertia about the centre of "
             "mass: mass times the square of com is beyond all numbers; give smaller numbers, or "
             "choose larger units"
         )
-    return found
+    return about_com
 
 
 def _check_physical(about_com: Array) -> None:
-    """Positive definite, and no principal moment above the sum of the two others."""
+    """Raise InertiaError unless positive definite with moments that satisfy A + B ≥ C."""
     flat = about_com.reshape(-1, 3, 3)
     principal = np.linalg.eigvalsh(flat)
     for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
@@ -157,7 +155,7 @@ def _listed(numbers: Array) -> str:
 
 @np.errstate(over="ignore")
 def _check_gyration(masses: Array, moments: Array) -> None:
-    """Raise InertiaError where tr Θ/m, which lengths are measured by, is beyond all numbers."""
+    """Raise InertiaError where tr Θ/m, the unit of lengths squared, overflows."""
     traces = np.trace(moments, axis1=-2, axis2=-1)
     squares = np.atleast_1d(traces / masses)
     for body in np.flatnonzero(~np.isfinite(squares))[:1]:

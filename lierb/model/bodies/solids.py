@@ -1,8 +1,4 @@
-"""Homogeneous solids as bodies: mass and inertia from their dimensions, or from a mesh.
-
-The body frame is at the centre of mass, its axes along those of the solid; a mesh keeps its own
-frame. Each function takes either `mass` or `density`. Arguments may be batched.
-"""
+"""Functions that make a body of a homogeneous solid."""
 
 from __future__ import annotations
 
@@ -19,7 +15,7 @@ from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_positive, assembled, batch_size
 from lierb.support.extras import remedy
 
-_quiet = np.errstate(all="ignore")  # a mass or an inertia that overflows is none of a Body
+_quiet = np.errstate(all="ignore")  # Body refuses a mass or an inertia that overflows
 
 
 @_quiet
@@ -218,12 +214,12 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
             "mesh encloses no volume: it must be watertight, with faces that wind outward "
             "(mesh.fill_holes() and mesh.fix_normals() may mend it)"
         )
-    found = mesh.mass_properties
-    total = _mass(mass, density, as_floats("volume", found.volume))
+    solid = mesh.mass_properties
+    total = _mass(mass, density, as_floats("volume", solid.volume))
     if total.ndim:
         raise ArgumentError(f"a mesh is one body; got masses of shape {total.shape}")
-    centre = as_floats("center_mass", found.center_mass)
-    about_com = as_floats("inertia", found.inertia) * (total / float(found.mass))
+    centre = as_floats("center_mass", solid.center_mass)
+    about_com = as_floats("inertia", solid.inertia) * (total / float(solid.mass))
     shift = assembled(unit_inertia(tuple(centre)), 3, 3)
     return Body(total, about_com + total * shift, centre)
 
@@ -231,14 +227,14 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
 def _loaded(path: Any, load: Callable[[Any], Any]) -> Any:
     try:
         return load(path)
-    except Exception as error:  # a reader of each format, and what each raises
+    except Exception as error:  # each format's reader raises errors of its own
         raise ArgumentError(
             f"mesh={told(path)} cannot be loaded: {type(error).__name__}: {told(str(error))}"
         ) from error
 
 
 def _diagonal(*moments: Array) -> Array:
-    """Matrices: the moments of three bodies would pass for one matrix."""
+    """Inertia matrices; principal moments of three bodies would be read as one matrix."""
     return assembled(moments)[..., None] * np.eye(3)
 
 

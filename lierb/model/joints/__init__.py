@@ -1,14 +1,15 @@
-"""The joint catalogue, as data: each joint is a list of primitive rows between two frames.
+"""Joint catalogue: each joint is a list of constraint rows between two frames.
 
-Rows are of `lierb.kernels.mechanics.rows`, in the order in which λ has them, and act on
-D = G⁻¹CB = (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
+The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They act on D = G⁻¹CB =
+(Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
 Q turns about an axis ⊥ e₃.
 """
 
 from lierb.model.joints.catalogue import *  # noqa: F403
 from lierb.model.joints.catalogue import from_rows
-from lierb.model.joints.joint import JOINTS, Joint, JointType
+from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint_type import JOINTS, JointType
 
 __all__ = ["JOINTS", "Joint", "JointType", "from_rows", *JOINTS]
 

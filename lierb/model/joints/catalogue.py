@@ -1,4 +1,4 @@
-"""The joint catalogue: entries, and joints made of rows by name."""
+"""Entries of the joint catalogue, and joints made from rows by name."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from lierb.errors import (
     unknown_name,
 )
 from lierb.kernels.mechanics.rows import JOINT_ROWS, JointRow, Row, parameters_of
-from lierb.model.joints.joint import JOINTS, MOST_ROWS, Joint, JointType
+from lierb.model.joints.joint import MOST_ROWS, Joint
+from lierb.model.joints.joint_type import JOINTS, JointType
 from lierb.model.joints.motions import Factor
-
-# ---- the catalogue -----------------------------------------------------------------------------
 
 
 def _entry(
@@ -188,8 +187,7 @@ def from_rows(
     for objection in filter(None, (row.objection(parsed) for row in parsed)):
         raise ArgumentError(f"rows={told(rows)} {objection}")
     options = frozenset({"slot", "second_axis", *parameters_of(parsed)})
-    made = JointType(name, parsed, "built from rows", None, options)
-    return made(
+    return JointType(name, parsed, "", None, options)(
         body_point, ground_point, axis=axis, slot=slot, second_axis=second_axis, pitch=pitch,
         length=length, body_frame=body_frame, ground_frame=ground_frame,
         parent_point=parent_point, parent_frame=parent_frame,
@@ -199,5 +197,5 @@ def from_rows(
 def _row(name: str | Row) -> JointRow:
     try:
         return JOINT_ROWS[str(name) if isinstance(name, Row) else name.replace("Ω", "Omega")]
-    except Exception:  # of what is neither a name nor a row, any
+    except Exception:  # an object of the user's may raise any
         raise unknown_name("row", name, JOINT_ROWS) from None

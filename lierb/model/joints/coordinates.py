@@ -1,4 +1,4 @@
-"""Coordinates of one link of a mechanism, in whatever way they are given."""
+"""Coordinates of one link of a mechanism: numbers, a rotation or the link's whole pose."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lierb.support.arrays import (
 
 
 def motions_of(joint: Joint) -> Motions | None:
-    """What its coordinates are; None where it has none."""
+    """Return the coordinates of a joint's motions; None for a joint without coordinates."""
     return joint.motions if joint.subgroup or joint.factors else None
 
 
@@ -31,7 +31,7 @@ def is_rigid(joint: Joint) -> bool:
 
 
 def is_pose(argument: str, given: Any, joint: Joint) -> bool:
-    """Whether a link's coordinates are its whole pose: 4×4 matrices, and no rotation's."""
+    """Return whether a link's coordinates are its pose: matrices (4, 4), and not of a rotation."""
     array = as_floats(argument, as_matrix(argument, given))
     if hasattr(given, "as_matrix"):
         return array.shape[-1:] == (4,)
@@ -51,7 +51,7 @@ def is_pose(argument: str, given: Any, joint: Joint) -> bool:
 def relative_of(
     argument: str, given: Any, joint: Joint
 ) -> tuple[Pose, dict[str, tuple[Array, int]]]:
-    """D of a joint's coordinates or of its rotation, and what is batched of them."""
+    """Return D of a joint's coordinates or rotation, and the batched argument by name."""
     motions = motions_of(joint)
     if motions is None:
         if given is not None:
@@ -82,7 +82,7 @@ def relative_of(
 
 
 def numbers_of(argument: str, given: Any, names: tuple[str, ...]) -> Array:
-    """One number for each of the coordinates; of one coordinate a bare number or (n,) will do."""
+    """Return coordinates, (k,) or (n, k); a single coordinate may be a number or (n,)."""
     array, k = as_floats(argument, given), len(names)
     if array.ndim == 0 and (k == 1 or not array):
         array = np.full(k, array)

@@ -1,4 +1,4 @@
-"""Joints and their frames."""
+"""Joints: constraint rows between two frames, and coordinates of the motions that they allow."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, body_label, two_readings
+from lierb.errors import ArgumentError, two_readings
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import closed_pose
 from lierb.kernels.mechanics.rows import JointRow, parameters_of
 from lierb.kernels.mechanics.subgroup import slots_of
-from lierb.kernels.numbers.vec import ZERO3, Vec, add, cross, dot, mat_t_vec, norm, scale, sub
+from lierb.kernels.numbers.vec import ZERO3, add, cross, mat_t_vec
 from lierb.model.joints.motions import TURNS, Factor, Motions, ProductMotions, SubgroupMotions
 from lierb.support.arrays import (
     Array,
@@ -23,7 +23,6 @@ from lierb.support.arrays import (
     as_floats,
     as_numbers,
     as_poses,
-    as_positive,
     as_rotations,
     assembled,
     batch_size,
@@ -35,8 +34,7 @@ from lierb.support.arrays import (
 )
 from lierb.support.shown import Lines, Shown, quantity
 
-PERPENDICULAR_TOLERANCE = 1e-9
-_quiet = np.errstate(all="ignore")  # what overflows is found in the result
+_quiet = np.errstate(all="ignore")  # an overflow is reported from the result
 MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
 
 
@@ -62,6 +60,8 @@ class Joint(Shown):
         Motion group of the joint as a subgroup of SE(3), if it is one.
     factors : tuple of Factor
         Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
+    summary : str
+        Description in a line; empty for a joint made from rows.
     """
 
     name: str
@@ -72,6 +72,7 @@ class Joint(Shown):
     length: Array
     subgroup: str | None = None
     factors: tuple[Factor, ...] = ()
+    summary: str = ""
 
     def of(self, which: Which) -> Joint:
         """Return the joint of one body of the batch, or of a part of it.
@@ -95,8 +96,7 @@ class Joint(Shown):
         )
 
     def _shown(self) -> tuple[str, Lines]:
-        entry = JOINTS.get(self.name)
-        title = f"{self.name} joint{f': {entry.summary}' if entry else ''}"
+        title = f"{self.name} joint{self.summary and f': {self.summary}'}"
         rows = [("rows", " ".join(map(str, self.rows)) or "none")]
         if self.subgroup:
             rows.append(("motions", f"{self.subgroup}, a subgroup of SE(3)"))
@@ -121,7 +121,7 @@ class Joint(Shown):
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         with np.errstate(all="ignore"):
             pose = pose_matrix(closed_pose(ground, body, self.length))
-        finite("the closed pose", pose).setflags(write=False)  # shared by all who ask
+        finite("the closed pose", pose).setflags(write=False)  # cached
         return pose
 
     @_quiet
@@ -257,8 +257,7 @@ class Joint(Shown):
     def coordinates(self, pose: Any) -> Array:
         """Compute the joint's coordinates at a pose, in the order of `coordinate_names`.
 
-        Angles are in [−π, π], except for a screw with a pitch, whose slide tells how often it has
-        turned.
+        Angles are in [−π, π], except for a screw with a pitch, whose slide counts whole turns.
 
         Parameters
         ----------
@@ -282,9 +281,8 @@ class Joint(Shown):
         >>> hinge.coordinates(hinge.pose([0.5])).tolist()
         [0.5]
         """
-        motions = self.motions
-        found = motions.coordinates(self._relative(as_poses("pose", pose)))
-        return finite("a coordinate", assembled(found))
+        relative = self._relative(as_poses("pose", pose))
+        return finite("a coordinate", assembled(self.motions.coordinates(relative)))
 
     @_quiet
     def pose(
@@ -345,7 +343,7 @@ class Joint(Shown):
         return finite("the pose", pose_matrix(placed))
 
     def _either(self, place: Any) -> tuple[Any, Any]:
-        """`place` as (coordinates, rotation), of which one is None."""
+        """Return `place` as (coordinates, None) or (None, rotation)."""
         if hasattr(place, "as_matrix"):
             return None, place
         given = as_floats("coordinates", place)
@@ -357,48 +355,40 @@ class Joint(Shown):
         return (None, given) if given.ndim == 3 else (given, None)
 
     def _numbers(self, argument: str, given: ArrayLike | None) -> Array:
-        """One number for each of the joint's coordinates, or its rates."""
-        names = self.coordinate_names
-        array = as_floats(argument, given)
-        if array.ndim not in (1, 2) or array.shape[-1] != len(names):
-            k = len(names)
+        """Return coordinates, or their rates, (k,) or (n, k)."""
+        names, array = self.coordinate_names, as_floats(argument, given)
+        k = len(names)
+        if array.ndim not in (1, 2) or array.shape[-1] != k:
             raise ArgumentError(
                 f"{argument} has shape {array.shape}; expected ({k},) or (n, {k}), of "
                 f"{', '.join(names)}"
             )
-        return as_numbers(argument, array, (len(names),))
+        return as_numbers(argument, array, (k,))
 
     @property
     def _frames(self) -> dict[str, tuple[Array, int]]:
-        """As `batch_size` takes them."""
+        """Arguments of `batch_size`."""
         return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
 
     def _placed(self, pose: Any) -> Array:
         return self.closed_pose if pose is None else as_poses("pose", pose)
 
     def _relative(self, placed: Array) -> Pose:
-        """D = G⁻¹CB: the body's joint frame seen from the ground's."""
+        """Relative pose D = G⁻¹CB of the two joint frames."""
         batch_size(pose=(placed, 2), **self._frames)
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         return se3.compose(se3.compose(se3.inverse(ground), pose_components(placed)), body)
 
     @cached_property
     def motions(self) -> Motions:
-        """Coordinates of the joint's motions, as kernels use them.
-
-        Raises
-        ------
-        ArgumentError
-            The joint has none.
-        """
+        """Coordinates of the relative pose D; raises ArgumentError for a joint without any."""
         if self.subgroup:
             return SubgroupMotions(slots_of(self.rows), self.pitch)
         if self.factors:
             return ProductMotions(self.factors)
-        known = ", ".join(n for n, entry in JOINTS.items() if entry.subgroup or entry.factors)
         raise ArgumentError(
             f"a {self.name} joint has no coordinates: its motions are neither a group nor a "
-            f"product of two, as those of {known} are"
+            "product of two"
         )
 
 
@@ -406,210 +396,3 @@ def _shown_frame(frame: Array) -> str:
     origin, e1, e3 = frame[..., :3, 3], frame[..., :3, 0], frame[..., :3, 2]
     parts = quantity(origin, "m", 1), f"e₁ {quantity(e1, '', 1)}", f"e₃ {quantity(e3, '', 1)}"
     return ", ".join(parts) if frame.size == 16 else quantity(frame, item_axes=2)
-
-
-@dataclass(frozen=True)
-class JointType:
-    """An entry of the catalogue; calling it makes the joint.
-
-    Attributes
-    ----------
-    name : str
-        Name of the entry.
-    rows : tuple of JointRow
-        Constraint rows, in the order in which λ has them.
-    summary : str
-        Description in a line.
-    subgroup : str or None
-        Motion group of the joint as a subgroup of SE(3), if it is one.
-    options : frozenset of str
-        Further arguments that the entry takes: "pitch", "length", "slot", "second_axis".
-    factors : tuple of Factor
-        Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
-    """
-
-    name: str
-    rows: tuple[JointRow, ...]
-    summary: str
-    subgroup: str | None = None
-    options: frozenset[str] = frozenset()
-    factors: tuple[Factor, ...] = ()
-
-    def __call__(
-        self,
-        body_point: ArrayLike | None = None,
-        ground_point: ArrayLike | None = None,
-        *,
-        axis: ArrayLike | None = None,
-        slot: ArrayLike | None = None,
-        second_axis: ArrayLike | None = None,
-        pitch: ArrayLike | None = None,
-        length: ArrayLike | None = None,
-        body_frame: Any = None,
-        ground_frame: Any = None,
-        parent_point: ArrayLike | None = None,
-        parent_frame: Any = None,
-    ) -> Joint:
-        """Make the joint, its frames given by points and axes, or as 4×4 matrices.
-
-        All arguments may be batched. Without `ground_frame` the ground's joint frame is turned like
-        the body's: the joint closes at R = I.
-
-        Parameters
-        ----------
-        body_point : array_like, shape (3,) or (n, 3), optional
-            Point of the joint in the body frame, m. Default: its origin.
-        ground_point : array_like, shape (3,) or (n, 3), optional
-            Point of the joint in the ground frame, m. Default: its origin.
-        axis : array_like, shape (3,) or (n, 3), optional
-            Direction of the joint axis e₃ in the body frame. Default: (0, 0, 1).
-        slot : array_like, shape (3,) or (n, 3), optional
-            Direction of the slot e₁ at R = I, in the body frame (pin_in_slot only).
-        second_axis : array_like, shape (3,) or (n, 3), optional
-            Direction of e₂ in the body frame (universal and hook only).
-        pitch : float or array_like, shape (n,), optional
-            Pitch, m/rad (screw and helical_planar only).
-        length : float or array_like, shape (n,), optional
-            Length, m, positive (point_on_sphere only).
-        body_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
-            Joint frame in the body frame, in place of point and axes.
-        ground_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
-            Joint frame in the ground frame, in place of the point.
-        parent_point : array_like, shape (3,) or (n, 3), optional
-            Another name of `ground_point`, for a joint between two links of a `lierb.Mechanism`: in
-            the body frame of the parent.
-        parent_frame : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
-            Another name of `ground_frame`, likewise.
-
-        Returns
-        -------
-        Joint
-            The joint or the batch of joints.
-
-        Raises
-        ------
-        ArgumentError
-            The entry does not take an argument, or its shape or value is wrong.
-        PoseError
-            A frame is no rigid motion.
-
-        Examples
-        --------
-        >>> import lierb
-        >>> lierb.joints.screw(body_point=(0.1, 0.0, 0.0), pitch=0.02).coordinate_names
-        ('phi',)
-        """
-        given = {"pitch": pitch, "length": length, "slot": slot, "second_axis": second_axis}
-        for option, value in given.items():
-            if value is not None and option not in self.options:
-                raise ArgumentError(f"a {self.name} joint takes no {option}")
-        for parameter, unit in parameters_of(self.rows).items():
-            if given[parameter] is None:
-                raise ArgumentError(f"a {self.name} joint needs {parameter}=, in {unit}")
-        body = _body_frame(body_frame, body_point, axis, slot, second_axis)
-        point = _either_name("point", ground_point, parent_point)
-        ground = _ground_frame(_either_name("frame", ground_frame, parent_frame), point, body)
-        lead = as_numbers("pitch", 0.0 if pitch is None else pitch, ())
-        none = as_numbers("length", 0.0, ())
-        rod = none if length is None else as_positive("length", length, "m")
-        batch_size(body_frame=(body, 2), ground_frame=(ground, 2), pitch=lead, length=rod)
-        for frames in (body, ground):
-            frames.setflags(write=False)  # what was checked stays so
-        return Joint(self.name, self.rows, ground, body, lead, rod, self.subgroup, self.factors)
-
-    def __repr__(self) -> str:
-        return f"<lierb.joints.{self.name}: {self.summary}>"
-
-
-def _body_frame(
-    frame: Any,
-    point: ArrayLike | None,
-    axis: ArrayLike | None,
-    slot: ArrayLike | None,
-    second_axis: ArrayLike | None,
-) -> Array:
-    if frame is not None:
-        directions = {"body_point": point, "axis": axis, "slot": slot, "second_axis": second_axis}
-        for name, value in directions.items():
-            if value is not None:
-                raise ArgumentError(f"give body_frame or {name}, not both")
-        return as_poses("body_frame", frame)
-    if slot is not None and second_axis is not None:
-        raise ArgumentError("give slot (e₁) or second_axis (e₂), not both")
-    given = {
-        "body_point": (0.0, 0.0, 0.0) if point is None else point,
-        "axis": (0.0, 0.0, 1.0) if axis is None else axis,
-        "slot": slot,
-        "second_axis": second_axis,
-    }
-    vectors = {n: as_numbers(n, value, (3,)) for n, value in given.items() if value is not None}
-    batch_size(**{name: (vector, 1) for name, vector in vectors.items()})
-    origin, e3 = vectors["body_point"], _direction("axis", vectors["axis"])
-    if slot is not None:
-        e1 = _perpendicular("slot", slot, e3)
-    elif second_axis is not None:
-        e1 = cross(_perpendicular("second_axis", second_axis, e3), e3)
-    else:
-        e1 = _any_perpendicular(e3)
-    return _frame(e1, e3, components(origin))
-
-
-def _either_name(what: str, ground: Any, parent: Any) -> Any:
-    """What was given as the ground's or as the parent's, which are the same."""
-    if ground is not None and parent is not None:
-        raise ArgumentError(f"give ground_{what} or parent_{what}: they are the same")
-    return parent if ground is None else ground
-
-
-def _ground_frame(frame: Any, point: ArrayLike | None, body_frame: Array) -> Array:
-    if frame is not None:
-        if point is not None:
-            raise ArgumentError("give ground_frame or ground_point, not both")
-        return as_poses("ground_frame", frame)
-    origin = as_numbers("ground_point", (0.0, 0.0, 0.0) if point is None else point, (3,))
-    batch_size(body_frame=(body_frame, 2), ground_point=(origin, 1))
-    return pose_matrix((pose_components(body_frame)[0], components(origin)))
-
-
-def _frame(e1: Vec, e3: Vec, origin: Vec) -> Array:
-    e2 = cross(e3, e1)
-    rotation = (e1[0], e2[0], e3[0], e1[1], e2[1], e3[1], e1[2], e2[2], e3[2])
-    return pose_matrix((rotation, origin))
-
-
-def _direction(argument: str, value: ArrayLike) -> Vec:
-    array = as_numbers(argument, value, (3,))
-    largest = np.abs(array).max(axis=-1)
-    zero = np.flatnonzero(largest == 0.0)
-    if zero.size:
-        label = body_label(argument, int(zero[0]), largest.size)
-        raise ArgumentError(f"{label} is the zero vector; expected a direction")
-    exponent = np.frexp(largest)[1]  # a power of two: exact, and no square overflows
-    return _unit(components(np.ldexp(array, -exponent[..., None])))
-
-
-def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
-    e = _direction(argument, value)
-    slant = dot(e, e3)
-    cosines = np.atleast_1d(np.abs(slant))
-    bad = np.flatnonzero(cosines > PERPENDICULAR_TOLERANCE)
-    if bad.size:
-        label = body_label(argument, int(bad[0]), cosines.size)
-        raise ArgumentError(
-            f"{label} is not perpendicular to axis: the cosine is {cosines[bad[0]]:.3g}"
-        )
-    return _unit(sub(e, scale(slant, e3)))
-
-
-def _any_perpendicular(e3: Vec) -> Vec:
-    """The part ⊥ e₃ of the first coordinate axis whose |cos| with e₃ is below 0.9, normalised."""
-    x_fits = np.abs(e3[0]) < 0.9  # else e₃ is near x, and y fits
-    chosen = (np.where(x_fits, 1.0, 0.0), np.where(x_fits, 0.0, 1.0), np.zeros_like(e3[2]))
-    return _unit(sub(chosen, scale(dot(chosen, e3), e3)))
-
-
-def _unit(v: Vec) -> Vec:
-    return scale(1.0 / norm(v), v)
-
-
-JOINTS: dict[str, JointType] = {}

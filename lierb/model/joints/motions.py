@@ -1,7 +1,7 @@
-"""The motions of joints that have coordinates: what coordinates say of D, and their rates of D⁻¹Ḋ.
+"""Motions of joints that have coordinates: maps from coordinates to D and from rates to D⁻¹Ḋ.
 
-Those of a subgroup of SE(3) have rotation vectors or one angle, and places; others are a product of
-motions of one freedom each, as a universal joint's two turns.
+A subgroup of SE(3) has a rotation vector or one angle, and positions. Other joints have a product
+of two motions of one freedom each, such as the two turns of a universal joint.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
 
 
 class Factor(NamedTuple):
-    """A motion of one freedom about or along an axis of the joint frame.
+    """Motion of one freedom about or along an axis of the joint frame.
 
-    name : of its coordinate.   kind : "turn" or "slide".   axis : 0, 1 or 2.
+    name : name of the coordinate.   kind : "turn" or "slide".   axis : 0, 1 or 2.
     """
 
     name: str
@@ -42,28 +42,28 @@ class Factor(NamedTuple):
 
     @property
     def slot(self) -> int:
-        """Which of the six components of (ω, v) its rate is."""
+        """Index of its rate in the twist (ω, v)."""
         return self.axis if self.kind == "turn" else 3 + self.axis
 
     @property
     def rows(self) -> Rows:
-        """Of the joint that has this motion and no other."""
-        places = [f"d{i + 1}" for i in range(3) if self.kind == "turn" or i != self.axis]
+        """Rows of the joint with this motion alone."""
+        positions = [f"d{i + 1}" for i in range(3) if self.kind == "turn" or i != self.axis]
         turns = [f"Omega{i + 1}" for i in range(3) if self.kind == "slide" or i != self.axis]
-        return tuple(JOINT_ROWS[name] for name in (*places, *turns))
+        return tuple(JOINT_ROWS[name] for name in (*positions, *turns))
 
     def motion(self, number: Any) -> Pose:
-        """F of a coordinate."""
+        """Factor F of a coordinate."""
         along = tuple(number if i == self.axis else ZERO for i in range(3))
         return (so3.exp(along), ZERO3) if self.kind == "turn" else (so3.identity, along)
 
     def twist(self, rate: Any) -> Vec:
-        """F⁻¹Ḟ."""
+        """Twist F⁻¹Ḟ of a rate."""
         return tuple(rate if i == self.slot else ZERO for i in range(6))
 
 
 class SubgroupMotions:
-    """D in a subgroup H of SE(3): its rotation by a rotation vector or one angle, and its place."""
+    """Motions D in a subgroup H of SE(3): a rotation vector or one angle, and positions."""
 
     def __init__(self, slots: Slots, pitch: Array) -> None:
         self.slots, self.pitch = slots, pitch
@@ -75,12 +75,12 @@ class SubgroupMotions:
         return turning + tuple(f"d{i + 1}" for i in range(3) if slots[3 + i] >= 0)
 
     def pose(self, numbers: Vec) -> Pose:
-        """D."""
-        turning, places = self._lifted(numbers)
-        return so3.exp(turning), places
+        """Relative pose D of coordinates."""
+        turning, position = self._lifted(numbers)
+        return so3.exp(turning), position
 
     def coordinates(self, relative: Pose) -> Vec:
-        """Of a D that is in H."""
+        """Coordinates of a D in H."""
         q, d = relative
         turning: Vec = ()
         if self.slots[0] >= 0:
@@ -90,12 +90,12 @@ class SubgroupMotions:
         return turning + tuple(d[i] for i in range(3) if self.slots[3 + i] >= 0)
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """D⁻¹Ḋ at these coordinates: a rotation vector beyond π has other rates than D's own."""
+        """Twist D⁻¹Ḋ of rates at coordinates, whose rotation vector may exceed π."""
         xi, _ = self._lifted(numbers)
         return self._twist(rates, xi, so3.exp(xi))
 
     def twist(self, rates: Vec, relative: Pose) -> Vec:
-        """D⁻¹Ḋ."""
+        """Twist D⁻¹Ḋ of rates at D."""
         q, _ = relative
         return self._twist(rates, so3.log(q), q)
 
@@ -106,7 +106,7 @@ class SubgroupMotions:
         return turning + mat_t_vec(q, sliding)
 
     def rates(self, twist: Vec, relative: Pose) -> Vec:
-        """Of the coordinates, from D⁻¹Ḋ."""
+        """Rates of the coordinates, from D⁻¹Ḋ."""
         q, _ = relative
         rates: Vec = ()
         if self.slots[0] >= 0:
@@ -116,17 +116,17 @@ class SubgroupMotions:
         drift = mat_vec(q, twist[3:])
         return rates + tuple(drift[i] for i in range(3) if self.slots[3 + i] >= 0)
 
-    def _lifted(self, given: Vec) -> tuple[Vec, Vec]:
-        """Coordinates, or their rates, as a rotation and a place, or theirs: what is bound is 0."""
-        turning = tuple(given[slot] if slot >= 0 else ZERO for slot in self.slots[:3])
-        places = tuple(
-            given[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
+    def _lifted(self, numbers: Vec) -> tuple[Vec, Vec]:
+        """Rotation vector and position of coordinates, or the rates of both of rates."""
+        turning = tuple(numbers[slot] if slot >= 0 else ZERO for slot in self.slots[:3])
+        position = tuple(
+            numbers[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
             for slot in self.slots[3:]
         )
-        return turning, places
+        return turning, position
 
     def _turn(self, angle: Any, slide: Any) -> Any:
-        """The angle of a turn; of a screw with the whole turns that fit its slide."""
+        """Angle of a turn; for a screw with the whole turns that fit its slide."""
         if self.slots[5] != PITCHED:
             return angle
         turned = slide / np.where(self.pitch == 0.0, 1.0, self.pitch)
@@ -135,9 +135,9 @@ class SubgroupMotions:
 
 
 class ProductMotions:
-    """D = F₁(a) F₂(b), of two factors, of which one turns and no two are about one axis.
+    """Motions D = F₁(a) F₂(b) of two factors with different axes, at least one of them a turn.
 
-    The first one is read off D in the ground's axes, the last one in the body's.
+    a is read off D in the ground's axes, b in the body's.
     """
 
     def __init__(self, factors: tuple[Factor, ...]) -> None:
@@ -148,12 +148,12 @@ class ProductMotions:
         return tuple(factor.name for factor in self.factors)
 
     def pose(self, numbers: Vec) -> Pose:
-        """D."""
+        """Relative pose D of coordinates."""
         a, b = numbers
         return se3.compose(self.first.motion(a), self.last.motion(b))
 
     def coordinates(self, relative: Pose) -> Vec:
-        """Of a D that is such a product."""
+        """Coordinates (a, b) of D."""
         q, d = relative
         if self.first.kind == "slide":
             a = d[self.first.axis]
@@ -169,27 +169,26 @@ class ProductMotions:
 
     @staticmethod
     def _axes(turning: Factor, other: Factor) -> tuple[int, int, int, float]:
-        """The axis of a turn, that of the other factor or any other, the third one, and whether
-        they are right-handed."""
+        """Axes: of the turn, of the other factor, the third; and their sign, 1 if right-handed."""
         i = turning.axis
         j = other.axis if other.kind == "turn" else (i + 1) % 3
         return i, j, 3 - i - j, 1.0 if j == (i + 1) % 3 else -1.0
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ at these coordinates."""
+        """Twist D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ of rates at coordinates."""
         back = se3.inverse(self.last.motion(numbers[1]))
         return add(se3.Ad(back, self.first.twist(rates[0])), self.last.twist(rates[1]))
 
     def twist(self, rates: Vec, relative: Pose) -> Vec:
-        """D⁻¹Ḋ."""
+        """Twist D⁻¹Ḋ of rates at D."""
         return self.twist_at(rates, self.coordinates(relative))
 
     def rates(self, twist: Vec, relative: Pose) -> Vec:
-        """ȧ and ḃ, from D⁻¹Ḋ."""
+        """Rates ȧ and ḃ, from D⁻¹Ḋ."""
         q, _ = relative
-        seen = {"turn": twist[:3], "slide": twist[3:]}
-        first = dot(row(q, self.first.axis), seen[self.first.kind])
-        return first, seen[self.last.kind][self.last.axis]
+        parts = {"turn": twist[:3], "slide": twist[3:]}
+        first = dot(row(q, self.first.axis), parts[self.first.kind])
+        return first, parts[self.last.kind][self.last.axis]
 
 
 Motions = SubgroupMotions | ProductMotions

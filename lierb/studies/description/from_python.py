@@ -16,7 +16,8 @@ from lierb.kernels.systems.plan import Stabilisation
 from lierb.model import forces
 from lierb.model.bodies.body import Body
 from lierb.model.functions.elements import Element
-from lierb.model.joints.joint import JOINTS, Joint
+from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.sampling import Design
