@@ -1,8 +1,8 @@
-"""Several simple joints on one body as the joint of the catalogue that allows the same motions.
+"""Composition of the simple joints of a body into one joint of the catalogue.
 
 Files describe a joint of several freedoms as hinges, slides and balls one after another,
-C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. Bodies without mass between them
-are what lierb does not have, so that such a sequence has to be one joint.
+C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. lierb has no massless bodies
+between them, so that the sequence has to be one joint with the same motions.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MEETING = 1e-9  # m, between axes that meet: files have rounded numbers
 
 
 class SimpleJoint(NamedTuple):
-    """`kind` is "hinge", "slide", "ball" or "free"; axis and point in the body at q = 0."""
+    """Hinge, slide, ball or free joint of a file; axis and point are in the body at q = 0."""
 
     kind: str
     axis: Array
@@ -30,14 +30,14 @@ class SimpleJoint(NamedTuple):
 
 
 def composed(sequence: list[SimpleJoint], placed: Array) -> Joint:
-    """One joint for the whole sequence.
+    """Return one joint for the whole sequence.
 
-    placed : (4, 4), C₀ in what the body hangs on.
+    placed : (4, 4), C₀ in the parent's body frame.
 
     Raises ArgumentError for a sequence whose motions no joint of the catalogue has.
     """
-    found = _of_catalogue(sequence)
-    if found is None:
+    entry = _of_catalogue(sequence)
+    if entry is None:
         kinds = ", ".join(f"{x.kind} {_listed(x.axis)}" for x in sequence)
         raise ArgumentError(
             f"its joints ({kinds}) are together none of the catalogue; what is known: hinges that "
@@ -45,13 +45,12 @@ def composed(sequence: list[SimpleJoint], placed: Array) -> Joint:
             " a hinge with slides along or across it (cylindrical, pin_in_slot, planar, "
             "schoenflies), and three slides with a ball (free). Put a body with mass between them"
         )
-    name, frame = found
-    kind = joints.JOINTS[name]
-    return kind(body_frame=frame, parent_frame=placed @ frame)
+    name, frame = entry
+    return joints.JOINTS[name](body_frame=frame, parent_frame=placed @ frame)
 
 
 def _of_catalogue(sequence: list[SimpleJoint]) -> tuple[str, Array] | None:
-    """The joint's name, and its frame in the body, (4, 4)."""
+    """Return the joint's name and its frame in the body, (4, 4); None where there is none."""
     if not sequence:
         return "fixed", np.eye(4)
     if len(sequence) == 1:
@@ -122,12 +121,12 @@ def _is_right(a: Array, b: Array) -> bool:
 
 
 def _meeting_point(hinges: list[SimpleJoint]) -> Array | None:
-    """Where all axes meet: Σ (I − aaᵀ)(x − p) = 0, if x is on every one of them."""
+    """Point x common to all axes, Σ (I − aaᵀ)(x − p) = 0; None where they do not meet."""
     across = [np.eye(3) - np.outer(x.axis, x.axis) for x in hinges]
     right = sum(A @ x.point for A, x in zip(across, hinges, strict=True))
-    found = np.asarray(np.linalg.solve(np.sum(across, axis=0), right))
-    off = max(float(np.linalg.norm(A @ (found - x.point))) for A, x in zip(across, hinges))
-    return found if off < MEETING else None
+    point = np.asarray(np.linalg.solve(np.sum(across, axis=0), right))
+    off = max(float(np.linalg.norm(A @ (point - x.point))) for A, x in zip(across, hinges))
+    return point if off < MEETING else None
 
 
 def _at(point: Array) -> Array:
@@ -137,7 +136,7 @@ def _at(point: Array) -> Array:
 
 
 def _along(axis: Array, point: Array, first: Array | None = None) -> Array:
-    """A frame with e₃ along the axis and, if given, e₁ along `first`."""
+    """Frame with e₃ along the axis and, if given, e₁ along `first`."""
     options = {} if first is None else {"slot": first}
     kind = joints.revolute if first is None else joints.pin_in_slot
     return kind(axis=axis, body_point=point, **options).body_frame

@@ -1,8 +1,8 @@
-"""Compiling a model with inertials that MuJoCo refuses.
+"""Compilation of a model with inertials that MuJoCo refuses.
 
-MuJoCo checks each body by itself, whatever is welded to it, and takes no moving body below mjMINVAL
+MuJoCo checks each body without the bodies welded to it, and refuses a moving body below mjMINVAL
 (1e-15 kg or kg m²). Such inertials are taken out of the specification and put into the compiled
-model. `lierb.model.files.mujoco` checks what moves, as one with all that is welded to it.
+model. `lierb.model.files.welded_bodies` checks each moving body with all that is welded to it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TRIANGLE = 1e-6  # well above the rounding by which flat bodies break A + B ≥ 
 
 
 class SetAside(NamedTuple):
-    """An inertial of the file. inertia : (3, 3), about the centre of mass, in its own frame."""
+    """Inertial of the file. inertia : (3, 3), about the centre of mass, in the inertial frame."""
 
     body: Any
     mass: float
@@ -27,7 +27,7 @@ class SetAside(NamedTuple):
 
 
 def compiled(spec: Any) -> Any:
-    """The model of a specification, with the inertials that it has."""
+    """Compile a specification to a model with the specification's own inertials."""
     import mujoco
 
     total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
@@ -82,13 +82,13 @@ def _is_doubtful(mass: float, inertia: Array) -> bool:
 
 
 def _adopt(spec: Any) -> bool:
-    """Make inertials of what MuJoCo infers from geoms; False in releases that cannot."""
+    """Turn the inertias of geoms into inertials; return False in releases that cannot."""
     from mujoco import mjtInertiaFromGeom
 
     is_automatic = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     if not (is_automatic and hasattr(spec, "adopt_inertial")):
         return False
-    for geom in spec.geoms:  # those below mjMINVAL are not counted
+    for geom in spec.geoms:  # MuJoCo skips those below mjMINVAL
         geom.mass, geom.density = geom.mass * HEAVIER, geom.density * HEAVIER
     for body in spec.bodies[1:]:
         if body.geoms and not body.explicitinertial:

@@ -1,7 +1,7 @@
-"""URDF as a specification for MuJoCo's compiler.
+"""Reader of URDF that writes a specification for MuJoCo's compiler.
 
-MuJoCo has a reader of URDF, too. It ignores limits that lock a joint, takes a negative mass for
-zero, and names neither link nor joint in most of its refusals.
+MuJoCo's own reader of URDF ignores limits that lock a joint, takes a negative mass for zero, and
+names neither link nor joint in most of its errors.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from lierb.errors import ArgumentError, told
 from lierb.support.arrays import Array
 
-Element = ElementTree.Element  # of XML
+Element = ElementTree.Element
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
-SHORT = 1e-10  # of an axis, as MuJoCo has it
+SHORT = 1e-10  # length of an axis, MuJoCo's own bound
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
-READ = {  # elements that are read, or that no motion depends on
+READ = {  # elements that are read, or that do not affect the motion
     "robot": {"link", "joint", "material", "mujoco"},
     "link": {"inertial", "visual", "collision"},
     "joint": {"parent", "child", "origin", "axis", "limit", "dynamics", "mimic"},
@@ -31,10 +31,10 @@ READ = {  # elements that are read, or that no motion depends on
 
 @dataclass
 class Robot:
-    """A robot for MuJoCo's compiler, and what its specification cannot hold.
+    """Robot as a specification for MuJoCo's compiler, and data that the specification lacks.
 
     limits : lower and upper end by joint, rad or m.   world_mass : kg, of a root called world.
-    left_out : what no mechanism will have.
+    left_out : messages on elements that no mechanism has.
     """
 
     spec: Any
@@ -44,7 +44,7 @@ class Robot:
 
 
 def read(path: str | PathLike[str]) -> Robot:
-    """The robot of a file. Raises ArgumentError, with the name of the link or joint at fault."""
+    """Read a robot; raises ArgumentError with the name of the link or joint at fault."""
     import mujoco
 
     root = ElementTree.parse(fspath(path)).getroot()
@@ -69,7 +69,7 @@ def read(path: str | PathLike[str]) -> Robot:
             setattr(bodies[link], name, value)
     if settings is not None and settings.find("option[@gravity]") is not None:
         robot.left_out.append("gravity, which is an argument")
-    robot.left_out += _others(root, links, joints)
+    robot.left_out += _lacking(root, links, joints)
     return robot
 
 
@@ -91,9 +91,9 @@ def _by_name(root: Element, tag: str) -> dict[str, Element]:
 def _in_order(
     links: dict[str, Element], joints: dict[str, Element]
 ) -> Iterator[tuple[str, str | None]]:
-    """Each link after its parent, with the joint that it hangs on; the root's joint is None.
+    """Links after their parents, each with the joint to its parent; None for the root.
 
-    In the order of MuJoCo's own reader: depth first, children by their joints' order in the file.
+    The order is that of MuJoCo's reader: depth first, children by their joints' order in the file.
     """
     held: dict[str, str] = {}
     children: dict[str, list[str]] = {link: [] for link in links}
@@ -125,7 +125,7 @@ def _in_order(
 
 
 def _end(joint: Element, end: str, name: str, links: dict[str, Element]) -> str:
-    """The parent or the child of a joint."""
+    """Name of the parent or the child of a joint."""
     element = _only(joint, end, f"joint {name}")
     link = None if element is None else element.get("link")
     if link is None:
@@ -139,7 +139,7 @@ def _end(joint: Element, end: str, name: str, links: dict[str, Element]) -> str:
 
 
 def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: Element) -> Any:
-    """The body of a link in MuJoCo's specification, with its joints."""
+    """Add the body of a link to MuJoCo's specification, with its joints."""
     import mujoco
 
     label, kind = f"joint {joint}", element.get("type")
@@ -171,7 +171,7 @@ def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: Element
 
 
 def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:
-    """Joints of MuJoCo's that a joint of URDF is: ends of their names, types and axes."""
+    """MuJoCo's joints for a joint of URDF: suffixes of their names, types and axes."""
     along = np.eye(3)
     if kind in ("revolute", "continuous"):
         return [("", "HINGE", axis)]
@@ -202,7 +202,7 @@ def _read_limit(robot: Robot, joint: str, kind: str, element: Element | None) ->
 
 
 def _inertial(label: str, link: Element) -> dict[str, Any]:
-    """Fields of MuJoCo's body for the mass, the centre and the inertia of a link."""
+    """Mass, centre and inertia of a link, as fields of MuJoCo's body."""
     from mujoco import mju_quat2Mat
 
     element = _only(link, "inertial", label)
@@ -227,7 +227,7 @@ def _inertial(label: str, link: Element) -> dict[str, Any]:
 
 
 def _origin(element: Element, label: str) -> tuple[Array, Array]:
-    """Position and quaternion of an element's <origin>; rpy turns about fixed axes x, y, z."""
+    """Position and quaternion of an element's <origin>; rpy are turns about fixed x, y and z."""
     from mujoco import mju_euler2Quat
 
     origin, quaternion = _only(element, "origin", label), np.empty(4)
@@ -236,7 +236,7 @@ def _origin(element: Element, label: str) -> tuple[Array, Array]:
 
 
 def _across(axis: Array) -> tuple[Array, Array]:
-    """e₁ and e₂, turned by the shortest rotation that takes e₃ to the axis, as MuJoCo does."""
+    """Images of e₁ and e₂ under the shortest rotation from e₃ to the axis, as in MuJoCo."""
     from mujoco import mju_quatZ2Vec, mju_rotVecQuat
 
     quaternion, first, second = np.empty(4), np.empty(3), np.empty(3)
@@ -290,11 +290,8 @@ def _listed(numbers: Array) -> str:
     return " ".join(f"{x:.6g}" for x in numbers)
 
 
-# ---- what is left out --------------------------------------------------------------------------
-
-
-def _others(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:
-    """Each kind once, with its number."""
+def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:
+    """Elements of the file that the mechanism lacks, with their numbers."""
     collisions = sum(len(link.findall("collision")) for link in links.values())
     if collisions:
         yield f"{collisions} geoms that collide"
@@ -306,7 +303,7 @@ def _others(root: Element, links: dict[str, Element], joints: dict[str, Element]
     if bounded:
         yield f"limits of effort and velocity of {bounded} joints"
     unread = Counter(
-        element.tag.rpartition("/")[2].replace("}", ":")  # of a name space the last word
+        element.tag.rpartition("/")[2].replace("}", ":")  # last word of a name space
         for parent in (root, *links.values(), *joints.values())
         for element in parent
         if element.tag not in READ[parent.tag]

@@ -1,4 +1,4 @@
-"""Bodies of a compiled MuJoCo model that are welded together, as the body of one link."""
+"""Merging of the welded bodies of a compiled MuJoCo model into the body of one link."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ WORLD = 0  # MuJoCo's number of the ground
 
 
 def label_of(model: Any, i: int) -> str:
-    """The name that the file has for body i."""
+    """Name of body i in the file."""
     return model.body(i).name or f"body{i}"
 
 
 def pose_of(position: Array, quaternion: Array) -> Array:
-    """(4, 4), of MuJoCo's position and quaternion."""
+    """Pose, (4, 4), of MuJoCo's position and quaternion."""
     from mujoco import mju_quat2Mat
 
     rotation, pose = np.empty(9), np.eye(4)
@@ -29,9 +29,9 @@ def pose_of(position: Array, quaternion: Array) -> Array:
 
 
 def moving_body(model: Any, i: int, members: list[int]) -> Body:
-    """The body of link i. Raises ArgumentError with its name where no rigid body has its inertia.
+    """Return the body of a link. members : i, and the bodies merged with it.
 
-    members : i and what is merged with it.
+    Raises ArgumentError with the names where the mass is zero or the inertia is not physical.
     """
     label = label_of(model, i)
     if not model.body_mass[members].sum():
@@ -48,7 +48,7 @@ def moving_body(model: Any, i: int, members: list[int]) -> Body:
 
 
 def _sum(model: Any, i: int, members: list[int]) -> Body:
-    """The members as one body in the frame of body i."""
+    """Sum of the members in the frame of body i."""
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for k in members:
         frame = _pose_in(model, i, k) @ pose_of(model.body_ipos[k], model.body_iquat[k])
@@ -62,7 +62,7 @@ def _sum(model: Any, i: int, members: list[int]) -> Body:
 
 
 def _pose_in(model: Any, i: int, k: int) -> Array:
-    """The pose of body k in the frame of i, to which it is welded."""
+    """Pose of body k in the frame of i, to which it is welded."""
     if k == i:
         return np.eye(4)
     return _pose_in(model, i, model.body_parentid[k]) @ pose_of(
@@ -71,7 +71,7 @@ def _pose_in(model: Any, i: int, k: int) -> Array:
 
 
 def _refusal(model: Any, i: int, members: list[int]) -> str:
-    """Why no rigid body has the inertia of the members; empty where one has."""
+    """Message of the InertiaError of the members; empty if their inertia is physical."""
     try:
         _sum(model, i, members)
     except InertiaError as error:
@@ -84,13 +84,11 @@ def _weighs(model: Any, i: int) -> bool:
 
 
 def rigid_groups(model: Any, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
-    """Bodies of the file that make one link, by the first of them, in order; the ground's is 0.
+    """Return the bodies of each link by the number of its first body, and messages on merging.
 
-    Welded bodies are a link each unless `merge_fixed`, but for those that cannot be one: without
-    mass, or with an inertia that no rigid body has. They are part of the link that they hang on.
-    Where a body that moves cannot be one, what is welded to it is merged until the sum can.
-
-    The second dictionary says of such bodies with mass why they are no link of their own.
+    Each welded body is a link unless `merge_fixed`. A welded body without mass, or with an inertia
+    that no rigid body has, is merged with its parent. Bodies welded to such a moving body are
+    merged with it until the sum is physical. The messages are on merged bodies with mass.
     """
     parents, is_welded = model.body_parentid, model.body_jntnum == 0
     owners = list(range(model.nbody))

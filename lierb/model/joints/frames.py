@@ -30,8 +30,8 @@ def body_frame_of(
     second_axis: ArrayLike | None,
 ) -> Array:
     """Return the joint frame on the body: `frame`, or the point with e₃ along the axis."""
-    given = {"body_point": point, "axis": axis, "slot": slot, "second_axis": second_axis}
-    given = {name: value for name, value in given.items() if value is not None}
+    options = {"body_point": point, "axis": axis, "slot": slot, "second_axis": second_axis}
+    given: dict[str, Any] = {name: x for name, x in options.items() if x is not None}
     if frame is not None:
         for name in given:
             raise ArgumentError(f"give body_frame or {name}, not both")

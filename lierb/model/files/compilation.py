@@ -1,0 +1,106 @@
+"""Compilation of MJCF and URDF files by MuJoCo."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from operator import attrgetter
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from lierb.errors import ArgumentError, told
+from lierb.model.files import inertials, urdf
+from lierb.model.files.welded_bodies import WORLD
+from lierb.support.extras import remedy
+
+CONTACT = ("geom_contype", "geom_conaffinity")
+DISABLED = {  # fields of the model that each bit of mjtDisableBit sets to zero
+    "GRAVITY": ("opt.gravity",),
+    "PASSIVE": ("jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_dampingpoly"),
+    "SPRING": ("jnt_stiffness", "jnt_stiffnesspoly"),
+    "DAMPER": ("dof_damping", "dof_dampingpoly"),
+    "LIMIT": ("jnt_limited",),
+    "EQUALITY": ("eq_active0",),
+    "CONTACT": CONTACT,
+    "FRICTIONLOSS": ("dof_frictionloss",),
+    "CONSTRAINT": ("jnt_limited", "eq_active0", "dof_frictionloss", *CONTACT),
+}
+
+
+def compiled(path: Any, language: str) -> tuple[Any, list[str]]:
+    """Return the model of a file, and the elements of the file that it lacks.
+
+    language : "MJCF" or "URDF".   Raises ArgumentError for a file that MuJoCo refuses.
+    """
+    try:
+        import mujoco
+    except ImportError:
+        raise ArgumentError(f"reading {language} needs mujoco: {remedy('mjcf')}") from None
+    if not isinstance(path, (str, PathLike)):
+        raise ArgumentError(f"path={told(path)}; expected the path of a file in {language}")
+    spec = None
+    try:
+        robot = urdf.read(path) if language == "URDF" else None
+        spec = mujoco.MjSpec.from_file(fspath(path)) if robot is None else robot.spec
+        spec.compiler.fusestatic = False  # `welded_bodies` merges them
+        model = inertials.compiled(spec)
+    except Exception as error:  # the readers of XML, URDF and MJCF raise errors of their own
+        message = " ".join(str(error).split())
+        at = _elements_at_line(path, message) + _bodies_with_mesh(spec, message)
+        raise ArgumentError(
+            f"{told(fspath(path))} cannot be read as {language}: {message}{at}"
+        ) from error
+    if robot is not None:
+        model.body_mass[WORLD] = robot.world_mass
+        for name, ends in robot.limits.items():  # MuJoCo ignores limits that lock a joint
+            j = model.joint(name).id
+            model.jnt_limited[j], model.jnt_range[j] = True, ends
+    _apply_disable_flags(model, mujoco.mjtDisableBit)
+    return model, [] if robot is None else robot.left_out
+
+
+def _elements_at_line(path: Any, message: str) -> str:
+    """Names of the elements on a line, if MuJoCo's message has the line and no name.
+
+    An element without a name has the name of the one that encloses it.
+    """
+    at = re.search(r"Element (?:'(\w+)'|name ''.*), line (\d+)", message)
+    if at is None:
+        return ""
+    kind, line = at[1], int(at[2])
+    owners, names = [""], []
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        owners.append(f"{tag} {attributes['name']}" if "name" in attributes else owners[-1])
+        is_meant = tag == kind if kind else "name" not in attributes
+        if is_meant and parser.CurrentLineNumber == line and owners[-1]:
+            names.append(owners[-1])
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: owners.pop()
+    with suppress(expat.ExpatError, OSError), Path(path).open("rb") as file:
+        parser.ParseFile(file)
+    return f" (on this line: {', '.join(dict.fromkeys(names))})" if names else ""
+
+
+def _bodies_with_mesh(spec: Any, message: str) -> str:
+    """Names of the bodies whose mesh file is in MuJoCo's message."""
+    meshes = [] if spec is None else [mesh for mesh in spec.meshes if mesh.file]
+    names = {mesh.name for mesh in meshes if mesh.file in message}
+    bodies = {
+        geom.parent.name: 0 for geom in (spec.geoms if names else ()) if geom.meshname in names
+    }
+    return f" (a mesh of body {', '.join(bodies)})" if bodies else ""
+
+
+def _apply_disable_flags(model: Any, bits: Any) -> None:
+    """Set the fields to zero that the flags of the file disable."""
+    for name, fields in DISABLED.items():
+        bit = getattr(bits, f"mjDSBL_{name}", None)  # releases differ
+        if bit is not None and model.opt.disableflags & int(bit):
+            for path in fields:
+                with suppress(AttributeError):
+                    attrgetter(path)(model)[:] = 0

@@ -1,0 +1,68 @@
+"""Loops of a mechanism from the equality constraints of a compiled MuJoCo model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from lierb.model import joints
+from lierb.model.files.parts import GROUND, Parts, Placed
+from lierb.model.files.welded_bodies import pose_of
+from lierb.support.arrays import Array
+
+
+def add_loops(model: Any, placed: list[Placed], parts: Parts) -> None:
+    """Add a loop for each equality/connect and weld. placed : by number of the body."""
+    import mujoco
+
+    makers = {int(mujoco.mjtEq.mjEQ_CONNECT): _connect, int(mujoco.mjtEq.mjEQ_WELD): _weld}
+    for k in range(model.neq):
+        label = model.equality(k).name or f"equality {k}"
+        maker = makers.get(int(model.eq_type[k]))
+        if maker is None:
+            kind = mujoco.mjtEq(model.eq_type[k]).name.removeprefix("mjEQ_").lower()
+            parts.left_out.append(f"{label}: equality/{kind}")
+            continue
+        if not model.eq_active0[k]:
+            parts.left_out.append(f"{label}: an equality that is not active")
+            continue
+        is_by_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
+        ends = [
+            _end(model, int(i[k]), placed, is_by_sites) for i in (model.eq_obj1id, model.eq_obj2id)
+        ]
+        name, frames = maker(model.eq_data[k], is_by_sites)
+        frames = [end.pose @ frame for end, frame in zip(ends, frames, strict=True)]
+        if ends[0].link == ends[1].link:
+            parts.left_out.append(f"{label}: both of its bodies are {ends[0].link}")
+            continue
+        if ends[0].link == GROUND:
+            ends, frames = ends[::-1], frames[::-1]
+        joint = joints.JOINTS[name](body_frame=frames[0], parent_frame=frames[1])
+        title = parts.free_name(model.equality(k).name, f"loop{k}")
+        parts.loops.append((title, joint, ends[0].link, ends[1].link))
+
+
+def _end(model: Any, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
+    """Return the link, and in it the frame, of body or site i."""
+    if not is_by_sites:
+        return placed[i]
+    on = placed[model.site_bodyid[i]]
+    return Placed(on.link, on.pose @ pose_of(model.site_pos[i], model.site_quat[i]))
+
+
+def _connect(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
+    """Return the joint's name and frames: a point of each body, or the two sites."""
+    frames = [np.eye(4), np.eye(4)]
+    if not is_by_sites:
+        frames[0][:3, 3], frames[1][:3, 3] = data[:3], data[3:6]
+    return "spherical", frames
+
+
+def _weld(data: Array, is_by_sites: bool) -> tuple[str, list[Array]]:
+    """Return the joint's name and frames: the anchor in the second body, its pose in the first."""
+    anchor = np.eye(4)
+    if is_by_sites:
+        return "fixed", [np.eye(4), anchor]
+    anchor[:3, 3] = data[:3]
+    return "fixed", [pose_of(data[3:6], data[6:10]), anchor]
