@@ -1,4 +1,4 @@
-"""Bodies and problems: what is integrated, in SI units, checked when it is made."""
+"""Problem of one body: the body, its joint to the ground, and the forces on it, in SI units."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, roundin
 from lierb.kernels.numbers.arithmetic import absolute, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.systems.layout import INPUTS
-from lierb.model.acting import ELEMENTS, _checked, bind, require, shown_element, unfit_rate
+from lierb.model.acting import _checked, require, unfit_rate
+from lierb.model.base import Model, numbers_of, parameters_of
 from lierb.model.bodies.body import Body
-from lierb.model.functions.binding import Column, columns_of
 from lierb.model.functions.elements import Constraint, Element, Force, Observable
 from lierb.model.functions.in_time import Controller, Event, ExtraStates
 from lierb.model.joints.joint import MOST_ROWS, Joint
@@ -41,25 +41,24 @@ from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEP
 from lierb.support.arrays import (
     Array,
     Pose,
+    Which,
     as_number,
     as_numbers,
     as_poses,
     assembled,
-    batch_size,
     components,
     finite,
-    member_of,
     pose_components,
     pose_matrix,
     taken,
 )
-from lierb.support.shown import Lines, Shown, counted, quantity
+from lierb.support.shown import Lines, counted, quantity
 
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Problem(Shown):
+class Problem(Model):
     """A body, the joint that holds it to the ground, and the forces on it.
 
     Parameters
@@ -100,13 +99,6 @@ class Problem(Shown):
 
     body: Body
     joint: Joint
-    gravity: Array
-    forces: tuple[Force, ...]
-    constraints: tuple[Constraint, ...]
-    observables: tuple[Observable, ...]
-    events: tuple[Event, ...]
-    states: tuple[ExtraStates, ...]
-    controllers: tuple[Controller, ...]
 
     def __init__(
         self,
@@ -122,14 +114,8 @@ class Problem(Shown):
     ) -> None:
         require("body", body, Body, "a lierb.Body")
         require("joint", joint, Joint, "a joint from lierb.joints, such as spherical(…)")
-        field = as_numbers("gravity", gravity, (3,))
-        object.__setattr__(self, "body", body)
-        object.__setattr__(self, "joint", joint)
-        object.__setattr__(self, "gravity", field)
-        given = forces, constraints, observables, events, states, controllers
-        for (label, kind), elements in zip(ELEMENTS.items(), given, strict=True):
-            object.__setattr__(self, label, _checked(label, elements, kind, joint))
-        bind(self)
+        self._set(body=body, joint=joint, gravity=as_numbers("gravity", gravity, (3,)))
+        self._set_elements(forces, constraints, observables, events, states, controllers)
         if len(self.rows) > MOST_ROWS:
             raise ArgumentError(f"{len(self.rows)} constraint rows; at most {MOST_ROWS} are solved")
         self.batch_size()
@@ -142,68 +128,23 @@ class Problem(Shown):
             ("joint", "\n".join((name, *(f"{label} {text}" for label, text in held)))),
             ("gravity", quantity(self.gravity, "m/s²", 1)),
         ]
-        rows += [
-            (label, "\n".join(map(shown_element, elements)))
-            for label in ELEMENTS
-            if (elements := getattr(self, label))
-        ]
         count = counted(self.batch_size() or 1, "body", "bodies")
-        return f"lierb.Problem: {count} on a {self.joint.name} joint", rows
+        title = f"lierb.Problem: {count} on a {self.joint.name} joint"
+        return title, [*rows, *self._shown_elements()]
 
-    def of_body(self, body: int) -> Problem:
-        """Return the problem of one body of the batch.
+    def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
+        return _checked(label, given, kind, self.joint)
 
-        Parameters
-        ----------
-        body : int
-            Number of the body.
+    @property
+    def _structure(self) -> tuple[Any, ...]:
+        return self.body, self.joint, self.gravity
 
-        Returns
-        -------
-        Problem
-            Its problem, not batched.
-
-        Raises
-        ------
-        ArgumentError
-            The batch has no body of that number.
-        """
-        which = member_of(body, self.batch_size())
-        elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
-        gravity = taken(self.gravity, which, 1)
-        return Problem(self.body.of(which), self.joint.of(which), gravity, **elements)
-
-    def with_events(self, events: Event | Iterable[Event]) -> Problem:
-        """The same problem with more events, after its own."""
-        more = _checked("events", events, Event, self.joint)
-        elements = {label: getattr(self, label) for label in ELEMENTS}
-        elements["events"] = (*self.events, *more)
-        return Problem(self.body, self.joint, self.gravity, **elements)
-
-    @cached_property
-    def elements(self) -> tuple[Element, ...]:
-        """Forces, constraints, observables, events, states and controllers."""
-        return tuple(e for label in ELEMENTS for e in getattr(self, label))
-
-    @cached_property
-    def signals(self) -> tuple[Column, ...]:
-        """Its extra states, then what its controllers put out, as they stand side by side."""
-        return columns_of(self.elements)
-
-    def require_unchanged(self) -> None:
-        """Raise ForceError where a force's function refers to something that is another by now."""
-        for element in self.elements:
-            if element.references:
-                element.require_unchanged()
-
-    @cached_property
-    def kinds(self) -> tuple[kinds.Element, ...]:
-        """Of the elements, as compiled code is specialised on them."""
-        return tuple(element.kind for element in self.elements)
+    def _structure_of(self, which: Which) -> tuple[Any, ...]:
+        return self.body.of(which), self.joint.of(which), taken(self.gravity, which, 1)
 
     @cached_property
     def rows(self) -> Rows:
-        """Every constraint row: the joint's, those of motors, and further ones."""
+        """Constraint rows: of the joint, then of the elements."""
         added = (
             element.kind.row(place, i)
             for place, element in enumerate(self.elements)
@@ -213,53 +154,31 @@ class Problem(Shown):
 
     @cached_property
     def quantities(self) -> dict[str, Array]:
-        """Its numbers, but for the elements' parameters; each for every body, or one for all."""
+        """Numbers of body, joint and gravity by name, batched or not."""
         owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
         given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
         return {name: getattr(owners.get(name, self.joint), name) for name in given}
 
-    @cached_property
-    def _batched(self) -> dict[str, tuple[Array, int]]:
-        """The batched arguments, with the number of an item's axes."""
+    @property
+    def _arguments(self) -> dict[str, tuple[Array, int]]:
         entries = {
-            name: (array, len(field.shape))
+            field.name: (self.quantities[field.name], len(field.shape))
             for field in INPUTS.fields
-            for name, array in self.quantities.items()
-            if name == field.name
+            if field.name in self.quantities
         }
         for element in self.elements:
             for name, entry in element.batched().items():
                 same = sum(known.partition("[")[0] == name for known in entries)
                 entries[f"{name}[{same}]" if same else name] = entry
-        return {name: (array, axes) for name, (array, axes) in entries.items() if array.ndim > axes}
-
-    def batch_size(self, **more: Any) -> int | None:
-        """Number of bodies that the batched arguments ask for; None where none is batched."""
-        return batch_size(**self._batched, **more)
+        return entries
 
     def parameters(self) -> Parameters:
-        """The problem as formulas take it, one array per component."""
-        return Parameters(
-            mass=self.body.mass,
-            inertia=components(self.body.inertia, 2),
-            com=components(self.body.com),
-            gravity=components(self.gravity),
-            ground=pose_components(self.joint.ground_frame),
-            body=pose_components(self.joint.body_frame),
-            pitch=self.joint.pitch,
-            length=self.joint.length,
-        )
+        """Return the problem's numbers as formulas take them, one array per component."""
+        return parameters_of(self.body, self.joint, self.gravity)
 
     def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> BodyConstants:
-        """The body, with its elements, as that c-space's formulas take it."""
-        parameters = self.parameters()
-        numbers = [
-            x
-            for element in self.elements
-            for name, shape in element.kind.shapes.items()
-            for x in components(element.parameters[name], len(shape))
-        ]
-        return kinds.body_with(space, parameters, self.kinds, numbers)
+        """Return the body, with its elements, as that c-space's formulas take it."""
+        return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
 
     def close(self, pose: Any) -> Array:
         """Find a pose that closes the joint near a given one, by Newton's method on its rows.

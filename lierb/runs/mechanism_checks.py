@@ -21,6 +21,7 @@ from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
 from lierb.kernels.numbers.vec import Vec, cross_add, norm, sub
 from lierb.model.acting import unfit_rate
 from lierb.model.mechanism.closing import closed
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import (
     Held,
@@ -32,7 +33,6 @@ from lierb.model.mechanism.row_system import (
     velocity_of,
     wrong_way,
 )
-from lierb.model.mechanism.tree import Tree
 from lierb.support.arrays import as_poses, pose_components, taken
 
 
@@ -83,7 +83,7 @@ def _pose_violation(system: System, held: list[Held], pose: Any) -> PoseError | 
     return None
 
 
-def _what_close_does(mechanism: Tree, pose: Any, member: int) -> str:
+def _what_close_does(mechanism: TreeKinematics, pose: Any, member: int) -> str:
     """How far `close` would move the links of one member."""
     own = {name: taken(as_poses("pose0", pose[name]), member, 2) for name in mechanism.names}
     alone = mechanism.of_body(member) if mechanism.batch_size() else mechanism

@@ -37,7 +37,7 @@ from lierb.model.mechanism.row_system import (
 from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
 
 if TYPE_CHECKING:
-    from lierb.model.mechanism.tree import Tree
+    from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Of Newton's steps, by the square of what is open. Of 240 starts, four-bars and a Bricard linkage
 # up to 0.8 off in every coordinate, all close with 0.1 to 1e-4, 229 with 1, 224 with none.
@@ -57,7 +57,7 @@ class Mobility(NamedTuple):
     redundant: Any
 
 
-def parts_of(mechanism: Tree, count: int) -> Iterator[slice]:
+def parts_of(mechanism: TreeKinematics, count: int) -> Iterator[slice]:
     """The batch, in parts whose matrices are small."""
     rows = sum(len(at.rows) for at in mechanism.connections)
     size = max(1, MOST_NUMBERS // max(1, rows * 6 * len(mechanism.links)))
@@ -68,7 +68,7 @@ def parts_of(mechanism: Tree, count: int) -> Iterator[slice]:
 # ---- poses -------------------------------------------------------------------------------------
 
 
-def closed(mechanism: Tree, poses: list[Array]) -> list[Array]:
+def closed(mechanism: TreeKinematics, poses: list[Array]) -> list[Array]:
     """The poses nearest to these that close all joints and loops; those that do as they are."""
     size = mechanism.batch_size(**{f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)})
     count = size or 1
@@ -86,7 +86,7 @@ def closed(mechanism: Tree, poses: list[Array]) -> list[Array]:
 
 
 def _closed(
-    mechanism: Tree, given: list[Array], first: int, count: int
+    mechanism: TreeKinematics, given: list[Array], first: int, count: int
 ) -> tuple[list[Array], bool]:
     """Newton's steps, damped by the square of what is open (Levenberg, Marquardt): they converge
     quadratically where rows are redundant too, which away from closed poses they are only nearly.
@@ -179,7 +179,9 @@ def _opening(h: Held, number: int) -> str:
 # ---- twists and freedoms -----------------------------------------------------------------------
 
 
-def projected(mechanism: Tree, twists: list[Array], poses: list[Array], t0: float) -> list[Array]:
+def projected(
+    mechanism: TreeKinematics, twists: list[Array], poses: list[Array], t0: float
+) -> list[Array]:
     """The twists nearest to these that satisfy all joints and loops."""
     sizes = {f"twist[{i}]": (twist, 1) for i, twist in enumerate(twists)}
     sizes |= {f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)}
@@ -196,7 +198,7 @@ def projected(mechanism: Tree, twists: list[Array], poses: list[Array], t0: floa
 
 
 def _projected(
-    mechanism: Tree,
+    mechanism: TreeKinematics,
     given: list[Array],
     placed: list[Array],
     t0: float,
@@ -263,7 +265,7 @@ def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> A
     return system.column(rates)
 
 
-def mobility(mechanism: Tree, poses: list[Array]) -> Mobility:
+def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
     """Freedoms and redundant rows at these poses; motors are left out of both."""
     size = mechanism.batch_size(**{f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)})
     count = size or 1

@@ -11,20 +11,13 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import LeftOutWarning
 from lierb.model.files import mujoco as model_files
-from lierb.model.mechanism import closing as mechanism_closing
-from lierb.model.mechanism.closing import Mobility
-from lierb.model.mechanism.coordinates import Placed
+from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
+from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.links import Link, Loop
-from lierb.support.arrays import (
-    Array,
-    as_number,
-    as_numbers,
-    as_poses,
-    finite,
-)
+from lierb.support.arrays import Array, as_number, finite
 
 
-class Mechanism(Placed):
+class Mechanism(TreeKinematics):
     """Bodies, joints between them, and the forces on them.
 
     Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
@@ -135,8 +128,6 @@ class Mechanism(Placed):
         Revolute and continuous, prismatic, fixed, planar and floating joints are read by MuJoCo's
         compiler, as in `from_mjcf`.
 
-        The file has revolute, continuous, prismatic, fixed, planar and floating joints.
-
         Parameters
         ----------
         path : path
@@ -216,13 +207,9 @@ class Mechanism(Placed):
         >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
         [-0.523599]
         """
-        self.poses("pose", pose)
-        given = [as_poses(f"pose[{name!r}]", pose[name]) for name in self.names]
-        with np.errstate(all="ignore"):  # what overflows does not come to close
-            found = mechanism_closing.closed(self, given)
-        return {
-            n: finite(f"the closed pose of {n}", x) for n, x in zip(self.names, found, strict=True)
-        }
+        with np.errstate(all="ignore"):  # an overflow does not converge
+            poses = closed(self, self.pose_arrays("pose", pose))
+        return self._checked("the closed pose", poses)
 
     def project(
         self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
@@ -256,20 +243,19 @@ class Mechanism(Placed):
         ...     lierb.Link("a", box, lierb.joints.free()),
         ...     lierb.Link("b", box, lierb.joints.fixed(), parent="a"),
         ... ])
-        >>> found = pair.project({"a": (0, 0, 0, 1.0, 0, 0), "b": (0, 0, 0, 0.0, 0, 0)})
-        >>> found["b"].round(9).tolist()
+        >>> twist0 = pair.project({"a": (0, 0, 0, 1.0, 0, 0), "b": (0, 0, 0, 0.0, 0, 0)})
+        >>> twist0["b"].round(9).tolist()
         [0.0, 0.0, 0.0, 0.5, 0.0, 0.0]
         """
-        placed = self.pose() if pose is None else pose
-        self.poses("pose", placed), self.twists("twist", twist)
-        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
-        twists = [as_numbers(f"twist[{name!r}]", twist[name], (6,)) for name in self.names]
+        poses = self.pose_arrays("pose", self.pose() if pose is None else pose)
+        twists = self.twist_arrays("twist", twist)
         with np.errstate(all="ignore"):
-            found = mechanism_closing.projected(self, twists, poses, as_number("t0", t0))
-        return {
-            n: finite(f"the projected twist of {n}", x)
-            for n, x in zip(self.names, found, strict=True)
-        }
+            nearest = projected(self, twists, poses, as_number("t0", t0))
+        return self._checked("the projected twist", nearest)
+
+    def _checked(self, what: str, arrays: list[Array]) -> dict[str, Array]:
+        pairs = zip(self.names, arrays, strict=True)
+        return {name: finite(f"{what} of {name}", array) for name, array in pairs}
 
     def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
         """Count the freedoms that joints and loops leave at a pose, and the redundant rows.
@@ -292,8 +278,6 @@ class Mechanism(Placed):
         >>> lierb.Mechanism(wheel, bearing).freedoms()
         Mobility(freedoms=1, redundant=5)
         """
-        placed = self.pose() if pose is None else pose
-        self.poses("pose", placed)
-        poses = [as_poses(f"pose[{name!r}]", placed[name]) for name in self.names]
+        poses = self.pose_arrays("pose", self.pose() if pose is None else pose)
         with np.errstate(all="ignore"):
-            return mechanism_closing.mobility(self, poses)
+            return mobility(self, poses)

@@ -44,8 +44,8 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.support.arrays import Array, assembled
 
 if TYPE_CHECKING:
+    from lierb.model.mechanism.kinematics import TreeKinematics
     from lierb.model.mechanism.links import Connection
-    from lierb.model.mechanism.tree import Tree
 
 # Singular values of rows of length 1, relative to the largest, below which rows depend on others: a
 # start may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
@@ -93,7 +93,7 @@ class Held(NamedTuple):
 class System:
     """A mechanism's rows at given poses of its links, all members of its batch at once."""
 
-    def __init__(self, mechanism: Tree, count: int, is_stout: bool = False) -> None:
+    def __init__(self, mechanism: TreeKinematics, count: int, is_stout: bool = False) -> None:
         """is_stout : whether a link that is small beside its arms counts as larger."""
         self.mechanism, self.count = mechanism, count
         of_links = [mechanism.parameters(at) for at in mechanism.joints[: len(mechanism.links)]]
@@ -327,14 +327,14 @@ def wrong_way(h: Held, count: int) -> Any:
     return np.flatnonzero(against)
 
 
-def reversed_joint(mechanism: Tree, at: Connection, label: str) -> str:
+def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str:
     return (
         f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
         "row sees; turn a link or one of the joint's frames by 180°"
     )
 
 
-def name_of(mechanism: Tree, at: Connection) -> str:
+def name_of(mechanism: TreeKinematics, at: Connection) -> str:
     """A connection for a message."""
     ends = " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
     if at.joint is None or at.elements:
