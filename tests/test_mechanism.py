@@ -739,7 +739,7 @@ REFUSED = {
     "loop of the ground": (
         lambda: two(loops=lierb.Loop("pin", HINGE, "ground", "a")), ArgumentError, "as parent",
     ),
-    "named ground": (lambda: link("ground"), ArgumentError, "does not move"),
+    "named ground": (lambda: link("ground"), ArgumentError, "fixed frame"),
     "no name": (lambda: link("my link"), ArgumentError, "letters, digits and _"),
     "no body": (lambda: lierb.Link("a", 3, HINGE), ArgumentError, "body of link a must be"),
     "no joint": (lambda: lierb.Link("a", BALL, 3), ArgumentError, "joint of link a must be"),

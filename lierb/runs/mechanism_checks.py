@@ -24,7 +24,7 @@ from lierb.model.mechanism.closing import closed
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import (
-    Held,
+    ConnectionState,
     System,
     errors_of,
     name_of,
@@ -50,12 +50,12 @@ def violation(mechanism: Mechanism, pose: Any, twist: Any, t0: float = 0.0) -> L
     count = mechanism.batch_size(**sizes) or 1
     with np.errstate(all="ignore"):
         system = System(mechanism, count)
-        held = system.held(placed, moving, np.float64(t0))
+        held = system.states(placed, moving, np.float64(t0))
         found = _pose_violation(system, held, pose) or _twist_violation(system, held, moving, t0)
         return found or _immobile(mechanism, pose, count)
 
 
-def _pose_violation(system: System, held: list[Held], pose: Any) -> PoseError | None:
+def _pose_violation(system: System, held: list[ConnectionState], pose: Any) -> PoseError | None:
     mechanism, count = system.mechanism, system.count
     for h in held:
         for number in wrong_way(h, count)[:1]:
@@ -103,7 +103,7 @@ def _what_close_does(mechanism: TreeKinematics, pose: Any, member: int) -> str:
 
 
 def _twist_violation(
-    system: System, held: list[Held], twists: list[Vec], t0: float
+    system: System, held: list[ConnectionState], twists: list[Vec], t0: float
 ) -> TwistError | None:
     count, speed = system.count, _speed(system, twists)
     for h in held:
@@ -145,7 +145,7 @@ def _speed(system: System, twists: list[Vec]) -> Any:
     return speed
 
 
-def _rate_tolerances(h: Held, speed: Any) -> tuple[Any, Any]:
+def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
     """In m/s and rad/s, as of one body: by the speed, and by what is brought about in its time."""
     position = START_TOLERANCE * h.length + h.rounding
     ahead = sqrt(norm(h.parameters.gravity) / h.length)

@@ -1,14 +1,15 @@
-"""Newton's method on all joints and loops of a mechanism, in the metric of its kinetic energy.
+"""Closed poses, projected twists and freedoms of a mechanism.
 
-All rows together are J V = ḣ, V the twists of all links, and the nearest V is that of least kinetic
-energy (`lierb.model.mechanism.row_system.DecomposedRows`): redundant rows, as every planar loop of
-revolute joints has, need no choice. Each member of a batch is decomposed alone: its bits do not
+All rows together are J V = ḣ, V the twists of all links. The nearest V is that of least kinetic
+energy (`lierb.model.mechanism.row_system.DecomposedRows`), also for redundant rows, which every
+planar loop of revolute joints has. Each member of a batch is decomposed alone: its bits do not
 depend on its neighbours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from lierb.model.acting import unfit_rate
 from lierb.model.mechanism.row_system import (
     CLOSED,
     NEWTON_STEPS,
-    Held,
+    ConnectionState,
     System,
     errors_of,
     name_of,
@@ -39,141 +40,167 @@ from lierb.support.arrays import Array, assembled, pose_components, pose_matrix
 if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
 
-# Of Newton's steps, by the square of what is open. Of 240 starts, four-bars and a Bricard linkage
-# up to 0.8 off in every coordinate, all close with 0.1 to 1e-4, 229 with 1, 224 with none.
+# Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
+# Bricard linkage, up to 0.8 off in every coordinate) all close with 0.1 to 1e-4, 229 with 1, 224
+# with none.
 DAMPING = 1e-2
-MISSED = 0.1 * START_TOLERANCE  # of the speed: what rows may be off in a projected twist
-CONTRADICTION = 1e-6  # of what motors prescribe, that may be left over
-MOST_NUMBERS = 2**22  # of the matrices that are looked at together
+MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
+CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to the rates
+MOST_NUMBERS = 2**22  # in the matrices that are decomposed at once
 
 
 class Mobility(NamedTuple):
-    """What joints and loops leave: numbers, or (n,) of them.
+    """Numbers of freedoms and of redundant rows, each an integer or (n,).
 
-    freedoms : of the links' velocities.   redundant : rows that say what others say already.
+    freedoms : of the links' velocities.   redundant : rows that others imply.
     """
 
     freedoms: Any
     redundant: Any
 
 
-def parts_of(mechanism: TreeKinematics, count: int) -> Iterator[slice]:
-    """The batch, in parts whose matrices are small."""
+@dataclass(frozen=True)
+class Part:
+    """Range of a batch, which has at least one member.
+
+    arrays : arguments of its members.   first : number of its first member.
+    count : number of members of the whole batch.   is_batch : False where nothing is batched.
+    """
+
+    mechanism: TreeKinematics
+    arrays: list[Array]
+    first: int
+    count: int
+    is_batch: bool
+
+    def label(self, argument: str, member: int) -> str:
+        return body_label(argument, self.first + member, self.count)
+
+
+def _parts(mechanism: TreeKinematics, arguments: list[tuple[str, list[Array], int]]) -> list[Part]:
+    """Split the batch into parts whose matrices fit in memory.
+
+    arguments : name, arrays of all links, and axes of an item.
+    """
+    sizes = {f"{name}[{i}]": (x, n) for name, arrays, n in arguments for i, x in enumerate(arrays)}
+    size = mechanism.batch_size(**sizes)
+    count = size or 1
     rows = sum(len(at.rows) for at in mechanism.connections)
-    size = max(1, MOST_NUMBERS // max(1, rows * 6 * len(mechanism.links)))
-    for start in range(0, count, size):
-        yield slice(start, min(start + size, count))
+    step = max(1, MOST_NUMBERS // max(1, rows * 6 * len(mechanism.links)))
+    spread = [np.broadcast_to(x, (count, *x.shape[x.ndim - n :])) for x, n in sizes.values()]
+    return [
+        Part(
+            mechanism.part(slice(i, min(i + step, count))) if count > 1 else mechanism,
+            [x[i : i + step] for x in spread],
+            i,
+            count,
+            size is not None,
+        )
+        for i in range(0, count, step)
+    ]
+
+
+def _joined(parts: list[list[Array]], is_batch: bool) -> list[Array]:
+    """Join the arrays of all parts, link by link."""
+    whole = [np.concatenate(of_link) for of_link in zip(*parts, strict=True)]
+    return whole if is_batch else [array[0] for array in whole]
 
 
 # ---- poses -------------------------------------------------------------------------------------
 
 
 def closed(mechanism: TreeKinematics, poses: list[Array]) -> list[Array]:
-    """The poses nearest to these that close all joints and loops; those that do as they are."""
-    size = mechanism.batch_size(**{f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)})
-    count = size or 1
-    spread = [np.broadcast_to(pose, (count, 4, 4)) for pose in poses]
-    parts, was_open = [], False
-    for part in parts_of(mechanism, count):
-        of_part = mechanism.part(part) if count > 1 else mechanism
-        found, moved = _closed(of_part, [pose[part] for pose in spread], part.start, count)
-        parts.append(found)
-        was_open = was_open or moved
-    if not was_open:
+    """Return the nearest poses that close all joints and loops; closed poses are unchanged."""
+    parts = _parts(mechanism, [("pose", poses, 2)])
+    results = [_closed(part) for part in parts]
+    if not any(has_moved for _, has_moved in results):
         return poses
-    whole = [np.concatenate(of_link) for of_link in zip(*parts, strict=True)]
-    return [pose if size else pose[0] for pose in whole]
+    return _joined([arrays for arrays, _ in results], parts[0].is_batch)
 
 
-def _closed(
-    mechanism: TreeKinematics, given: list[Array], first: int, count: int
-) -> tuple[list[Array], bool]:
-    """Newton's steps, damped by the square of what is open (Levenberg, Marquardt): they converge
-    quadratically where rows are redundant too, which away from closed poses they are only nearly.
+def _closed(part: Part) -> tuple[list[Array], bool]:
+    """Return the closed poses of a part, and whether any had to move.
+
+    Newton's steps are damped by the squared residual (Levenberg, Marquardt): convergence stays
+    quadratic where rows are redundant, which they are only nearly away from closed poses.
     """
-    system = System(mechanism, len(given[0]), is_stout=True)
-    poses = [pose_components(pose) for pose in given]
+    system = System(part.mechanism, len(part.arrays[0]), is_stout=True)
+    poses = [pose_components(pose) for pose in part.arrays]
     was_closed = np.zeros(system.count, dtype=bool)
     for step in range(NEWTON_STEPS + 1):
-        held = _of_poses(system.held(poses))
-        off = [residuals(h.at.rows, h.x, h.body) for h in held]
+        states = _without_velocity_rows(system.states(poses))
+        off = [residuals(s.at.rows, s.x, s.body) for s in states]
         is_closed = np.ones(system.count, dtype=bool)
-        for h, values in zip(held, off, strict=True):
-            for excess in _excesses(h, values):
+        for s, values in zip(states, off, strict=True):
+            for excess in _excesses(s, values):
                 is_closed &= excess <= 1.0
         if step == 0:
             was_closed = is_closed
         if is_closed.all() or step == NEWTON_STEPS:
             break
-        rows = system.decomposed(held)
+        rows = system.decomposed(states)
         wanted = system.column([-plain(h) for values in off for h in values]) / rows.lengths
         wanted = np.where(np.isfinite(wanted), wanted, 0.0)
         moves = rows.lightest(wanted, DAMPING * summed(wanted * wanted))
         for i, screw in enumerate(moves):
             moved = se3.compose(poses[i], se3.exp(screw))
             moved = so3.orthonormalised(moved[0]), moved[1]
-            poses[i] = where(is_closed, poses[i], moved)  # nobody waits, or moves on, for another
-    label = "pose" if count == 1 else "pose[{}]"
-    for number in np.flatnonzero(~is_closed)[:1]:
-        raise PoseError(
-            _still_open(system, held, off, int(number), label.format(first + int(number)))
-        )
-    for h in held:
-        for number in wrong_way(h, system.count)[:1]:
-            raise PoseError(reversed_joint(mechanism, h.at, label.format(first + int(number))))
-    kept = was_closed[:, None, None]
-    found = [
-        np.where(kept, before, np.broadcast_to(pose_matrix(after), before.shape))
-        for before, after in zip(given, poses, strict=True)
+            poses[i] = where(is_closed, poses[i], moved)  # converged members are frozen
+    for member in np.flatnonzero(~is_closed)[:1].tolist():
+        label = part.label("pose", member)
+        raise PoseError(_no_convergence(system, states, off, member, label))
+    for s in states:
+        for member in wrong_way(s, system.count)[:1].tolist():
+            raise PoseError(reversed_joint(part.mechanism, s.at, part.label("pose", member)))
+    unchanged = was_closed[:, None, None]
+    arrays = [
+        np.where(unchanged, before, np.broadcast_to(pose_matrix(after), before.shape))
+        for before, after in zip(part.arrays, poses, strict=True)
     ]
-    return found, bool(not was_closed.all())
+    return arrays, bool(not was_closed.all())
 
 
-def _of_poses(held: list[Held]) -> list[Held]:
-    """Without the rows of motors, which are of velocities alone."""
+def _without_velocity_rows(states: list[ConnectionState]) -> list[ConnectionState]:
+    """Connections without the rows of motors."""
     return [
-        h._replace(at=h.at._replace(rows=tuple(r for r in h.at.rows if r.is_holonomic)))
-        for h in held
+        s._replace(at=s.at._replace(rows=tuple(r for r in s.at.rows if r.is_holonomic)))
+        for s in states
     ]
 
 
-def _excesses(h: Held, values: list[Any]) -> Iterator[Any]:
-    """How far each row is off, relative to where rounding ends; 1 and below is closed."""
-    small = CLOSED * h.length + h.rounding
-    for r, value in zip(h.at.rows, values, strict=True):
+def _excesses(s: ConnectionState, values: list[Any]) -> Iterator[Any]:
+    """Residual of each row relative to rounding; up to 1 it is closed."""
+    small = CLOSED * s.length + s.rounding
+    for r, value in zip(s.at.rows, values, strict=True):
         excess = absolute(plain(value)) / (small if r.is_translational else CLOSED)
         yield np.where(np.isfinite(excess), excess, np.inf)
 
 
-def _still_open(
-    system: System, held: list[Held], off: list[list[Any]], number: int, label: str
+def _no_convergence(
+    system: System, states: list[ConnectionState], off: list[list[Any]], member: int, label: str
 ) -> str:
-    mechanism = system.mechanism
+    """Message with the connection of the largest residual."""
 
-    def worst(pair: tuple[Held, list[Any]]) -> float:
-        return max((float(one_of(x, number)) for x in _excesses(*pair)), default=0.0)
+    def largest(pair: tuple[ConnectionState, list[Any]]) -> float:
+        return max((float(one_of(x, member)) for x in _excesses(*pair)), default=0.0)
 
-    h, _ = max(zip(held, off, strict=True), key=worst)
-    rows, freedoms = sum(len(each.at.rows) for each in held), 6 * len(mechanism.links)
+    s, _ = max(zip(states, off, strict=True), key=largest)
+    rows, freedoms = sum(len(each.at.rows) for each in states), 6 * len(system.mechanism.links)
     why = "start nearer to a closed pose, or look at the links' lengths: they may not reach"
     if rows >= freedoms:
         why += (
             f"; {rows} rows on {freedoms} freedoms are closed only where lengths and axes fit each "
             "other: joints with fewer rows, such as spherical, ask for less"
         )
+    residual = " and ".join(
+        f"{one_of(size, member):.3g}{unit}{' in rotation' if what == 'rotation' else ''}"
+        for what, unit, size in errors_of(s)
+        if any(r.error_kind == what for r in s.at.rows)
+    )
     return (
         f"{label} does not come to close in {NEWTON_STEPS} Newton steps: "
-        f"{name_of(mechanism, h.at)} stays open by {_opening(h, number)}; {why}"
+        f"{name_of(system.mechanism, s.at)} stays open by {residual}; {why}"
     )
-
-
-def _opening(h: Held, number: int) -> str:
-    found = [
-        f"{one_of(size, number):.3g}{unit}{' in rotation' if what == 'rotation' else ''}"
-        for what, unit, size in errors_of(h)
-        if any(r.error_kind == what for r in h.at.rows)
-    ]
-    return " and ".join(found)
 
 
 # ---- twists and freedoms -----------------------------------------------------------------------
@@ -182,100 +209,77 @@ def _opening(h: Held, number: int) -> str:
 def projected(
     mechanism: TreeKinematics, twists: list[Array], poses: list[Array], t0: float
 ) -> list[Array]:
-    """The twists nearest to these that satisfy all joints and loops."""
-    sizes = {f"twist[{i}]": (twist, 1) for i, twist in enumerate(twists)}
-    sizes |= {f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)}
-    size = mechanism.batch_size(**sizes)
-    count = size or 1
-    parts = []
-    for part in parts_of(mechanism, count):
-        of_part = mechanism.part(part) if count > 1 else mechanism
-        moving = [np.broadcast_to(twist, (count, 6))[part] for twist in twists]
-        placed = [np.broadcast_to(pose, (count, 4, 4))[part] for pose in poses]
-        parts.append(_projected(of_part, moving, placed, t0, part.start, count))
-    whole = [np.concatenate(of_link) for of_link in zip(*parts, strict=True)]
-    return [twist if size else twist[0] for twist in whole]
+    """Return the nearest twists that satisfy all joints and loops."""
+    parts = _parts(mechanism, [("twist", twists, 1), ("pose", poses, 2)])
+    return _joined([_projected(part, t0) for part in parts], parts[0].is_batch)
 
 
-def _projected(
-    mechanism: TreeKinematics,
-    given: list[Array],
-    placed: list[Array],
-    t0: float,
-    first: int,
-    count: int,
-) -> list[Array]:
-    system = System(mechanism, len(given[0]))
-    poses = [pose_components(pose) for pose in placed]
-    twists = [tuple(twist[:, i] for i in range(6)) for twist in given]
-    held = system.held(poses, twists, np.float64(t0))
-    wanted = [r.prescribed_rate(h.x, h.body) for h in held for r in h.at.rows]
-    rows = tuple(r for h in held for r in h.at.rows)
-    if error := unfit_rate(rows, wanted, t0):
+def _projected(part: Part, t0: float) -> list[Array]:
+    links = len(part.mechanism.links)
+    given, poses = part.arrays[:links], [pose_components(pose) for pose in part.arrays[links:]]
+    system = System(part.mechanism, len(given[0]))
+    start = [tuple(twist[:, i] for i in range(6)) for twist in given]
+    states = system.states(poses, start, np.float64(t0))
+    rows = tuple(r for s in states for r in s.at.rows)
+    prescribed = [r.prescribed_rate(s.x, s.body) for s in states for r in s.at.rows]
+    if error := unfit_rate(rows, prescribed, t0):
         raise error
     if not rows:
         return given
-    decomposed = system.decomposed(held)
-    lengths = decomposed.lengths
-    goal = system.column(wanted) / lengths
-    before = np.abs(_rates(system, poses, twists, t0) / lengths)
+    decomposed = system.decomposed(states)
+    goal = system.column(prescribed) / decomposed.lengths
 
-    def lacking(twists: list[Vec]) -> Array:
-        return goal - _rates(system, poses, twists, t0) / lengths
+    def rates(twists: list[Vec]) -> Array:
+        return _rates(system, poses, twists, t0) / decomposed.lengths
 
     def nearest(twists: list[Vec]) -> list[Vec]:
-        for _ in range(2):  # the second time, for what rounding has left of a large part
-            changes = decomposed.lightest(lacking(twists))
+        for _ in range(2):  # the second step corrects the rounding of the first
+            changes = decomposed.lightest(goal - rates(twists))
             twists = [add(twist, change) for twist, change in zip(twists, changes, strict=True)]
         return twists
 
     is_driven = np.any(goal, axis=1)
-    twists = nearest(twists)
-    # Near a singular pose a row that hardly depends on the others decides whether a start is taken.
-    missed = np.max(np.abs(lacking(twists)), axis=1) > MISSED * decomposed.speed(twists)
+    twists = nearest(start)
+    # Near a singular pose a row that is nearly redundant decides whether a start is accepted.
+    missed = np.max(np.abs(goal - rates(twists)), axis=1) > MISSED * decomposed.speed(twists)
     missed &= ~is_driven
     if missed.any():
         decomposed.ranks = np.where(missed, decomposed.ranks_above(MISSED), decomposed.ranks)
         pairs = zip(nearest(twists), twists, strict=True)
-        twists = [where(missed, again, before) for again, before in pairs]
-    left = np.abs(lacking(twists))
-    most = np.max(CONTRADICTION * np.abs(goal) + START_TOLERANCE * before, axis=1, keepdims=True)
-    for number, row in np.argwhere((left > most) & is_driven[:, None])[:1]:
-        at = [h.at for h in held for _ in h.at.rows][int(row)]
-        label = body_label("twist", first + int(number), count)
+        twists = [where(missed, second, first) for second, first in pairs]
+    residual = np.abs(goal - rates(twists))
+    allowed = CONTRADICTION * np.abs(goal) + START_TOLERANCE * np.abs(rates(start))
+    contradicted = (residual > np.max(allowed, axis=1, keepdims=True)) & is_driven[:, None]
+    for member, row in np.argwhere(contradicted)[:1].tolist():
+        at = [s.at for s in states for _ in s.at.rows][row]
         raise TwistError(
-            f"{label}: no twist satisfies {name_of(mechanism, at)} beside the other joints and "
-            "motors, which contradict each other; leave out a speed, or give one that fits"
+            f"{part.label('twist', member)}: no twist satisfies {name_of(part.mechanism, at)} "
+            "beside the other joints and motors, which contradict each other; leave out a speed, "
+            "or give one that fits"
         )
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
 
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:
-    """J V, (count, rows)."""
-    held = system.held(poses, twists, np.float64(t0))
+    """Rates J V of the rows, (count, rows)."""
     rates = []
-    for h in held:
-        velocity = velocity_of(h.x)
-        for r in h.at.rows:
-            row = r.jacobian(h.x, h.body)
+    for s in system.states(poses, twists, np.float64(t0)):
+        velocity = velocity_of(s.x)
+        for r in s.at.rows:
             total: Any = 0.0
-            for a, b in zip(row, velocity, strict=True):
+            for a, b in zip(r.jacobian(s.x, s.body), velocity, strict=True):
                 total = total + a * b
             rates.append(total)
     return system.column(rates)
 
 
 def mobility(mechanism: TreeKinematics, poses: list[Array]) -> Mobility:
-    """Freedoms and redundant rows at these poses; motors are left out of both."""
-    size = mechanism.batch_size(**{f"pose[{i}]": (pose, 2) for i, pose in enumerate(poses)})
-    count = size or 1
-    free, redundant = [], []
-    for part in parts_of(mechanism, count):
-        system = System(mechanism.part(part) if count > 1 else mechanism, part.stop - part.start)
-        placed = [np.broadcast_to(pose, (count, 4, 4))[part] for pose in poses]
-        held = _of_poses(system.held([pose_components(pose) for pose in placed]))
-        found = system.decomposed(held)
-        free.append(found.freedoms)
-        redundant.append(found.lengths.shape[1] - found.ranks)
-    mobility = Mobility(np.concatenate(free), np.concatenate(redundant))
-    return mobility if size else Mobility(*(int(x[0]) for x in mobility))
+    """Count freedoms and redundant rows at these poses, without motors."""
+    parts, counts = _parts(mechanism, [("pose", poses, 2)]), []
+    for part in parts:
+        system = System(part.mechanism, len(part.arrays[0]))
+        states = _without_velocity_rows(system.states([pose_components(x) for x in part.arrays]))
+        rows = system.decomposed(states)
+        counts.append([rows.freedoms, rows.lengths.shape[1] - rows.ranks])
+    numbers = _joined(counts, parts[0].is_batch)
+    return Mobility(*(numbers if parts[0].is_batch else map(int, numbers)))

@@ -1,4 +1,4 @@
-"""Links and loops: bodies of a mechanism, and the joints that they hang on."""
+"""Links and loops of a mechanism, and connections between links."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from lierb.model.joints.joint import Joint
 from lierb.support.shown import Lines, Shown
 
 GROUND = "ground"
-NOWHERE = -1  # the number of the ground
+NOWHERE = -1  # number of the ground
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Link(Shown):
-    """A body of a mechanism, and the joint by which it hangs on another one or on the ground.
+    """Body of a mechanism, and its joint to another link or to the ground.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class Link(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Loop(Shown):
-    """A joint beside those of the links, which closes a loop of them.
+    """Joint beside those of the links, which closes a loop.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _require_name(what: str, name: Any) -> None:
             "them, for columns are named after it"
         )
     if name == GROUND:
-        raise ArgumentError(f'{what} is named "{GROUND}", which is what does not move; rename it')
+        raise ArgumentError(f'{what} is named "{GROUND}", the name of the fixed frame; rename it')
 
 
 def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
@@ -122,13 +122,13 @@ def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
 
 
 class Connection(NamedTuple):
-    """Two frames and what acts between them: a joint, or an element.
+    """Joint or element between two links.
 
-    name : of the link or the loop whose joint it is; of an element its own.
-    body, parent : numbers of links; NOWHERE is the ground.
-    joint : the one whose frames they are; None where they are the body frames themselves.
-    rows : of the joint, or of the element.
-    elements : numbers of those that act between these frames: of an element that one.
+    name : name of the link or loop with the joint, or of the element.
+    body, parent : numbers of the links; NOWHERE is the ground.
+    joint : joint with the two frames; None for an element between the body frames.
+    rows : rows of the joint or the element.
+    elements : number of the element; empty for a joint.
     """
 
     name: str

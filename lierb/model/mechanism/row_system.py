@@ -1,14 +1,14 @@
-"""All rows of a mechanism together, at poses of its links: J V = ḣ, V the twists of all links.
+"""Linear system J V = ḣ of all rows of a mechanism at a pose, V the twists of all links.
 
 Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest
-lever, and y with ‖y‖² twice the kinetic energy. Geometry alone says which rows depend on others, so
-that is judged in x, with rows of length 1; masses choose among the motions that all rows allow.
+lever, and y with ‖y‖² twice the kinetic energy. Redundancy depends on geometry alone: ranks are
+found in x, with rows of length 1. Masses select among the motions that all rows allow.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -47,16 +47,19 @@ if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
     from lierb.model.mechanism.links import Connection
 
-# Singular values of rows of length 1, relative to the largest, below which rows depend on others: a
-# start may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
+# Bound between nonzero and zero singular values, relative to the largest. A start
+# may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
 RANK_TOLERANCE = 1e-7
+NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any start that converges
+CLOSED = 1e-13  # rad, and relative to the problem's length: residual at rounding
+LEAST_GYRATION = 0.03  # radius of gyration of a link as `close` takes it, relative to its length
 
 
 class Metric:
-    """The kinetic energy of one link: Θ = LLᵀ, m and c."""
+    """Kinetic energy of one link: Θ = LLᵀ, m and c."""
 
     def __init__(self, p: Parameters, unit: Any, least: Any) -> None:
-        """unit : in kg m², what makes y a number.   least : kg m², the inertia's trace at least."""
+        """unit : unit of y², kg m².   least : lower bound of the inertia's trace, kg m²."""
         inertia = inertia_about_com(p)
         trace = inertia[0] + inertia[4] + inertia[8]
         added = where(trace < least, least, 0.0 * trace)
@@ -70,7 +73,7 @@ class Metric:
 
 
 def _cholesky(m: Mat) -> Mat:
-    """L of m = LLᵀ, row by row."""
+    """Factor L of m = LLᵀ, row by row."""
     a = np.sqrt(m[0])
     b, d = m[3] / a, m[6] / a
     c = np.sqrt(m[4] - b * b)
@@ -79,26 +82,29 @@ def _cholesky(m: Mat) -> Mat:
     return (a, ZERO, ZERO, b, c, ZERO, d, e, f)
 
 
-class Held(NamedTuple):
-    """A connection at a pose."""
+class ConnectionState(NamedTuple):
+    """Connection at a pose and twist of its links.
+
+    length : m, the larger one of its two links.   rounding : m, of points that coincide.
+    """
 
     at: Connection
     parameters: Parameters
     body: BodyConstants
     x: Kinematics
-    length: Any  # m: the larger one of the lengths of its two links
-    rounding: Any  # m, of the distance between points that coincide
+    length: Any
+    rounding: Any
 
 
 class System:
-    """A mechanism's rows at given poses of its links, all members of its batch at once."""
+    """Rows of a mechanism, for all members of its batch at once."""
 
     def __init__(self, mechanism: TreeKinematics, count: int, is_stout: bool = False) -> None:
-        """is_stout : whether a link that is small beside its arms counts as larger."""
+        """is_stout : True to take links that are small beside their arms as larger."""
         self.mechanism, self.count = mechanism, count
         of_links = [mechanism.parameters(at) for at in mechanism.joints[: len(mechanism.links)]]
         self.lengths = [length_of(p) for p in of_links]
-        self.length = _largest(self.lengths)
+        self.length = reduce(maximum, self.lengths)
         total: Any = 0.0
         for p in of_links:
             total = total + p.mass
@@ -110,34 +116,36 @@ class System:
 
     @cached_property
     def connections(self) -> list[tuple[Connection, Parameters, BodyConstants, Any]]:
-        """With what is the same at all poses: parameters, constants and length."""
-        mechanism, found = self.mechanism, []
+        """Connections with data that no pose changes: parameters, constants and length."""
+        mechanism, connections = self.mechanism, []
         for at in mechanism.connections:
             p = mechanism.parameters(at)
             length = self.lengths[at.body] if at.joint is None else length_of(p)
             if at.parent >= 0:
                 other = mechanism.parameters(mechanism.joints[at.parent])
-                if at.joint is not None:  # with the arm from its centre of mass to this joint
+                if at.joint is not None:  # the arm from the parent's centre of mass to this joint
                     other = other._replace(body=p.ground)
                 length = maximum(length, length_of(other))
-            found.append((at, p, mechanism.constants(at), length))
-        return found
+            connections.append((at, p, mechanism.constants(at), length))
+        return connections
 
-    def held(self, poses: list[Pose], twists: list[Vec] | None = None, t0: Any = 0.0) -> list[Held]:
-        """Every connection, moving at these twists."""
-        found = []
+    def states(
+        self, poses: list[Pose], twists: list[Vec] | None = None, t0: Any = 0.0
+    ) -> list[ConnectionState]:
+        """Return all connections at these poses and twists."""
+        states = []
         for at, p, body, length in self.connections:
             x = self.kinematics(at, body, poses, twists)._replace(time=t0)
             rounding = rounding_of(p, poses[at.body])
             if at.parent >= 0:
                 rounding = rounding + ROUNDING * norm(poses[at.parent][1])
-            found.append(Held(at, p, body, x, length, rounding))
-        return found
+            states.append(ConnectionState(at, p, body, x, length, rounding))
+        return states
 
     def kinematics(
         self, at: Connection, body: BodyConstants, poses: list[Pose], twists: list[Vec] | None
     ) -> Kinematics:
-        """Relative motion of the two frames of a connection; at rest without twists."""
+        """Return the relative motion of a connection's two frames; at rest without twists."""
         relative = self.mechanism.relative(at, poses)
         moving: Vec = (0.0,) * 6
         if twists is not None:
@@ -145,44 +153,44 @@ class System:
         return SE3.kinematics(body, relative, moving)
 
     def wrenches(self, at: Connection, p: Parameters, x: Kinematics, row: Vec) -> dict[int, Vec]:
-        """A row of a connection, on the twist of each link about its centre of mass."""
+        """Return a row of a connection, on the twist of each link about its centre of mass."""
         wrenches = {at.body: _moved(p.body, row)}
         if at.parent >= 0:
-            seen = se3.compose(p.ground, (x.q, x.d))  # B from the parent
-            wrenches[at.parent] = neg(_moved(seen, row))
+            in_parent = se3.compose(p.ground, (x.q, x.d))  # the body's joint frame
+            wrenches[at.parent] = neg(_moved(in_parent, row))
         return {
             link: sub(wrench[:3], cross(self.metrics[link].com, wrench[3:])) + wrench[3:]
             for link, wrench in wrenches.items()
         }
 
-    def decomposed(self, held: list[Held]) -> DecomposedRows:
-        """All rows of these connections."""
-        total = sum(len(h.at.rows) for h in held)
-        found = np.zeros((self.count, total, 6 * len(self.metrics)))
+    def decomposed(self, states: list[ConnectionState]) -> DecomposedRows:
+        """Return the decomposition of all rows of these connections."""
+        total = sum(len(s.at.rows) for s in states)
+        matrix = np.zeros((self.count, total, 6 * len(self.metrics)))
         levers = np.zeros(self.count)
         number = 0
-        for h in held:
-            for r in h.at.rows:
-                row = r.jacobian(h.x, h.body)
-                for link, wrench in self.wrenches(h.at, h.parameters, h.x, row).items():
-                    found[:, number, 6 * link : 6 * link + 6] = assembled(wrench)
+        for s in states:
+            for r in s.at.rows:
+                row = r.jacobian(s.x, s.body)
+                for link, wrench in self.wrenches(s.at, s.parameters, s.x, row).items():
+                    matrix[:, number, 6 * link : 6 * link + 6] = assembled(wrench)
                     if r.is_translational:
                         with np.errstate(all="ignore"):  # no force, no lever
                             lever = np.divide(plain(norm(wrench[:3])), plain(norm(wrench[3:])))
                         levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
                 number += 1
-        found[~np.isfinite(found).all(axis=(1, 2))] = 0.0  # no step, so that it stays open
+        matrix[~np.isfinite(matrix).all(axis=(1, 2))] = 0.0  # no step: the member stays open
         lever = np.where(levers > 0.0, levers, 1.0)
         for link in range(len(self.metrics)):
-            found[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
-        return DecomposedRows(self, found, lever)
+            matrix[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
+        return DecomposedRows(self, matrix, lever)
 
     def column(self, numbers: list[Any]) -> Array:
-        """One number for each row, (count, rows)."""
-        found = np.empty((self.count, len(numbers)))
+        """Return numbers of all rows as an array, (count, rows)."""
+        column = np.empty((self.count, len(numbers)))
         for i, number in enumerate(numbers):
-            found[:, i] = plain(number)
-        return found
+            column[:, i] = plain(number)
+        return column
 
 
 class Decomposed:
@@ -194,13 +202,13 @@ class Decomposed:
         self.ranks = self.ranks_above(RANK_TOLERANCE)
 
     def ranks_above(self, tolerance: float) -> Array:
-        """Numbers of singular values above this part of the largest one."""
+        """Return the numbers of singular values above this fraction of the largest one."""
         kept = self.values > tolerance * self.values[:, :1]
         ranks: Array = np.count_nonzero(kept, axis=1)
         return ranks
 
     def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
-        """The least x with A x = wanted, or of ‖A x − wanted‖² + damping ‖x‖².
+        """Return the least x with A x = wanted, or that of ‖A x − wanted‖² + damping ‖x‖².
 
         wanted : (count, rows).   damping : (count,).
         """
@@ -213,13 +221,13 @@ class Decomposed:
 
 
 class DecomposedRows(Decomposed):
-    """All rows at poses of the links, in x and brought to length 1.
+    """Decomposition of all rows, in x and scaled to length 1.
 
-    lengths : (count, rows), what they were divided by.
+    lengths : (count, rows), lengths before the scaling.
     """
 
     def __init__(self, system: System, matrix: Array, lever: Array) -> None:
-        """matrix : (count, rows, 6 links), J of x.   lever : ℓ, m, (count,)."""
+        """matrix : (count, rows, 6 links), Jacobian with respect to x.   lever : ℓ, m, (count,)."""
         lengths = np.sqrt(summed(matrix * matrix))
         self.system, self.lever = system, lever
         self.lengths = np.where(lengths == 0.0, 1.0, lengths)
@@ -227,17 +235,17 @@ class DecomposedRows(Decomposed):
 
     @property
     def freedoms(self) -> Array:
-        """Numbers of motions that all rows allow."""
+        """Dimensions of the space of motions that all rows allow."""
         freedoms: Array = self.vt.shape[1] - self.ranks
         return freedoms
 
     @cached_property
     def moving(self) -> Array:
-        """y of the motions `vt`, of which those from number `ranks` on are free: (count, n, n)."""
+        """Motions `vt` as y, (count, n, n); those from number `ranks` on are free."""
         return np.swapaxes(self._energetic(np.swapaxes(self.vt, 0, 1)), 0, 1)
 
     def speed(self, twists: list[Vec]) -> Array:
-        """‖x‖ of all links' twists, rad/s, (count,)."""
+        """Return ‖x‖ of all links' twists, rad/s, (count,)."""
         total: Any = 0.0
         for twist, metric in zip(twists, self.system.metrics, strict=True):
             moving = scale(1.0 / self.lever, cross_add(twist[:3], metric.com, twist[3:]))
@@ -246,9 +254,9 @@ class DecomposedRows(Decomposed):
         return size
 
     def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
-        """The twists of least kinetic energy with J V = wanted, for rows of length 1.
+        """Return the twists of least kinetic energy with J V = wanted, for rows of length 1.
 
-        damping : of the x that the rows ask for; free motions that make it lighter have none.
+        damping : as in `least`; the free motions that are added have none.
         """
         x = self.least(wanted, damping)
         y = self._energetic(x)
@@ -268,18 +276,18 @@ class DecomposedRows(Decomposed):
             yield part[:3], scale(self.lever, part[3:]), metric
 
     def _energetic(self, x: Array) -> Array:
-        """y of an x, (…, count, 6 links)."""
+        """Return the y of an x, (…, count, 6 links)."""
         return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=-1)
 
 
 def _easing(free: Array, moving: Array, y: Array) -> Array:
-    """The combination of free motions that makes ‖y‖ least, (count, n).
+    """Combination of free motions with the least ‖y‖, (count, n).
 
     free, moving : (count, freedoms, n), in x and in y.
 
-    With masses of different orders the columns of y are nearly parallel: what moves a heavy link at
-    all moves little else. Gaussian elimination first, with complete pivoting, leaves columns that
-    move ever lighter ones, and of a good condition once they have length 1.
+    With masses of different orders the columns of y are nearly parallel, dominated by the heaviest
+    link. Gaussian elimination with complete pivoting yields columns that move ever lighter links,
+    and that are well-conditioned once they have length 1.
     """
     free, moving, (count, freedoms, n) = free.copy(), moving.copy(), free.shape
     each = np.arange(count)
@@ -299,35 +307,32 @@ def _easing(free: Array, moving: Array, y: Array) -> Array:
 
 
 def _moved(frame: Pose, wrench: Vec) -> Vec:
-    """A wrench in a frame, in what the frame is seen from."""
+    """Transform a wrench from a frame to the frame in which its pose is given."""
     force = mat_vec(frame[0], wrench[3:])
     return cross_add(frame[1], force, mat_vec(frame[0], wrench[:3])) + force
 
 
-def _largest(lengths: list[Any]) -> Any:
-    found = lengths[0]
-    for length in lengths[1:]:
-        found = maximum(found, length)
-    return found
-
-
 def summed(array: Array) -> Array:
-    """Over the last axis, in its order: `sum` may take another one in another batch."""
+    """Sum over the last axis in order; the order of `np.sum` depends on the batch."""
     total = np.zeros(array.shape[:-1])
     for i in range(array.shape[-1]):
         total = total + array[..., i]
     return total
 
 
-def wrong_way(h: Held, count: int) -> Any:
-    """Numbers of members that hold a joint half a turn off, which no row sees."""
+# ---- residuals and messages --------------------------------------------------------------------
+
+
+def wrong_way(s: ConnectionState, count: int) -> Any:
+    """Return the numbers of members whose joint is half a turn off, at which rows vanish too."""
     against = np.zeros(count, dtype=bool)
-    for bearing in bearings(h.at.rows, h.x.q):
+    for bearing in bearings(s.at.rows, s.x.q):
         against |= np.broadcast_to(bearing <= 0.0, (count,))
     return np.flatnonzero(against)
 
 
 def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str:
+    """Message on a joint that is half a turn off."""
     return (
         f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
         "row sees; turn a link or one of the joint's frames by 180°"
@@ -335,7 +340,7 @@ def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str
 
 
 def name_of(mechanism: TreeKinematics, at: Connection) -> str:
-    """A connection for a message."""
+    """Name of a connection in messages."""
     ends = " to ".join(mechanism.names[i] if i >= 0 else "ground" for i in (at.body, at.parent))
     if at.joint is None or at.elements:
         return f"{at.name} ({ends})"
@@ -343,27 +348,21 @@ def name_of(mechanism: TreeKinematics, at: Connection) -> str:
     return f"the {what} {at.name} ({at.joint.name}, {ends})"
 
 
-def errors_of(h: Held) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
-    rows = h.at.rows
+def errors_of(s: ConnectionState) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
+    """Kind, unit and size of the position and the rotation error."""
+    rows = s.at.rows
     return (
-        ("position", " m", sqrt(plain(position_error_squared(rows, h.x, h.body)))),
-        ("rotation", "", sqrt(plain(rotation_error_squared(rows, h.x, h.body)))),
+        ("position", " m", sqrt(plain(position_error_squared(rows, s.x, s.body)))),
+        ("rotation", "", sqrt(plain(rotation_error_squared(rows, s.x, s.body)))),
     )
 
 
 def one_of(numbers: Any, member: int) -> float:
-    """The number of one member of the batch, or of all of them."""
+    """Return the number of one member of the batch, from (n,) or a number for all."""
     array = np.atleast_1d(plain(numbers))
     return float(array[member if len(array) > 1 else 0])
 
 
 def velocity_of(x: Kinematics) -> Vec:
-    """D⁻¹Ḋ."""
+    """Relative twist D⁻¹Ḋ."""
     return x.omega + x.point_rate
-
-
-NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any place that it converges from
-CLOSED = 1e-13  # rad, and relative to the problem's length: where rounding ends it
-
-
-LEAST_GYRATION = 0.03  # of the problem's length, that a pose is closed with
