@@ -59,7 +59,7 @@ AT_REST = Load(ZERO3, ZERO3, ZERO3)
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Problem(Model):
-    """A body, the joint that holds it to the ground, and the forces on it.
+    """Body, its joint to the ground, and the forces on it.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ class Problem(Model):
     states : ExtraStates or iterable of ExtraStates, optional
         Further states, made by `lierb.states` and integrated with the body's.
     controllers : Controller or iterable of Controller, optional
-        Sampled controllers, made by `lierb.controller`: called once a period, their outputs are
-        held.
+        Sampled controllers, made by `lierb.controller`: called once a period, with constant outputs
+        in between.
 
     Raises
     ------
@@ -122,10 +122,10 @@ class Problem(Model):
 
     def _shown(self) -> tuple[str, Lines]:
         _, mass = self.body._shown()
-        name, held = self.joint._shown()
+        name, joint = self.joint._shown()
         rows = [
             ("body", "\n".join(f"{label} {text}" for label, text in mass)),
-            ("joint", "\n".join((name, *(f"{label} {text}" for label, text in held)))),
+            ("joint", "\n".join((name, *(f"{label} {text}" for label, text in joint)))),
             ("gravity", quantity(self.gravity, "m/s²", 1)),
         ]
         count = counted(self.batch_size() or 1, "body", "bodies")
@@ -215,58 +215,51 @@ class Problem(Model):
         """
         poses = as_poses("pose", pose)
         self.batch_size(pose=(poses, 2))
-        with np.errstate(all="ignore"):  # what overflows does not come to close
+        with np.errstate(all="ignore"):  # an overflow does not converge
             return self._closed(poses)
 
     def _closed(self, poses: Array) -> Array:
         rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
-        placed, still = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
+        placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
         small = CLOSED * length  # m
         stout = body.mass * (LEAST_GYRATION * length) ** 2
         trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
         added = where(trace < stout, stout, 0.0 * stout)
         body = body._replace(inertia=add(body.inertia, diagonal((added, added, added))))
-        # Functions of the user's see the place from the origins of the user's frames.
+        # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
         for _ in range(NEWTON_STEPS):
-            x = SE3.kinematics(body, placed, still)
+            x = SE3.kinematics(body, placed, at_rest)
             off = residuals(rows, x, body)
             here = ROUNDING * norm((0.0, *placed[1]))
-            closed = np.isfinite(small)  # or any distance passes for rounding
+            closed = np.isfinite(small)  # an infinite length would accept any residual
             for r, h in zip(rows, off, strict=True):
                 near = small + (here if r.is_of_joint else rounding)
                 closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
             if np.all(closed):
                 break
-            found = solve(
-                body,
-                x.q,
-                rows,
-                methodcaller("jacobian", x, body),
-                tuple(-h for h in off),
-                AT_REST,
-            )
-            moved = se3.compose(placed, se3.exp(found.turning + found.moving))
-            placed = where(closed, placed, moved)  # no body waits, or moves on, for another
-        open_ones = np.flatnonzero(~np.atleast_1d(closed))
-        if open_ones.size:
+            jacobian, wanted = methodcaller("jacobian", x, body), tuple(-h for h in off)
+            step = solve(body, x.q, rows, jacobian, wanted, AT_REST)
+            moved = se3.compose(placed, se3.exp(step.turning + step.moving))
+            placed = where(closed, placed, moved)  # converged bodies are frozen
+        for number in np.flatnonzero(~np.atleast_1d(closed))[:1].tolist():
             raise PoseError(
-                f"{body_label('pose', int(open_ones[0]), np.size(closed))} does not come to close "
+                f"{body_label('pose', number, np.size(closed))} does not come to close "
                 f"the {self.joint.name} joint in {NEWTON_STEPS} Newton steps; start nearer to a "
                 "pose that does, such as problem.joint.closed_pose"
             )
         q, d = placed
         turned = [bearing <= 0.0 for bearing in bearings(rows, q)]
-        against = np.flatnonzero(np.any(np.broadcast_arrays(np.bool_(False), *turned), axis=0))
-        if against.size:
+        against = np.any(np.broadcast_arrays(np.bool_(False), *turned), axis=0)
+        for number in np.flatnonzero(against)[:1].tolist():
             raise PoseError(
-                f"{body_label('pose', int(against[0]), np.size(closed))} holds the "
+                f"{body_label('pose', number, np.size(closed))} holds the "
                 f"{self.joint.name} joint the wrong way round, half a turn off, from where no way "
                 "back is the shortest; turn it by less, or one of the joint's frames by 180°"
             )
-        turned_back = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), still)[0]
-        return finite("the closed pose", pose_matrix(turned_back))
+        in_body_axes, _ = SE3.to_user_axes(parameters, (so3.orthonormalised(q), d), at_rest)
+        return finite("the closed pose", pose_matrix(in_body_axes))
 
     def project(self, twist: ArrayLike, pose: Any = None, *, t0: float = 0.0) -> Array:
         """Return the nearest twist that satisfies the joint, in the kinetic-energy metric.
@@ -297,21 +290,21 @@ class Problem(Model):
         pose = self.joint.closed_pose if pose is None else as_poses("pose", pose)
         self.batch_size(twist=(twists, 1), pose=(pose, 2))
         with np.errstate(all="ignore"):
-            found = self._projected(components(twists), pose_components(pose), start)
-        return finite("the projected twist", found)
+            nearest = self._projected(components(twists), pose_components(pose), start)
+        return finite("the projected twist", nearest)
 
-    def _projected(self, given: Vec, pose: Pose, t0: Any) -> Array:
+    def _projected(self, twist: Vec, pose: Pose, t0: Any) -> Array:
         parameters, body = self.parameters(), self.in_joint_axes(SE3)
-        placed, velocity = SE3.to_joint_axes(parameters, pose, given)
+        placed, velocity = SE3.to_joint_axes(parameters, pose, twist)
         x = SE3.kinematics(body, placed, velocity)._replace(time=t0)
-        wanted = [r.prescribed_rate(x, body) for r in self.rows]
-        if error := unfit_rate(self.rows, wanted, t0):
+        prescribed = [r.prescribed_rate(x, body) for r in self.rows]
+        if error := unfit_rate(self.rows, prescribed, t0):
             raise error
-        along = methodcaller("jacobian", x, body)
-        for _ in range(2):  # the second time, for what rounding has left of a large part
-            rates = [dot(along(r), velocity) for r in self.rows]
-            lacking = tuple(w - rate for w, rate in zip(wanted, rates, strict=True))
-            change = solve(body, x.q, self.rows, along, lacking, AT_REST)
+        jacobian = methodcaller("jacobian", x, body)
+        for _ in range(2):  # the second step corrects the rounding of the first
+            rates = [dot(jacobian(r), velocity) for r in self.rows]
+            lacking = tuple(p - rate for p, rate in zip(prescribed, rates, strict=True))
+            change = solve(body, x.q, self.rows, jacobian, lacking, AT_REST)
             velocity = add(velocity, change.turning + change.moving)
         _, projected = SE3.to_user_axes(parameters, placed, velocity)
         return assembled(projected)

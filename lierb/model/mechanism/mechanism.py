@@ -1,4 +1,4 @@
-"""Mechanisms: rigid bodies in a tree of joints, with loops that close it."""
+"""Mechanism: rigid bodies in a tree of joints, with loops that close it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lierb.support.arrays import Array, as_number, finite
 
 
 class Mechanism(TreeKinematics):
-    """Bodies, joints between them, and the forces on them.
+    """Bodies, joints between them, and forces on them.
 
     Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
     (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed. Forces and
