@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import lierb.analysis.paper
+import lierb.analysis.paper_examples
 from lierb.support.extras import EXTRAS, MissingExtraError, remedy, require
 
 pytest.importorskip("rich")
@@ -38,7 +39,7 @@ main()
 """
 
 
-EXAMPLES = lierb.analysis.paper.EXAMPLES
+EXAMPLES = lierb.analysis.paper_examples.EXAMPLES
 
 
 @pytest.fixture
@@ -47,14 +48,18 @@ def short_run(monkeypatch):
     run = functools.partial(lierb.analysis.paper.run_paper, t_end=0.1)
     monkeypatch.setattr(lierb.analysis.paper, "run_paper", run)
     chosen = [
-        e for e in lierb.analysis.paper.EXAMPLES if e.key in ("spherical", "hook_R32", "hook_R23")
+        e
+        for e in lierb.analysis.paper_examples.EXAMPLES
+        if e.key in ("spherical", "hook_R32", "hook_R23")
+        for e in lierb.analysis.paper_examples.EXAMPLES
+        if e.key in ("spherical", "hook_R32", "hook_R23")
     ]
-    monkeypatch.setattr(lierb.analysis.paper, "EXAMPLES", chosen)
+    monkeypatch.setattr(lierb.analysis.paper_examples, "EXAMPLES", chosen)
 
 
 @pytest.fixture
 def every_example(short_run, monkeypatch):
-    monkeypatch.setattr(lierb.analysis.paper, "EXAMPLES", EXAMPLES)
+    monkeypatch.setattr(lierb.analysis.paper_examples, "EXAMPLES", EXAMPLES)
 
 
 def run_without(modules, *arguments):
@@ -95,7 +100,7 @@ class TestPaper:
         for word in ("joint", "c-space", "dt/s", "position", "rotation", "observed", "agrees"):
             assert word in output
         blocks = [line for line in table if " 1e-2 " in line]
-        assert len(blocks) == 2 * len(lierb.analysis.paper.EXAMPLES)
+        assert len(blocks) == 2 * len(lierb.analysis.paper_examples.EXAMPLES)
 
     @pytest.mark.slow
     @pytest.mark.usefixtures("every_example")

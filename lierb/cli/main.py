@@ -217,7 +217,7 @@ def _findings_table(report: PaperReport) -> Table:
     from rich import box
     from rich.table import Table
 
-    from lierb.analysis.paper import AS_STATED
+    from lierb.analysis.paper_examples import AS_STATED
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
     for column in (
