@@ -30,8 +30,8 @@ from lierb.support.extras import is_installed, require
 if TYPE_CHECKING:
     from lierb.studies.description.from_python import study_of as study_of
     from lierb.studies.description.study import Study as Study
-    from lierb.studies.execution.running import integrate_batches as integrate_batches
     from lierb.studies.execution.running import run as run
+    from lierb.studies.execution.streaming import integrate_batches as integrate_batches
 
 __version__ = package_version()
 __all__ = [
@@ -77,7 +77,7 @@ for _module in (animation, bodies, forces, joints, noise):
 
 _STUDIES = {
     "Study": "lierb.studies.description.study",
-    "integrate_batches": "lierb.studies.execution.running",
+    "integrate_batches": "lierb.studies.execution.streaming",
     "run": "lierb.studies.execution.running",
     "study_of": "lierb.studies.description.from_python",
 }

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.study import Study
+from lierb.studies.storage.store import Store
 
 TEXT = """\
 [body]
@@ -135,7 +136,7 @@ def errors_when_stopped(process, out) -> str:
     """What a run says that was interrupted, its finished parts being whole."""
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
-    stopped = Dataset(out)
+    stopped = Store(out)
     stopped.read()
     assert stopped.parts
     assert stopped.drop_damaged() == []

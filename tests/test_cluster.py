@@ -21,9 +21,9 @@ from studies import TEXT, bits, errors_when_stopped, hashes, start_long, study
 import lierb
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, StudyWarning
-from lierb.studies.dataset import Dataset
 from lierb.studies.execution import cluster
 from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.store import Store
 
 pytest.importorskip("distributed")
 import dask
@@ -180,7 +180,7 @@ def test_a_lost_cluster_leaves_what_is_finished(alone, tmp_path):
 
         with pytest.raises(StudyError, match=r"cluster.*--resume"):
             lierb.run(study(**SHORT), tmp_path, client=client, progress=stop)
-    done = Dataset(tmp_path)
+    done = Store(tmp_path)
     done.read()
     assert done.parts
     assert done.drop_damaged() == []

@@ -23,10 +23,11 @@ from studies import TEXT, hashes, study
 import lierb
 from lierb.errors import ArgumentError, StudyError, StudyFileError, StudyWarning
 from lierb.studies.dataset import Dataset
-from lierb.studies.storage import store as store_module
-from lierb.studies.storage.manifest import read_manifest, sealed
+from lierb.studies.storage import results as results_module
+from lierb.studies.storage.files import parquet_files
+from lierb.studies.storage.manifest import sealed
 from lierb.studies.storage.parts import parts_of
-from lierb.studies.storage.store import parquet_files
+from lierb.studies.storage.store import Store
 from lierb.support.files import folder_of, write_whole
 
 SMALL = {"sample": {"n": 20}, "integrate": {"cspace": ["SE3"], "dt": [1e-3], "save_every": 10}}
@@ -67,7 +68,7 @@ def table_of(rows=3):
 
 def begun(folder, text="", parts=2):
     """A folder of two parts that are not integrated, the second one missing."""
-    given, dataset = small(), Dataset(folder)
+    given, dataset = small(), Store(folder)
     with dataset.locked():
         dataset.begin(given.digest(), given.model_dump(), text, parts)
         for name in itertools.islice((part.name for part in parts_of(given)), parts - 1):
@@ -121,7 +122,7 @@ def test_links_of_unfinished_names_are_not_followed(tmp_path):
     (folder / "history").symlink_to(elsewhere / "history")
     (folder / "summary").mkdir()
     (folder / OURS[2]).symlink_to(elsewhere / OURS[2])
-    Dataset(folder).drop_unfinished()
+    Store(folder).drop_unfinished()
     assert all((elsewhere / name).exists() for name in OURS[2:])
 
 
@@ -253,74 +254,36 @@ def test_a_study_that_is_gone_is_written_again(copy, whole):
 # ---- damage ------------------------------------------------------------------------------------
 
 EDITS = {
-    "entry": lambda m: m["parts"].update({"00-0000000000": {}}),
-    "file outside": lambda m: m["parts"].update({"00-0000000000": {"../x.parquet": ENTRY}}),
-    "part's name": lambda m: m["parts"].update({"../../x": m["parts"]["00-0000000000"]}),
-    "rows": lambda m: m["parts"]["00-0000000000"][FIRST].update(rows="3"),
-    "fewer rows than none": lambda m: m["parts"]["00-0000000000"][FIRST].update(rows=-3),
-    "checksum": lambda m: m["parts"]["00-0000000000"][FIRST].update(sha256=7),
-    "failed": lambda m: m["parts"]["00-0000000000"][FIRST].update(failed={"singular": 0}),
-    "parts": lambda m: m.update(parts=[]),
-    "digest": lambda m: m.update(digest=None),
-    "study": lambda m: m.update(study={"name": 3}),
-    "asked": lambda m: m.update(asked=0),
-    "set": lambda m: m.update({"set": 3}),
-    "machine": lambda m: m.update(machine=[]),
+    "parts": lambda m: m.update(parts={}),
+    "rows": lambda m: m["parts"]["00-0000000000"][FIRST].update(rows=99),
+    "checksum": lambda m: m.update(checksum="0" * 64),
     "more": lambda m: m.update(more=1),
 }
-ENTRY = {"rows": 3, "sha256": "0" * 64}
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_every_value_of_a_manifest_is_checked(name, tmp_path):
-    """Even of one that has been sealed again."""
-    begun(tmp_path)
-    read_manifest(tmp_path / "manifest.json")
-    rewrite(tmp_path, EDITS[name])
-    with pytest.raises(StudyError, match=r"manifest\.json is damaged \(.*restore it"):
-        Dataset(tmp_path).read()
-
-
-def unsealed(folder, edit):
-    """Edit a manifest as a user may, who knows of no seal."""
-    path = folder / "manifest.json"
+def test_an_edited_manifest_is_refused(name, copy):
+    """By who reads it and who resumes; the parts stay as they are."""
+    path = copy / "manifest.json"
     manifest = json.loads(path.read_text())
-    edit(manifest)
+    EDITS[name](manifest)
     path.write_text(json.dumps(manifest))
-
-
-def test_an_edited_manifest_keeps_the_parts_whose_files_are_as_it_says(tmp_path):
-    whole = begun(tmp_path, parts=4).parts
-    first, second, third = whole
-
-    def edit(manifest):
-        manifest["parts"][first][f"summary/part-{first}.parquet"]["rows"] = 99
-        manifest["parts"][second] = {}
-        manifest["parts"][third][f"summary/part-{third}.parquet"]["sha256"] = "0" * 64
-        manifest["asked"] = 77
-
-    unsealed(tmp_path, edit)
-    dataset = Dataset(tmp_path)
-    with pytest.raises(StudyError, match=r"checksum is another; --resume .* keeps the parts"):
-        dataset.read()
-    assert dataset.mend(small(), 4)
-    assert dataset.parts == {first: whole[first]}  # counted again
-    assert dataset.manifest["asked"] == 4
-
-
-def test_a_mended_manifest_is_written_though_no_part_is_missing(copy):
-    unsealed(copy, lambda manifest: manifest.update(asked=77))
-    with pytest.warns(StudyWarning, match=f"{PARTS} of {PARTS} parts are as they were entered"):
+    before = hashes(copy)
+    with pytest.raises(StudyError, match="edited or damaged: its checksum is wrong; restore it"):
+        Dataset(copy).read()
+    with pytest.raises(StudyError, match="edited or damaged"):
         lierb.run(small(), copy, resume=True)
-    assert read_manifest(copy / "manifest.json")["asked"] == PARTS
+    assert hashes(copy) == before
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": 3, "digest": "0", "parts": 1}'])
-def test_what_is_left_of_no_manifest_of_the_study_is_not_mended(tmp_path, text):
-    (tmp_path / "manifest.json").write_text(text)
-    dataset = Dataset(tmp_path)
-    assert not dataset.mend(small(), 4)
-    assert dataset.manifest == {}
+@pytest.mark.parametrize("file", ["../x.parquet", "summary/../x.parquet", "summary/part-x.parquet"])
+def test_a_manifest_names_no_part_outside_its_folder(file, tmp_path):
+    """Even one that has been sealed again."""
+    begun(tmp_path)
+    part = {file: {"rows": 3, "sha256": "0" * 64}}
+    rewrite(tmp_path, lambda manifest: manifest["parts"].update({"00-0000000000": part}))
+    with pytest.raises(StudyError, match=r"manifest\.json is damaged \(parts.*restore it"):
+        Dataset(tmp_path).read()
 
 
 def test_a_manifest_of_another_format_is_named(tmp_path):
@@ -437,9 +400,9 @@ def test_a_file_is_read_for_its_checksum_once(copy, monkeypatch):
     dataset = Dataset(copy)
     dataset.read()
     read = []
-    digest = store_module.sha256_of
+    digest = results_module.sha256_of
     monkeypatch.setattr(
-        store_module, "sha256_of", lambda path: (read.append(path), digest(path))[1]
+        results_module, "sha256_of", lambda path: (read.append(path), digest(path))[1]
     )
     for _ in range(2):
         assert dataset.table().count_rows() == 20
@@ -551,9 +514,9 @@ def test_a_file_that_is_none_ends_in_a_sentence(name, kind, copy):
 def test_permissions_are_told(copy):
     code = (
         "import os, sys\n"
-        "from lierb.studies.dataset import Dataset\n"
+        "from lierb.studies.storage.store import Store\n"
         "os.setuid(65534)\n"
-        "with Dataset(sys.argv[1]).locked(): pass"
+        "with Store(sys.argv[1]).locked(): pass"
     )
     done = subprocess.run(
         [sys.executable, "-c", code, copy], capture_output=True, text=True, timeout=120, check=False

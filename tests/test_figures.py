@@ -16,7 +16,7 @@ from studies import sorted_rows, study
 import lierb
 from lierb.errors import FailedTrajectoryWarning, UnknownNameError
 from lierb.results.colours import CSPACE_COLOURS
-from lierb.studies.description.study import Setting
+from lierb.studies.description.settings import Setting
 from lierb.studies.findings.sizes import as_array
 from lierb.support.files import sha256_of
 

@@ -16,7 +16,7 @@ from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, UnknownNameError
 from lierb.results.columns import as_array
 from lierb.studies.description.study import Study
-from lierb.studies.execution.running import replay
+from lierb.studies.execution.replaying import replay
 
 # Of four_bar, as a file says it; one length is drawn at each end, so that no two loops are alike.
 TEXT = """\

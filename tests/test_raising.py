@@ -17,7 +17,7 @@ import lierb
 from lierb.errors import FailedTrajectoryWarning
 from lierb.results.failures import Failures
 from lierb.runs import engine
-from lierb.studies.storage.store import parquet_files
+from lierb.studies.storage.files import parquet_files
 
 pytestmark = [
     pytest.mark.slow,  # kernels of their own

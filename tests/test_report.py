@@ -18,6 +18,7 @@ import lierb
 from lierb.cli import cli
 from lierb.errors import FailedTrajectoryWarning
 from lierb.studies.dataset import Dataset
+from lierb.studies.storage.store import Store
 
 pytest.importorskip("plotly")
 from lierb.studies.pages.figures import figures, omitted
@@ -205,7 +206,10 @@ def test_unfinished_and_failed_bodies_are_told(tmp_path):
     last = [name for name in done.parts if name.startswith("03-")]
     for name in last:
         (tmp_path / "out" / "summary" / f"part-{name}.parquet").unlink()
-    done.drop_damaged()
+    left = Store(tmp_path / "out")
+    left.read()
+    left.drop_damaged()
+    done.read()
     text = write_report(done, tmp_path / "page.html").read_text(encoding="utf-8")
     page, failures = Page(text), done.failures()
     assert failures.count == sum(row["status"] != "ok" for row in sorted_rows(done.folder))

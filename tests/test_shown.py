@@ -12,6 +12,7 @@ from studies import study
 import lierb
 from lierb import joints
 from lierb.studies.dataset import Dataset
+from lierb.studies.storage.store import Store
 from lierb.support import shown
 
 BODY = lierb.Body(mass=6.075, inertia=(0.0126563, 0.0468281, 0.0569531))
@@ -129,7 +130,10 @@ def test_dataset_says_what_is_in_the_folder(tmp_path):
     assert said["parts"] == "28 of 28"
     assert "failed" not in said
     (tmp_path / "out" / "summary" / f"part-{next(iter(dataset.parts))}.parquet").unlink()
-    dataset.drop_damaged()
+    left = Store(tmp_path / "out")
+    left.read()
+    left.drop_damaged()
+    dataset.read()
     assert lines(dataset)["parts"] == "27 of 28; resume=True does the rest"
     assert lines(dataset)["trajectories"] == "192"
 

@@ -49,11 +49,12 @@ from lierb.studies.description.sections import KEYS
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import line_of
 from lierb.studies.description.units import UNITS
-from lierb.studies.execution import running
-from lierb.studies.execution.running import parts_of, replay
+from lierb.studies.execution import opening, replaying, running
+from lierb.studies.execution.replaying import replay
 from lierb.studies.storage import store as store_module
 from lierb.studies.storage.manifest import sealed
-from lierb.studies.storage.parts import _with_draws
+from lierb.studies.storage.parts import _with_draws, parts_of
+from lierb.studies.storage.store import Store
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
 
@@ -367,13 +368,13 @@ def test_few_bodies_are_not_taken_for_a_matrix(n):
 
 def test_resuming_elsewhere_warns(tmp_path, monkeypatch):
     lierb.run(study(sample={"n": 8}), tmp_path)
-    monkeypatch.setattr(running, "machine", lambda: {"cpu": "another"})
+    monkeypatch.setattr(opening, "machine", lambda: {"cpu": "another"})
     with pytest.warns(StudyWarning, match="on another machine"):
         lierb.run(study(sample={"n": 8}), tmp_path, resume=True)
 
 
 def test_kernels_of_a_study_are_compiled_ahead():
-    took = running.compile_for(study())
+    took = replaying.compile_for(study())
     assert [setting.label for setting, _ in took] == [s.label for s in study().settings]
 
 
@@ -398,7 +399,7 @@ def test_a_study_without_samples_is_one_body(tmp_path):
 
 def test_a_run_that_did_nothing_does_not_block_its_folder(whole, tmp_path):
     given = study(sample={"seed": 9})
-    Dataset(tmp_path).begin(given.digest(), given.model_dump(), "", 1)
+    Store(tmp_path).begin(given.digest(), given.model_dump(), "", 1)
     lierb.run(study(), tmp_path)
     assert bits(tmp_path) == bits(whole)
 
@@ -727,7 +728,7 @@ def test_damaged_and_lost_parts_are_done_again(whole, tmp_path):
 
 def test_two_runs_into_one_folder_are_refused(tmp_path):
     with (
-        Dataset(tmp_path).locked(),
+        Store(tmp_path).locked(),
         pytest.raises(StudyError, match="is being written by another run"),
     ):
         lierb.run(study(), tmp_path)
@@ -737,7 +738,7 @@ def test_a_large_manifest_is_not_written_for_every_part(whole, tmp_path, monkeyp
     monkeypatch.setattr(store_module, "MANIFEST_SHARE", 1e-9)
     monkeypatch.setattr(store_module, "QUICK_SECONDS", 0.0)
     written = []
-    write = Dataset.write
+    write = Store.write
     monkeypatch.setattr(
         Dataset, "write", lambda self, name, *rest: (written.append(name), write(self, name, *rest))
     )

@@ -22,7 +22,7 @@ from lierb.errors import ArgumentError, ForceError, StudyError, StudyWarning, Un
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.study import Study
 from lierb.studies.execution import cluster
-from lierb.studies.execution.running import replay
+from lierb.studies.execution.replaying import replay
 from lierb.studies.findings.findings import findings
 from lierb.studies.storage.manifest import sealed
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import shutil
 import signal
@@ -28,10 +27,11 @@ from lierb.studies.description.study import Study
 from lierb.studies.description.times import saved_times
 from lierb.studies.description.units import unit_of
 from lierb.studies.execution import cluster
-from lierb.studies.execution.running import compile_for, replay
+from lierb.studies.execution.replaying import compile_for, replay
 from lierb.studies.findings.findings import findings, happened
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.storage.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
+from lierb.studies.storage.store import Store
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 CODE = (EXAMPLES / "attitude.py").read_text(encoding="utf-8")
@@ -281,7 +281,7 @@ def started(tmp_path: Path):
 
 def require_going_on(tmp_path: Path, whole: dict[str, str]) -> None:
     """What is left are some parts, each whole; the rest follows, to the same bytes."""
-    left = Dataset(tmp_path / "out")
+    left = Store(tmp_path / "out")
     left.read()
     assert left.drop_damaged() == []
     assert 0 < len(left.parts) < LONG_PARTS
@@ -612,7 +612,7 @@ def test_a_mechanism_keeps_the_cspace_that_one_body_has_by_default():
 def test_adaptive_steps_are_dop853s_by_default():
     given = study(integrate={"rtol": 1e-8, "dt": []})
     assert given.integrate.method == ["DOP853"]
-    assert [each.step_told for each in given.settings] == ["rtol = 1e-08"] * 2
+    assert [each.step_label for each in given.settings] == ["rtol = 1e-08"] * 2
     assert Study.of(given._tables()).settings == given.settings
     only_atol = study(integrate={"atol": {"omega": 1e-9}, "dt": [1e-3]})
     assert [(s.dt, s.rtol) for s in only_atol.settings] == [(1e-3, 1e-6)] * 2
@@ -702,20 +702,6 @@ def test_error_names_the_line(tmp_path):
         Study.load(written(tmp_path / "study", text=text))
     line = int(str(found.value).split(":")[1])
     assert text.split("\n")[line - 1].startswith("rtol")
-
-
-def test_manifest_knows_its_tables(whole, tmp_path):
-    """A part without its events is none."""
-    from lierb.studies.storage.manifest import sealed
-
-    out = tmp_path / "out"
-    shutil.copytree(whole, out)
-    manifest = json.loads((out / "manifest.json").read_text())
-    for files in manifest["parts"].values():
-        files.pop(next(name for name in files if name.startswith("events/")))
-    (out / "manifest.json").write_bytes(sealed(manifest))
-    with pytest.raises(StudyError, match="has the files"):
-        Dataset(out).read()
 
 
 # ---- memory ------------------------------------------------------------------------------------

@@ -190,7 +190,7 @@ def warmup(
 
     if len(joint) == 1 and joint[0].endswith(".toml"):
         require("study")
-        from lierb.studies.execution.running import compile_for
+        from lierb.studies.execution.replaying import compile_for
 
         for setting, seconds in compile_for(joint[0], changes):
             click.echo(f"{setting.label:40}{seconds:6.2f} s")

@@ -141,7 +141,7 @@ def run(
         require("report")  # now, rather than after the run
     from lierb.studies.description.study import Study
     from lierb.studies.execution.running import run as run_study
-    from lierb.studies.execution.running import stiff_settings
+    from lierb.studies.execution.stiff_steps import stiff_settings
 
     folder = folder_of(Path("results") / study.stem if out is None else out)
     _require_one_way(workers, scheduler, gather, report, only)
@@ -279,7 +279,7 @@ def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) ->
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from lierb.studies.execution.running import replay
+    from lierb.studies.execution.replaying import replay
 
     for number, (setting, tables) in enumerate(replay(study, trajectory, threads=threads)):
         path = folder / f"trajectory-{trajectory}-{number:02d}.parquet"

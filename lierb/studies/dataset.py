@@ -1,14 +1,14 @@
-"""A study's results on the disk: Parquet parts, entered in a manifest once they are safe there.
+"""Results of a study on the disk: Parquet parts, entered in a manifest once they are safe there.
 
-    DIR/study.toml            as it was run
-    DIR/FILE.py               each Python file that the study names, as it was run
+    DIR/study.toml            the study as it was run
+    DIR/FILE.py               each Python file of the study, as it was run
     DIR/manifest.json         digest of the study, versions, every finished part with its checksums
     DIR/summary/part-*.parquet, DIR/history/part-*.parquet, DIR/events/part-*.parquet
     DIR/.lock
 
 A file is written under another name, synced, renamed, and then entered; a process may die at any
-moment. What is not in the manifest does not count, and since other readers take whatever Parquet
-is in a table's folder, no run is begun or finished beside any that is not the study's own:
+moment. Files outside the manifest do not count. Since other readers open every Parquet file in a
+table's folder, a run neither begins nor ends beside one that is not the study's own:
 
     manifest             Parquet that it does not enter    a run of study S
     none                 none                              begins
@@ -17,19 +17,18 @@ is in a table's folder, no run is begun or finished beside any that is not the s
     of T, parts done     -                                 is refused
     any                  any other                         is refused
 
-A study.toml that says another study, as after an edit, is refused as well; one that is missing is
-written again. Of other files in the folder none is touched.
+A study.toml that describes another study, as after an edit, is refused as well; a missing one is
+written again. Other files in the folder are left alone.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from lierb.studies.description.sections import IntegrateSection
-from lierb.studies.description.study import settings_told, tables_of_study
-from lierb.studies.storage.store import (
-    Store,
-)
+from lierb.studies.description.settings import settings_label
+from lierb.studies.description.study_tables import tables_of_study
+from lierb.studies.storage.results import Results
 from lierb.support.extras import require
 from lierb.support.shown import FAILED, Lines
 
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Dataset(Store):
+class Dataset(Results):
     """Folder with one study's results.
 
     Its methods raise StudyError for results that are not as they were entered, and StudyFileError,
@@ -53,6 +52,13 @@ class Dataset(Store):
     StudyError
         The folder has no study's results.
     """
+
+    @classmethod
+    def of(cls, results: Results) -> Self:
+        """Make the dataset of results that are read already."""
+        dataset = cls(results.folder)
+        dataset.manifest, dataset._whole = results.manifest, results._whole
+        return dataset
 
     def plot(self, name: str | None = None) -> Figure:
         """Draw a figure of the study's results, finished or not; needs `lierb[plot]`.
@@ -91,7 +97,7 @@ class Dataset(Store):
             return f"lierb.Dataset of {self.folder}, not read", []
         study, done, asked = self.manifest["study"], len(self.parts), self.manifest["asked"]
         lines = [
-            ("settings", settings_told(IntegrateSection.model_construct(**study["integrate"]))),
+            ("settings", settings_label(IntegrateSection.model_construct(**study["integrate"]))),
             ("trajectories", str(self.trajectories)),
             ("parts", f"{done} of {asked}{self.rest('resume=True does the rest')}"),
         ]

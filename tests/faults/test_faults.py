@@ -18,7 +18,7 @@ from faults import campaign
 from faults.campaign import KINDS, Count, Kind
 from faults.crash import ENDS, REFUSALS, Alone, Points, in_child, killed_in_child, points_of
 from faults.damage import damaged, edited
-from lierb.studies.dataset import Dataset
+from lierb.studies.storage.store import Store
 
 pytestmark = [
     pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled without JIT"),
@@ -46,7 +46,7 @@ def run(out: Path, *arguments: object) -> dict[str, dict]:
 
 @pytest.mark.parametrize("end", ENDS)
 def test_file_of_a_dataset_is_the_old_or_the_new_one_at_each_crash_point(end, tmp_path):
-    dataset, file = Dataset(tmp_path), tmp_path / "study.toml"
+    dataset, file = Store(tmp_path), tmp_path / "study.toml"
     old, new = b"old" * 1000, b"new" * 2000
     write = partial(dataset.write, file.name, new)
     found = []
@@ -64,7 +64,7 @@ def test_file_of_a_dataset_is_the_old_or_the_new_one_at_each_crash_point(end, tm
 
 
 def test_file_of_a_dataset_is_the_old_one_on_a_full_disk(tmp_path):
-    dataset, file = Dataset(tmp_path), tmp_path / "study.toml"
+    dataset, file = Store(tmp_path), tmp_path / "study.toml"
     file.write_bytes(b"old")
 
     def fill() -> None:

@@ -30,8 +30,9 @@ from lierb.studies.description.sections import (
     IntegrateSection,
     OutputSection,
 )
-from lierb.studies.description.study import NOTHING, Study
+from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
+from lierb.studies.description.study_tables import NOTHING
 from lierb.support.arrays import Array
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)

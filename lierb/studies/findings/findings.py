@@ -15,7 +15,8 @@ from lierb.analysis.magnitudes import kinds_of
 from lierb.errors import StudyError
 from lierb.results.failures import has_failed
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.occurrences import Occurred, occurrences
 from lierb.studies.findings.sizes import as_array, rows_of, sizes_of
 from lierb.studies.findings.statistics import (
@@ -26,7 +27,7 @@ from lierb.studies.findings.statistics import (
     sensitivities,
     spreads,
 )
-from lierb.studies.storage.store import IS_FINE, Store
+from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array
 from lierb.support.shown import rounded
 
@@ -65,7 +66,7 @@ class Found:
     intervals: dict[str, Array]
 
 
-def study_of(dataset: Store) -> Study:
+def study_of(dataset: Results) -> Study:
     """The study whose results they are."""
     try:
         return Study.model_validate(dataset.manifest["study"]).with_code(dataset.code())
@@ -73,14 +74,14 @@ def study_of(dataset: Store) -> Study:
         raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
 
 
-def findings(dataset: Store) -> list[Found]:
+def findings(dataset: Results) -> list[Found]:
     """What the finished parts say, setting by setting."""
     study = study_of(dataset)
     kinds = (*kinds_of(study.batch(0, 1).problem), "energy")
     return [_found(dataset, study, setting, kinds) for setting in study.settings]
 
 
-def _found(dataset: Store, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
+def _found(dataset: Results, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = ~has_failed(rows)
@@ -96,7 +97,7 @@ def _found(dataset: Store, study: Study, setting: Setting, kinds: tuple[str, ...
     return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes, intervals)
 
 
-def quantities(dataset: Store) -> list[Spread]:
+def quantities(dataset: Results) -> list[Spread]:
     """Quantiles of the errors that there are and of all observables, with confidence intervals."""
     study = study_of(dataset)
     units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
@@ -104,12 +105,12 @@ def quantities(dataset: Store) -> list[Spread]:
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
 
 
-def happened(dataset: Store) -> list[Occurred]:
+def happened(dataset: Results) -> list[Occurred]:
     """How often each event of the problem happened, and when first; [] without events."""
     return list(occurrences(dataset, study_of(dataset)))
 
 
-def indices(dataset: Store) -> list[Sensitivity]:
+def indices(dataset: Results) -> list[Sensitivity]:
     """Sobol's indices of what observables, or else the errors, depend on; [] for other designs."""
     study = study_of(dataset)
     columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
@@ -136,13 +137,13 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
 # ---- columns -----------------------------------------------------------------------------------
 
 
-def ok_columns(dataset: Store, setting: Setting, names: list[str]) -> dict[str, Array]:
+def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Columns of the bodies that are ok in a setting; lists as (n, k)."""
     table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
     return {name: as_array(table, name) for name in names}
 
 
-def drawn_columns(dataset: Store) -> dict[str, str]:
+def drawn_columns(dataset: Results) -> dict[str, str]:
     """The columns of what was sampled, and their units."""
     fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
     return {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in fields}
@@ -154,7 +155,7 @@ def some_rows(rows: int, most: int) -> Array:
     return np.sort(chosen)
 
 
-def errors_seen(dataset: Store, study: Study) -> dict[str, str]:
+def errors_seen(dataset: Results, study: Study) -> dict[str, str]:
     """The errors of which there are any, and their columns."""
     seen = set()
     for setting in study.settings:
@@ -165,7 +166,7 @@ def errors_seen(dataset: Store, study: Study) -> dict[str, str]:
     return {kind: name for kind, name in ERRORS.items() if kind in (seen or {"energy"})}
 
 
-def least_drawn(dataset: Store, study: Study) -> dict[str, float]:
+def least_drawn(dataset: Results, study: Study) -> dict[str, float]:
     """Where errors of each kind are drawn that are below it: zero has no place on a log axis."""
     sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
     return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}

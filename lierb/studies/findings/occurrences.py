@@ -9,10 +9,11 @@ import numpy as np
 import pyarrow.compute as pc
 
 from lierb.studies.description.quantiles import Quantile, quantile_of
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.sizes import as_array, rows_of
 from lierb.studies.findings.statistics import PROBABILITIES
-from lierb.studies.storage.store import IS_FINE, Store
+from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array
 
 
@@ -37,7 +38,7 @@ def event_names(study: Study) -> list[str]:
     return [each.label for each in study.problem.events]
 
 
-def first_times(dataset: Store, setting: Setting, name: str) -> tuple[Array, int]:
+def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, int]:
     """When an event first happened to each body that did not fail, s, in order, ∞ where it did
     not; and how often it happened to them in all.
     """
@@ -59,7 +60,7 @@ def first_times(dataset: Store, setting: Setting, name: str) -> tuple[Array, int
 
 
 def occurrences(
-    dataset: Store, study: Study, probabilities: Sequence[float] = PROBABILITIES
+    dataset: Results, study: Study, probabilities: Sequence[float] = PROBABILITIES
 ) -> Iterator[Occurred]:
     """Every event, setting by setting."""
     for setting in study.settings:

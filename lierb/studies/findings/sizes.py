@@ -9,8 +9,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from lierb.analysis.magnitudes import magnitudes
-from lierb.studies.description.study import Setting, Study
-from lierb.studies.storage.store import IS_FINE, Store
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
+from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array, components, pose_matrix
 
 BODIES = 64  # that are looked at: the order of magnitude of a median is all that is needed
@@ -34,7 +35,7 @@ def as_array(table: pa.Table, name: str) -> Array:
     return np.asarray(column.to_numpy())
 
 
-def sizes_of(dataset: Store, study: Study, setting: Setting) -> dict[str, float]:
+def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
     """What a setting's errors are relative to: position, m; rotation, 1; energy, J.
 
     Medians over the first bodies, of the larger of the numbers at start and end. Position: the

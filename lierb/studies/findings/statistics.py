@@ -12,9 +12,10 @@ import pyarrow.compute as pc
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.sizes import as_array, rows_of
-from lierb.studies.storage.store import IS_FINE, Store
+from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
@@ -37,7 +38,7 @@ class Spread(NamedTuple):
     quantiles: tuple[Quantile, ...]
 
 
-def observed_columns(dataset: Store, study: Study) -> dict[str, str]:
+def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
     """The columns of a summary that observables have, and their units."""
     names = [
         f"{element.name}_{how}"
@@ -49,7 +50,7 @@ def observed_columns(dataset: Store, study: Study) -> dict[str, str]:
 
 
 def spreads(
-    dataset: Store,
+    dataset: Results,
     study: Study,
     columns: dict[str, str],
     probabilities: Sequence[float] = PROBABILITIES,
@@ -63,7 +64,7 @@ def spreads(
             yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), found)
 
 
-def _ok_values(dataset: Store, setting: Setting, name: str) -> Array:
+def _ok_values(dataset: Results, setting: Setting, name: str) -> Array:
     """A column of the bodies that are ok in a setting."""
     table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & IS_FINE)
     return as_array(table, name)
@@ -73,7 +74,7 @@ def _ok_values(dataset: Store, setting: Setting, name: str) -> Array:
 
 
 def percentiles_over_time(
-    dataset: Store,
+    dataset: Results,
     name: str,
     setting: Setting,
     percentiles: Sequence[float] = (5.0, 50.0, 95.0),
@@ -125,7 +126,7 @@ def percentiles_over_time(
     return pa.table([pa.array(a) for a in arrays], schema=pa.schema(fields))
 
 
-def _times(dataset: Store, setting: Setting) -> dict[int, float]:
+def _times(dataset: Results, setting: Setting) -> dict[int, float]:
     """When each saved step is, in order; the same for all bodies of a setting."""
     first = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting))
     if not first.num_rows:
@@ -166,7 +167,7 @@ class Sensitivity(NamedTuple):
     rows: int
 
 
-def sensitivities(dataset: Store, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
+def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
     """Sobol's indices of columns of the summary, for a study whose design is "saltelli".
 
     By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).

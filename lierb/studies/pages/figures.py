@@ -30,7 +30,8 @@ from lierb.results.panels import (
     positive,
     ridges,
 )
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.findings import (
     ERRORS,
     Found,
@@ -47,7 +48,7 @@ from lierb.studies.findings.sizes import as_array
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.looks import Look, looks, step_sizes
-from lierb.studies.storage.store import Store
+from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 from lierb.support.files import write_whole
@@ -87,7 +88,7 @@ CAPTIONS = {
 }
 
 
-def omitted(dataset: Store) -> dict[str, str]:
+def omitted(dataset: Results) -> dict[str, str]:
     """The figures that there is no need for, by name, and why."""
     study = study_of(dataset)
     rows = ok_columns(dataset, study.settings[0], list(drawn := drawn_columns(dataset)))
@@ -105,7 +106,7 @@ def _no_order(study: Study) -> tuple[bool, str]:
     return len(set(study.integrate.dt)) < 2, "there is one dt"
 
 
-def sheets(dataset: Store) -> Iterator[tuple[str, Sheet]]:
+def sheets(dataset: Results) -> Iterator[tuple[str, Sheet]]:
     """Every figure that the study has settings for, by name; what has no data says so."""
     study, left_out = study_of(dataset), omitted(dataset)
     for name, make in KINDS.items():
@@ -115,14 +116,14 @@ def sheets(dataset: Store) -> Iterator[tuple[str, Sheet]]:
                 yield name, sheet
 
 
-def figures(dataset: Store) -> Iterator[tuple[str, Figure]]:
+def figures(dataset: Results) -> Iterator[tuple[str, Figure]]:
     """The same, drawn."""
     study = study_of(dataset)
     for name, sheet in sheets(dataset):
         yield name, figure_of(sheet, study)
 
 
-def figure(dataset: Store, name: str | None = None) -> Figure:
+def figure(dataset: Results, name: str | None = None) -> Figure:
     """One of them; see `Dataset.plot`."""
     found = dict(sheets(dataset))
     if name is None:
@@ -131,7 +132,7 @@ def figure(dataset: Store, name: str | None = None) -> Figure:
     return figure_of(found[name], study_of(dataset))
 
 
-def draw_all(dataset: Store, folder: Path) -> list[Path]:
+def draw_all(dataset: Results, folder: Path) -> list[Path]:
     """The figures, as PNG and SVG in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -148,7 +149,7 @@ def draw_all(dataset: Store, folder: Path) -> list[Path]:
 # ---- over the bodies ---------------------------------------------------------------------------
 
 
-def distribution_sheet(dataset: Store, study: Study) -> Sheet:
+def distribution_sheet(dataset: Results, study: Study) -> Sheet:
     """How the errors are distributed over the bodies: shares at or below, and histograms."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels: list[Draw] = []
@@ -165,7 +166,7 @@ def distribution_sheet(dataset: Store, study: Study) -> Sheet:
                  height=max(3.2, 0.42 * len(shown) + 0.9))  # fmt: skip
 
 
-def quantity_sheet(dataset: Store, study: Study) -> Sheet:
+def quantity_sheet(dataset: Results, study: Study) -> Sheet:
     """Histograms of the summary's other columns, such as those of observables."""
     shown, panels = looks(study), []
     for field in _others(_schema(dataset, "summary"), IN_SUMMARY):
@@ -175,7 +176,7 @@ def quantity_sheet(dataset: Store, study: Study) -> Sheet:
                  height=max(2.4, 0.42 * len(shown) + 0.9))  # fmt: skip
 
 
-def _ridge(dataset: Store, look: Look, name: str, outline: str | None) -> Ridge:
+def _ridge(dataset: Results, look: Look, name: str, outline: str | None) -> Ridge:
     names = [name] if outline is None else [name, outline]
     found = ok_columns(dataset, look.setting, names)
     return Ridge(look.key, found[name], found[outline] if outline else np.empty(0))
@@ -213,7 +214,7 @@ def _draw_ridges(rows: list[Ridge], least: float, label: str, is_log: bool, pane
 # ---- over time ---------------------------------------------------------------------------------
 
 
-def time_sheet(dataset: Store, study: Study) -> Sheet:
+def time_sheet(dataset: Results, study: Study) -> Sheet:
     """Errors over time: median, 5 to 95 %, and extremes over the bodies."""
     seen, least, shown = errors_seen(dataset, study), least_drawn(dataset, study), looks(study)
     panels = [
@@ -224,7 +225,7 @@ def time_sheet(dataset: Store, study: Study) -> Sheet:
                  [look.key for look in shown])  # fmt: skip
 
 
-def recorded_sheet(dataset: Store, study: Study) -> Sheet:
+def recorded_sheet(dataset: Results, study: Study) -> Sheet:
     """Other columns of the history over time, such as the energy and observables."""
     shown = looks(study)
     if not study.integrate.saves:
@@ -236,7 +237,7 @@ def recorded_sheet(dataset: Store, study: Study) -> Sheet:
 
 
 def _draw_errors(
-    dataset: Store, shown: list[Look], name: str, least: float, label: str, panel: Axes
+    dataset: Results, shown: list[Look], name: str, least: float, label: str, panel: Axes
 ) -> None:
     zeros, ends = [], []
     for look in shown:
@@ -264,7 +265,7 @@ def _draw_errors(
         label_lines(panel, ends)
 
 
-def _draw_column(dataset: Store, shown: list[Look], name: str, label: str, panel: Axes) -> None:
+def _draw_column(dataset: Results, shown: list[Look], name: str, label: str, panel: Axes) -> None:
     ends = []
     for look in shown:
         times, (low, median, high, _) = _bands(dataset, look.setting, name)
@@ -290,7 +291,7 @@ def _end(times: Array, line: Array) -> tuple[float, float]:
 # ---- over the step -----------------------------------------------------------------------------
 
 
-def order_sheet(dataset: Store, study: Study) -> Sheet:
+def order_sheet(dataset: Results, study: Study) -> Sheet:
     """Quantiles of the errors over dt, with a line of the method's order."""
     seen, least, found = errors_seen(dataset, study), least_drawn(dataset, study), findings(dataset)
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
@@ -342,7 +343,7 @@ def _draw_orders(
 # ---- over what was sampled ---------------------------------------------------------------------
 
 
-def parameter_sheet(dataset: Store, study: Study) -> Sheet:
+def parameter_sheet(dataset: Results, study: Study) -> Sheet:
     """The largest position error, or the rotation's or the drift, against what was sampled."""
     drawn = drawn_columns(dataset)
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
@@ -393,7 +394,7 @@ def _draw_dots(
 # ---- events ------------------------------------------------------------------------------------
 
 
-def event_sheet(dataset: Store, study: Study) -> Sheet:
+def event_sheet(dataset: Results, study: Study) -> Sheet:
     """To how many bodies each event has happened, over time."""
     shown = looks(study)
     panels = [partial(_draw_event, dataset, study, shown, name) for name in event_names(study)]
@@ -401,7 +402,7 @@ def event_sheet(dataset: Store, study: Study) -> Sheet:
     return Sheet("when each event first happened", panels, keys, across=3)
 
 
-def _draw_event(dataset: Store, study: Study, shown: list[Look], name: str, panel: Axes) -> None:
+def _draw_event(dataset: Results, study: Study, shown: list[Look], name: str, panel: Axes) -> None:
     run = study.integrate
     for look in shown:
         first, _ = first_times(dataset, look.setting, name)
@@ -419,7 +420,7 @@ def _draw_event(dataset: Store, study: Study, shown: list[Look], name: str, pane
     panel.set_ylim(-0.02, 1.02)
 
 
-KINDS: dict[str, Callable[[Store, Study], Sheet]] = {
+KINDS: dict[str, Callable[[Results, Study], Sheet]] = {
     "distribution": distribution_sheet,
     "time": time_sheet,
     "recorded": recorded_sheet,
@@ -434,18 +435,18 @@ KINDS: dict[str, Callable[[Store, Study], Sheet]] = {
 
 
 def _bands(
-    dataset: Store, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
+    dataset: Results, setting: Setting, name: str, of: Callable[[Any], Array] = np.asarray
 ) -> tuple[Array, Array]:
     """Times, and 5 %, 50 %, 95 % and the largest of `of` the column at each."""
     found = percentiles_over_time(dataset, name, setting, PERCENTILES, of=of)
     return as_array(found, "t"), np.stack([as_array(found, f"p{p:g}") for p in PERCENTILES])
 
 
-def _schema(dataset: Store, name: str) -> pa.Schema:
+def _schema(dataset: Results, name: str) -> pa.Schema:
     return dataset.table(name).schema
 
 
-def _summary(dataset: Store) -> set[str]:
+def _summary(dataset: Results) -> set[str]:
     return set(_schema(dataset, "summary").names)
 
 

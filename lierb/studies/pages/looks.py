@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from lierb.results.colours import colours_of
 from lierb.results.panels import DASHES, MOST_SETTINGS, Key
 from lierb.results.plots import MATH_NAMES
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]
         colour = colours[setting.cspace, setting.method]
         parts = [MATH_NAMES.get(setting.cspace, setting.cspace)]
         parts += [setting.method] if several else []
-        step = f"Δt = {setting.dt:g} s" if setting.rtol is None else setting.step_told
+        step = f"Δt = {setting.dt:g} s" if setting.rtol is None else setting.step_label
         parts += [step] if len(sizes) > 1 else []
         key = Key(", ".join(parts), colour, DASHES[sizes.index(setting.step) % len(DASHES)])
         found.append(Look(setting, key, 1.2 + 1.6 * (len(shown) - 1 - n) / len(shown)))

@@ -12,11 +12,12 @@ from lierb.results.animation import Animation
 from lierb.results.animation.scene import scene_of
 from lierb.results.colours import CSPACE_NAMES
 from lierb.results.result import Result
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.findings import ERRORS, errors_seen, ok_columns
 from lierb.studies.findings.sizes import rows_of
 from lierb.studies.storage.parts import Part
-from lierb.studies.storage.store import IS_FINE, Store
+from lierb.studies.storage.results import IS_FINE, Results
 
 FRAMES = 500  # of each
 MOST_SPACES = 2  # c-spaces and methods side by side
@@ -34,7 +35,7 @@ class Chosen:
     kind: str | None
 
 
-def chosen(dataset: Store, study: Study) -> Chosen | None:
+def chosen(dataset: Results, study: Study) -> Chosen | None:
     """The trajectory with the largest error and that with the median one, in the setting of it.
 
     Of a study none of whose bodies got to its end, the first that failed. None without any row.
@@ -87,7 +88,7 @@ def replayed(study: Study, picked: Chosen) -> Animation:
             label += "" if status == "ok" else f", {status} at {t:g} s"
             views.append((label, result, problem, 0))
     run = picked.settings[0]
-    title = f"{study.name}: {run.method}, {run.step_told}"
+    title = f"{study.name}: {run.method}, {run.step_label}"
     return Animation(scene_of(views, title=title, shape=None, trail=True, frames=FRAMES))
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
 from lierb.studies.description.quantiles import CONFIDENCE
-from lierb.studies.description.study import Setting, Study
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
@@ -40,7 +41,7 @@ from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.looks import looks, step_sizes
 from lierb.studies.pages.replays import chosen, replayed, told
 from lierb.studies.storage.parts import parts_of
-from lierb.studies.storage.store import IS_FINE, Store, setting_columns
+from lierb.studies.storage.results import IS_FINE, Results, setting_columns
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
@@ -75,7 +76,7 @@ class Drawn:
     across: int
 
 
-def write_report(dataset: Store, path: str | Path) -> Path:
+def write_report(dataset: Results, path: str | Path) -> Path:
     """Write the page on a study's finished parts: tables, figures, and how to reproduce them.
 
     dataset : as `lierb.run` returns it, or read; finished or not.   path : of the HTML file.
@@ -140,7 +141,7 @@ def write_report(dataset: Store, path: str | Path) -> Path:
     return path
 
 
-def _steps_done(dataset: Store, study: Study) -> int:
+def _steps_done(dataset: Results, study: Study) -> int:
     """Of all bodies, those that were refused among them."""
     table = dataset.table()
     if not study.has_lane_clocks:
@@ -172,7 +173,7 @@ def _drawn_sheet(name: str, sheet: Sheet) -> Drawn:
     return Drawn(name, sheet.title, CAPTIONS[name], panels, keys, sheet.across)
 
 
-def _motion(dataset: Store, study: Study) -> tuple[str, str] | None:
+def _motion(dataset: Results, study: Study) -> tuple[str, str] | None:
     """The moving picture of the worst and the median trajectory, and what it shows."""
     picked = chosen(dataset, study)
     if picked is None:
@@ -190,7 +191,7 @@ def _data_url(figure: Figure) -> str:
 # ---- bodies ------------------------------------------------------------------------------------
 
 
-def _worst(dataset: Store, study: Study, seen: dict[str, str]) -> list[dict[str, Any]]:
+def _worst(dataset: Results, study: Study, seen: dict[str, str]) -> list[dict[str, Any]]:
     """The bodies with the largest errors of each kind, and what they drew."""
     listed = []
     drawn = drawn_columns(dataset)
@@ -216,7 +217,7 @@ def _drawn(draw: Any) -> str:
     return f"({numbers})" if np.ndim(draw) else numbers
 
 
-def _failures(dataset: Store) -> list[dict[str, Any]]:
+def _failures(dataset: Results) -> list[dict[str, Any]]:
     """The first of the bodies that failed."""
     table = dataset.table()
     columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
@@ -227,7 +228,7 @@ def _failures(dataset: Store) -> list[dict[str, Any]]:
 # ---- the interactive figure --------------------------------------------------------------------
 
 
-def _explorer(dataset: Store, study: Study, seen: dict[str, str]) -> str:
+def _explorer(dataset: Results, study: Study, seen: dict[str, str]) -> str:
     """Any error against any sampled number, body by body; "" without such or a body that is ok."""
     drawn, least = drawn_columns(dataset), least_drawn(dataset, study)
     across: list[dict[str, Array]] = []

@@ -1,134 +1,57 @@
-"""The manifest of a study's results: what a folder holds, and nothing that is not checked.
+"""Manifest of a study's results: JSON with a checksum of itself.
 
-A manifest bears a checksum of itself. One that was edited, cut off or mixed up is refused by those
-who read it; who resumes its study keeps the parts whose files bear it out.
+Keys: `format`; `digest` of the study; `text`, SHA-256 of a study.toml that a run wrote, None where
+the user's own was there; `study`, its tables; `set`, the changes of the study's file; `machine`;
+`asked`, the number of parts; `stopped`, the last part of each setting of a study that ended by its
+rule; `code`, SHA-256 of each Python file; `functions`, fingerprints; `parts`, the finished ones:
+for each of their files `rows`, `sha256` and the number of failed trajectories by status.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection
+import re
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeInt,
-    PositiveInt,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from typing import Any
 
 from lierb.errors import StudyError, StudyFileError
 from lierb.studies.description.code import FILE
-from lierb.studies.description.study import tables_of_study
 
 FORMAT = 3
 PART = "[0-9]{2,}-[0-9]{10,}"  # setting and first body, as `lierb.studies.storage.parts` names them
 CHECKSUM = "checksum"
 ANEW = "restore it, or run the study anew into another folder"
-MENDED = f"--resume (resume=True) of its study keeps the parts that are whole; or {ANEW}"
 
-Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-PartName = Annotated[str, Field(pattern=f"^{PART}$")]
-CodeFile = Annotated[str, Field(pattern=f"^{FILE}$")]
+Manifest = dict[str, Any]
 
 
 def file_of(table: str, part: str) -> str:
-    """A part's file, by its path in the folder."""
+    """Path of a part's file, relative to the folder."""
     return f"{table}/part-{part}.parquet"
 
 
-class _Checked(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-
-class _Entry(_Checked):
-    """Of a file: its rows, and how many of them failed, by status."""
-
-    rows: NonNegativeInt
-    sha256: Sha256
-    failed: dict[str, PositiveInt] = {}
-
-
-class _Integrate(BaseModel):
-    """Of the study, what a reader needs before it makes the study."""
-
-    model_config = ConfigDict(strict=True)
-
-    cspace: list[str]
-    method: list[str]
-    dt: list[float]
-    rtol: list[float] = []
-    save_every: PositiveInt | None
-    save_at: list[float] | dict[str, float] | None = None
-
-
-class _Problem(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    events: list[dict[str, Any]] = []
-
-
-class _Study(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    name: str
-    problem: _Problem = _Problem()
-    integrate: _Integrate
-
-
-class _Manifest(_Checked):
-    """As it is written.
-
-    digest : of the study.   text : SHA-256 of study.toml as a run wrote it; None where the user's
-    own was there.   set : what was changed of the study's file.   asked : parts in all.
-    stopped : the last part of each setting, of a study that had enough bodies before its time.
-    code : SHA-256 of the Python files that the study names.   functions : fingerprints of what they
-    compute, by what is made of them.
-    """
-
-    format: Literal[3]
-    digest: Sha256
-    text: Sha256 | None
-    study: _Study
-    set: dict[str, Any]
-    machine: dict[str, str]
-    asked: PositiveInt
-    stopped: list[PartName] = []
-    code: dict[CodeFile, Sha256] = {}
-    functions: dict[str, str] = {}
-    parts: dict[PartName, dict[str, _Entry]]
-
-    @model_validator(mode="after")
-    def _has_whole_parts(self) -> _Manifest:
-        tables = tables_of_study(self.study.model_dump())
-        for part, files in self.parts.items():
-            if files.keys() != {file_of(table, part) for table in tables}:
-                raise ValueError(f"part {part} has the files {list(files)}")
-        return self
-
-
-def sealed(manifest: dict[str, Any]) -> bytes:
-    """The text of a manifest, with its checksum."""
+def sealed(manifest: Manifest) -> bytes:
+    """Text of a manifest with its checksum."""
     whole = {key: value for key, value in manifest.items() if key != CHECKSUM}
     return (json.dumps(whole | {CHECKSUM: _checksum(whole)}, indent=1) + "\n").encode()
 
 
-def _checksum(manifest: dict[str, Any]) -> str:
+def _checksum(manifest: Manifest) -> str:
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
-def read_manifest(path: Path) -> dict[str, Any]:
-    """What a manifest says. Raises StudyError for one that is not there, damaged or edited."""
+def read_manifest(path: Path) -> Manifest:
+    """Read a manifest, without its checksum.
+
+    Raises StudyError for a file that is missing, edited, damaged, or of another format.
+    """
+    if path.exists() and not path.is_file():  # reading a pipe would block
+        raise StudyError(f"{path} is no file; choose another folder for the results")
     try:
-        if path.exists() and not path.is_file():  # a pipe would be waited for
-            raise StudyError(f"{path} is no file; choose another folder for the results")
-        found = json.loads(path.read_text(encoding="utf-8"))
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        _require_format(path, manifest)
+        is_whole = manifest.pop(CHECKSUM, None) == _checksum(manifest)
     except FileNotFoundError:
         raise StudyError(f"{path.parent} holds no results of a study") from None
     except StudyError:
@@ -137,64 +60,35 @@ def read_manifest(path: Path) -> dict[str, Any]:
         raise StudyFileError(f"{path} cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # no JSON, or no text
         raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
-    if not isinstance(found, dict) or "format" not in found:
+    if not is_whole:
+        raise StudyError(f"{path} was edited or damaged: its checksum is wrong; {ANEW}")
+    _require_own_files(path, manifest)
+    return dict(manifest)
+
+
+def _require_format(path: Path, manifest: Any) -> None:
+    if not isinstance(manifest, dict) or "format" not in manifest:
         raise StudyError(f"{path} is no manifest of lierb; choose another folder for the results")
-    if found["format"] == 1:
+    if manifest["format"] == 1:
         raise StudyError(
             f"{path.parent} holds results of lierb 0.1, whose columns had other names (R, r, "
             "body, in errors/): run its study.toml anew, into another folder, or read its "
             "Parquet files themselves"
         )
-    if found["format"] != FORMAT:
+    if manifest["format"] != FORMAT:
         raise StudyError(
             f"{path} is no manifest of this version of lierb: its format is "
-            f"{str(found['format'])[:20]}, expected {FORMAT}; go on with the version that wrote "
-            "it, or run its study.toml anew into another folder"
+            f"{str(manifest['format'])[:20]}, expected {FORMAT}; continue with the version that "
+            "wrote it, or run its study.toml anew into another folder"
         )
-    try:
-        if found.pop(CHECKSUM, None) != _checksum(found):
-            raise StudyError(f"{path} was edited or damaged: its checksum is another; {MENDED}")
-        _Manifest.model_validate(found)
-    except RecursionError as error:
-        raise StudyError(f"{path} is damaged ({error}); {MENDED}") from None
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"])) or "parts"
-        raise StudyError(f"{path} is damaged ({where}: {first['msg']}); {MENDED}") from None
-    return found
 
 
-def claims_of(path: Path, digest: str, tables: Collection[str]) -> dict[str, Any] | None:
-    """What a manifest that was edited or damaged claims, or None if it is not of that study.
-
-    parts : entries, in which files have checksums; no more is known of them.
-    set, machine, text : where they may be what was written.
-    """
-    try:
-        if not path.is_file():  # a pipe would be waited for
-            return None
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(found, dict) or (found.get("format"), found.get("digest")) != (
-        FORMAT,
-        digest,
-    ):
-        return None
-    kinds = {"set": dict[str, Any], "machine": dict[str, str], "text": Sha256}
-    parts = found.get("parts")
-    return {key: found[key] for key, kind in kinds.items() if _is(kind, found.get(key))} | {
-        "parts": {
-            part: files for part, files in (parts.items() if isinstance(parts, dict) else ())
-            if _is(dict[PartName, dict[str, _Entry]], {part: files})
-            and files.keys() == {file_of(table, part) for table in tables}
-        }
-    }  # fmt: skip
-
-
-def _is(kind: Any, value: Any) -> bool:
-    try:
-        TypeAdapter(kind).validate_python(value, strict=True)
-    except (ValidationError, RecursionError):
-        return False
-    return True
+def _require_own_files(path: Path, manifest: Manifest) -> None:
+    """Raise StudyError for names of files outside the folder."""
+    names = [f"code.{file}" for file in manifest.get("code", {}) if not re.fullmatch(FILE, file)]
+    for part, files in manifest["parts"].items():
+        is_named = re.fullmatch(PART, part)
+        own = {file_of(file.partition("/")[0], part) for file in files} if is_named else set()
+        names += [f"parts.{part}.{file}" for file in files if file not in own or ".." in file]
+    if names:
+        raise StudyError(f"{path} is damaged ({names[0]} is no file of the folder); {ANEW}")

@@ -14,7 +14,9 @@ from lierb.results.columns import as_array, numbers, repeated, vectors
 from lierb.results.tables import event_row_bytes, history_row_bytes
 from lierb.runs.lane_engine import SHARES
 from lierb.sampling import Design
-from lierb.studies.description.study import Batch, Setting, Study
+from lierb.studies.description.batches import Batch
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study import Study
 from lierb.studies.description.units import unit_of
 from lierb.support.arrays import Array
 from lierb.support.collected_warnings import told_elsewhere

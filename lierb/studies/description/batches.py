@@ -1,0 +1,189 @@
+"""Bodies of a study: drawn, made and started, a range of them at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from lierb.errors import PoseError, StudyError
+from lierb.kernels.mechanics.elements import INITIAL
+from lierb.model.mechanism.links import Link, Loop
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.sampling import Design
+from lierb.studies.description.messages import at
+from lierb.studies.description.sections import SHAPES
+from lierb.studies.description.starting import AUTO, started, started_mechanism
+from lierb.studies.description.study_file import ELEMENTS
+from lierb.studies.description.study_tables import NOTHING, StudyTables
+from lierb.support.arrays import Array
+
+Draws = dict[str, dict[str, Array]]  # by section and key
+Elements = dict[str, list[Any]]  # by list of the problem
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Some bodies of a study, ready for `lierb.integrate`.
+
+    twist0 : (n, 6), of a mechanism by link.
+    pose0 : (n, 4, 4), of a mechanism by link; None for the closed joint.
+    draws : of each sampled quantity, by its path.
+    """
+
+    problem: Problem | Mechanism
+    twist0: Any
+    pose0: Any
+    draws: dict[str, Array]
+
+    @property
+    def first(self) -> tuple[Any, Any]:
+        """Problem and pose of the first body alone."""
+        poses = self.pose0
+        if isinstance(poses, dict):
+            return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}
+        return self.problem.of_body(0), None if poses is None else poses[0]
+
+
+def batch_of(study: StudyTables, first: int, count: int, design: Design | None = None) -> Batch:
+    """Make and start the bodies first, …, first + count − 1; see `lierb.Study.batch`."""
+    draws = (design or study.design).draw(first, count)
+    draws.pop(NOTHING, None)
+    own: Draws = {}
+    for path, values in draws.items():
+        section, _, key = path.rpartition(".")
+        _check_shape(path, section, key, values.shape[1:])
+        own.setdefault(section, {})[key] = values
+    elements = _elements(study, own)
+    ready: tuple[Problem | Mechanism, Any, Any]
+    if study.problem.links:
+        ready = _mechanism(study, own, elements, first, count)
+    else:
+        ready = _one_body(study, own, elements, count)
+    if own:
+        table, _, _ = next(iter(own)).partition(".")
+        names = [each.label for each in getattr(study.problem, table)]
+        raise StudyError(
+            f"sample.{next(iter(own))}: there is no such {table.removesuffix('s')}; known: {names}"
+        )
+    problem, twist0, pose0 = ready
+    return Batch(problem, twist0, pose0, draws)
+
+
+def _elements(study: StudyTables, own: Draws) -> Elements:
+    """Make forces, constraints and the like of the problem; their draws are taken out of `own`."""
+    elements: Elements = {table: [] for table in ELEMENTS}
+    for table, section in study.problem.elements():
+        with at(f"problem.{table}"):
+            drawn = own.pop(f"{table}.{section.label}", {})
+            element = section.make(drawn, study._code)
+        elements[table].append(element)
+        _require_one(f"problem.{table}.{section.label}", element, drawn)
+        for key, values in drawn.items():
+            shapes = element.kind.shapes
+            shape = shapes[key] if key in shapes else shapes[f"{INITIAL}{key}"]
+            _require_shape(f"{table}.{section.label}.{key}", values.shape[1:], shape)
+    return elements
+
+
+def _one_body(
+    study: StudyTables, own: Draws, elements: Elements, count: int
+) -> tuple[Problem, Array, Array | None]:
+    assert study.body is not None
+    assert study.joint is not None
+    with at("body"):
+        body = study.body.make(own.pop("body", {}))
+    with at("joint"):
+        joint = study.joint.make(own.pop("joint", {}))
+    with at("problem"):
+        problem = Problem(body, joint, _gravity(study, own), **elements)
+    with at("initial"):
+        initial = study.initial.given() | own.pop("initial", {})
+        twist0, pose0 = started(problem, initial, study.integrate.t0)
+    if twist0.ndim == 1:
+        twist0 = np.broadcast_to(twist0, (count, 6))
+    return problem, twist0, pose0
+
+
+def _gravity(study: StudyTables, own: Draws) -> Any:
+    return own.pop("problem", {}).get("gravity", study.problem.gravity)
+
+
+def _mechanism(
+    study: StudyTables, own: Draws, elements: Elements, first: int, count: int
+) -> tuple[Mechanism, dict[str, Array], dict[str, Array]]:
+    links, loops, initial = [], [], {}
+    for each in study.problem.links:
+        with at(f"problem.links.{each.name}.body"):
+            body = each.body.make(own.pop(f"{each.name}.body", {}))
+        with at(f"problem.links.{each.name}.joint"):
+            joint = each.joint.make(own.pop(f"{each.name}.joint", {}))
+        with at("problem"):
+            links.append(Link(each.name, body, joint, each.parent))
+        initial[each.name] = each.initial.given() | own.pop(f"{each.name}.initial", {})
+    for loop in study.problem.loops:
+        with at(f"problem.loops.{loop.name}.joint"):
+            joint = loop.joint.make(own.pop(f"{loop.name}.joint", {}))
+        with at("problem"):
+            loops.append(Loop(loop.name, joint, loop.body, loop.parent))
+    with at("problem"):
+        mechanism = Mechanism(links, loops, _gravity(study, own), **elements)
+    close, t0 = study.initial.close or AUTO, study.integrate.t0
+    with at("initial"):
+        try:
+            twists, poses = started_mechanism(mechanism, initial, close, count, t0)
+        except PoseError as error:  # which numbers the bodies of this batch from 0
+            numbered = re.sub(
+                r"^pose\b(?:\[(\d+)\])?",
+                lambda match: f"trajectory {first + int(match[1] or 0)}",
+                str(error),
+            )
+            raise PoseError(numbered) from None
+    return mechanism, twists, poses
+
+
+# ---- shapes ------------------------------------------------------------------------------------
+
+
+def _check_shape(path: str, section: str, key: str, shape: tuple[int, ...]) -> None:
+    """Raise StudyError for a draw of another shape than its key takes.
+
+    Otherwise bodies might be taken for components. Shapes of elements are checked in `_elements`.
+    """
+    first, _, of_link = section.partition(".")
+    if first in ELEMENTS or (key == "inertia" and shape == (3, 3)):
+        return
+    is_free = key in ("coordinates", "velocities")
+    if of_link and is_free and shape == ():  # a joint with one coordinate
+        return
+    _require_shape(path, shape, SHAPES.get(key, (3,)), free=is_free)
+
+
+def _require_shape(
+    path: str, shape: tuple[int, ...], expected: tuple[int, ...], free: bool = False
+) -> None:
+    fits = len(shape) == 1 if free else shape == expected
+    if not fits:
+        what = "a list of numbers" if free or expected == (3,) else f"shape {expected}"
+        what = "one number" if expected == () else what
+        raise StudyError(f"sample.{path}: a draw has shape {shape}; expected {what}")
+
+
+def _require_one(label: str, element: Any, drawn: Mapping[str, Array]) -> None:
+    """Raise StudyError for parameters that differ from body to body and are not drawn.
+
+    Their assignment to bodies would depend on how a study is cut into parts.
+    """
+    for name, array in element.parameters.items():
+        key, shape = name.removeprefix(INITIAL), element.kind.shapes[name]
+        if key not in drawn and array.ndim > len(shape):
+            what = f"a list of {prod(shape)} numbers" if shape else "one number"
+            raise StudyError(
+                f"{label}.{key} has shape {array.shape}; expected {what}, of all bodies; what "
+                "differs from body to body is a distribution in [sample]"
+            )

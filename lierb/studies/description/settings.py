@@ -1,0 +1,54 @@
+"""Settings of a study: the runs that its lists of c-spaces, methods and steps multiply out to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lierb.studies.description.sections import IntegrateSection
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One run over all bodies of a study.
+
+    dt : s; of adaptive steps the first one, or None.   rtol : None for fixed steps.
+    """
+
+    cspace: str
+    method: str
+    dt: float | None
+    rtol: float | None = None
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Setting:
+        """Make the setting of a row of a study's table."""
+        return cls(row["cspace"], row["method"], row.get("dt"), row.get("rtol"))
+
+    @property
+    def column(self) -> str:
+        """Name of the tables' column that holds `step`."""
+        return "dt" if self.rtol is None else "rtol"
+
+    @property
+    def step(self) -> float:
+        """Fixed step, s, or relative tolerance."""
+        step = self.dt if self.rtol is None else self.rtol
+        assert step is not None
+        return step
+
+    @property
+    def step_label(self) -> str:
+        return f"dt = {self.dt:g} s" if self.rtol is None else f"rtol = {self.rtol:g}"
+
+    @property
+    def label(self) -> str:
+        return f"{self.cspace}, {self.method}, {self.step_label}"
+
+
+def settings_label(run: IntegrateSection) -> str:
+    """Settings as a product, such as `SE3 × RK4, DOP853 × dt = 0.001 s`."""
+    steps = ", ".join(f"{dt if rtol is None else rtol:g}" for dt, rtol in run.steps)
+    step = f"rtol = {steps}" if run.is_adaptive else f"dt = {steps} s"
+    return f"{', '.join(run.cspace)} × {', '.join(run.method)} × {step}"

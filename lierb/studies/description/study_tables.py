@@ -1,0 +1,189 @@
+"""Tables of a study's file as one model, and what follows from them without making a body."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from itertools import product
+from typing import Any, Self
+
+import tomli_w
+from pydantic import ConfigDict, PrivateAttr, model_validator
+
+from lierb.runs.timing import ADAPTIVE_METHOD
+from lierb.sampling import Design
+from lierb.studies.description.code import Code, named, sha256_of_text
+from lierb.studies.description.sections import (
+    SECTION,
+    BodySection,
+    InitialSection,
+    IntegrateSection,
+    JointSection,
+    OutputSection,
+    ProblemSection,
+    SampleSection,
+    Section,
+)
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.study_file import ELEMENTS, plain
+from lierb.support.shown import counted
+
+TABLES = ("summary", "history", "events")
+NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
+NOTHING = "nothing"  # quantity of a design in a study that draws none
+HELD = ("links", "loops")  # lists of the problem whose items have a joint
+
+
+class StudyTables(Section):
+    """Tables of a study's file."""
+
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={
+            "description": "A study of lierb.",
+            "anyOf": [
+                {"required": ["body", "joint"]},
+                {"required": ["problem"], "properties": {"problem": {"required": ["links"]}}},
+            ],
+        }
+    )
+
+    name: str = "study"
+    body: BodySection | None = None
+    joint: JointSection | None = None
+    problem: ProblemSection = ProblemSection()
+    initial: InitialSection = InitialSection()
+    sample: SampleSection = SampleSection(n=1)
+    integrate: IntegrateSection
+    output: OutputSection = OutputSection()
+    _code: dict[str, str] = PrivateAttr(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_in_a_file(cls, tables: Any) -> Any:
+        """Reduce the tables to what a file can hold, and add defaults that depend on others."""
+        return tables if isinstance(tables, StudyTables) else _with_defaults(plain(tables))
+
+    @property
+    def kind(self) -> str:
+        """Mechanism of each trajectory: `spherical joint`, `mechanism of 3 links and 1 loop`."""
+        if self.joint is not None:
+            return f"{self.joint.type} joint"
+        parts = [counted(len(self.problem.links), "link")]
+        if self.problem.loops:
+            parts.append(counted(len(self.problem.loops), "loop"))
+        return f"mechanism of {' and '.join(parts)}"
+
+    @property
+    def design(self) -> Design:
+        """Design of the table [sample]."""
+        quantities = self.sample.quantities() or {NOTHING: 0.0}
+        return Design(quantities, n=self.sample.n, seed=self.sample.seed, method=self.sample.method)
+
+    @property
+    def settings(self) -> list[Setting]:
+        """Settings that are run, a list of the product of its c-spaces, methods and steps."""
+        run = self.integrate
+        each = product(run.cspace, run.method, run.steps)
+        return [Setting(cspace, method, *step) for cspace, method, step in each]
+
+    @property
+    def table_names(self) -> tuple[str, ...]:
+        """Names of the tables of its results."""
+        return tables_of_study(self.model_dump())
+
+    # ---- Python files ----------------------------------------------------------------------------
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the Python files that the study refers to."""
+        references = (named(element.type) for _, element in self.problem.elements())
+        return tuple(sorted({each.file for each in references if each}))
+
+    @property
+    def code(self) -> Code:
+        """Texts of the Python files, by name."""
+        return {file: self._code[file] for file in self.files if file in self._code}
+
+    @property
+    def code_digests(self) -> dict[str, str]:
+        """SHA-256 of the Python files, by name."""
+        return {file: sha256_of_text(text) for file, text in self.code.items()}
+
+    def with_code(self, code: Code) -> Self:
+        """Return the study with these texts of its Python files."""
+        study = self.model_copy()
+        study._code = dict(code)
+        return study
+
+    # ---- text ------------------------------------------------------------------------------------
+
+    def to_toml(self) -> str:
+        """Write the text of a file of the same study.
+
+        Returns
+        -------
+        str
+            TOML.
+        """
+        return tomli_w.dumps(self._tables())
+
+    def _tables(self) -> dict[str, Any]:
+        tables = self.model_dump(exclude_none=True, exclude_defaults=True)
+        if self.problem.links:  # a mechanism has another default
+            tables["integrate"]["cspace"] = self.integrate.cspace
+        return tables
+
+    def digest(self) -> str:
+        """Compute a checksum of everything that the results depend on.
+
+        Returns
+        -------
+        str
+            Hexadecimal digits.
+        """
+        tables = self.model_dump(exclude={"name"})
+        for table, keys in _later_keys(tables):
+            for key in keys:
+                if table[key] in (None, [], {}):
+                    del table[key]
+        if self.sample.stop_when is None:
+            del tables["sample"]["stop_when"]
+        if self.code:
+            tables["code"] = self.code_digests
+        return sha256_of_text(json.dumps(tables, sort_keys=True))
+
+
+def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
+    """Tables, and their keys that later versions have added: unset, they leave the digest alone."""
+    for section in ("problem", "sample"):
+        yield tables[section], ELEMENTS[1:]
+    yield tables["problem"], HELD
+    yield tables["initial"], ("close",)
+    yield tables["integrate"], ("stabilise", *NEW_KEYS)
+    for key in ("body", "joint"):
+        if tables[key] is None:
+            yield tables, (key,)
+    for table in ELEMENTS:
+        for element in tables["problem"].get(table, []):
+            yield element, ("on",)
+    if tables.get("joint"):
+        yield tables["joint"], ("parent_point", "parent_frame")
+
+
+def _with_defaults(tables: Any) -> Any:
+    """Add the c-space of a mechanism, "reduced", and the method of adaptive steps."""
+    match tables:
+        case {"problem": {"links": [*_]}, "integrate": {**run}} if "cspace" not in run:
+            tables = tables | {"integrate": run | {"cspace": ["reduced"]}}
+    match tables:
+        case {"integrate": {**run}} if "method" not in run and {"rtol", "atol"} & run.keys():
+            tables = tables | {"integrate": run | {"method": [ADAPTIVE_METHOD]}}
+    return tables
+
+
+def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names of the tables that a study leaves.   study : its tables, as `model_dump` makes them."""
+    run = study["integrate"]
+    saves = run["save_every"] is not None or run.get("save_at") is not None
+    is_there = (True, saves, bool(study.get("problem", {}).get("events")))
+    return tuple(name for name, there in zip(TABLES, is_there, strict=True) if there)

@@ -1,0 +1,131 @@
+"""Opening a study and its folder, begun or not, for a run."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from lierb.errors import StudyError, StudyWarning
+from lierb.runs.provenance import machine
+from lierb.studies.description.changes import written
+from lierb.studies.description.sources import as_file, path_given
+from lierb.studies.description.study import Study
+from lierb.studies.storage.files import part_named
+from lierb.studies.storage.parts import Parts, parts_of
+from lierb.studies.storage.results import STUDY
+from lierb.studies.storage.store import Store
+
+MOST_DIFFERENCES = 5  # listed where two studies differ
+
+
+def loaded(
+    study: Study | str | Path, changes: Mapping[str, Any] | None = None
+) -> tuple[Study, str]:
+    """Load and change a study; return it with the text of its file.
+
+    Without changes that is the user's own text, with his comments.
+    """
+    if isinstance(study, Study):
+        given = study.changed(changes or {})
+        return given, given.to_toml()
+    with as_file(path_given(study)) as path:
+        given = Study.load(path, changes)
+        if not changes:
+            return given, path.read_text(encoding="utf-8")
+    return given, f"# {path.name} with {', '.join(written(changes))}\n{given.to_toml()}"
+
+
+def opened(
+    store: Store, study: Study, text: str, changes: Mapping[str, Any], resume: bool
+) -> Parts:
+    """Begin or resume a study in its folder, and check the finished parts; return all parts.
+
+    Raises StudyError for a folder that is not the study's; see `lierb.studies.dataset`.
+    """
+    parts = parts_of(study)
+    if store.exists():
+        store.read()
+    is_same = store.manifest.get("digest") == study.digest()
+    if store.parts and not is_same:
+        begun = ", ".join(written(store.changes))
+        raise StudyError(
+            f"{store.folder} has the results of another study: {_differences(store, study)}"
+            + (f"; it was run with {begun}" if begun else "")
+        )
+    if store.parts and not resume:
+        raise StudyError(
+            f"{store.folder} has results of this study already; --resume (resume=True) does what "
+            "is missing, or choose another folder"
+        )
+    unentered(store, parts if is_same else None)
+    if not store.parts:
+        store.begin(
+            study.digest(), study.model_dump(), text, parts.total, changes,
+            study.code, study.fingerprints() if study.files else {},
+        )  # fmt: skip
+        store.drop_unfinished()
+    else:
+        _resume(store, study, text)
+    store.drop(unentered(store, parts))
+    return parts
+
+
+def _resume(store: Store, study: Study, text: str) -> None:
+    """Drop damaged parts, and write what is missing of the study's text and code."""
+    if store.manifest["machine"] != machine():
+        _warn(
+            f"{store.folder} was begun with other versions or on another machine; what is done "
+            "now may differ from its parts in the last bits"
+        )
+    if store.study_text() is None:
+        _warn(f"{store.folder / STUDY} was missing; it is written again")
+        store.write(STUDY, text.encode())
+    for file in store.restore_code(study.code):
+        _warn(f"{store.folder / file} was missing; it is written again")
+    store.drop_damaged()
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, StudyWarning, stacklevel=5)  # in the caller of `run`
+
+
+def unentered(store: Store, own: Parts | None = None) -> list[str]:
+    """Parquet files of parts that a killed run has stored and not entered.
+
+    own : parts of the study that was run there; None if it was another study.
+    Raises StudyError for any other Parquet file that a reader of the folder would open.
+    """
+    files = store.strays()
+    for file in files:
+        name = part_named(file)
+        if own is None or name is None or own.named(name) is None:
+            raise StudyError(
+                f"{store.folder / file} would be read with this study's parts, but no manifest "
+                "enters it among them; move it elsewhere, or choose another folder"
+            )
+    return files
+
+
+def _differences(store: Store, study: Study) -> str:
+    """List the settings and files in which a study differs from the folder's."""
+    there, here = dict(_leaves(store.manifest["study"])), dict(_leaves(study.model_dump()))
+    keys = [k for k in there | here if there.get(k) != here.get(k) and k != "name"]
+    lines = [f"{k} = {there.get(k)} there, {here.get(k)} here" for k in keys[:MOST_DIFFERENCES]]
+    before = store.manifest.get("code", {})
+    lines += [
+        f"{file} was edited since, or is another file"
+        for file, digest in study.code_digests.items()
+        if before.get(file, digest) != digest
+    ]
+    return ", ".join(lines)
+
+
+def _leaves(tables: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted key and value of every entry of nested tables."""
+    if not isinstance(tables, dict):
+        yield path, tables
+        return
+    for key, inner in tables.items():
+        yield from _leaves(inner, f"{path}.{key}" if path else key)

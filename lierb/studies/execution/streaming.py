@@ -1,0 +1,97 @@
+"""Results of a study as a stream of record batches, without files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow as pa
+
+from lierb.errors import ArgumentError
+from lierb.results.failures import Failures, warn_of
+from lierb.studies.description.settings import Setting
+from lierb.studies.description.stopping import Bodies
+from lierb.studies.description.study import Study
+from lierb.studies.execution.opening import loaded
+from lierb.studies.execution.replaying import REPLAY
+from lierb.studies.execution.stiff_steps import warn_of_stiff_steps
+from lierb.studies.storage.parts import parts_of
+
+
+def integrate_batches(
+    study: Study | str | Path, table: str = "summary", *, threads: int | None = None
+) -> pa.RecordBatchReader:
+    """Stream a study's results, without files.
+
+    Parameters
+    ----------
+    study : Study or path
+        A study, or the path of its TOML file.
+    table : {"summary", "history", "events"}, optional
+        Table to stream: "history" if the study has `save_every` or `save_at`, "events" if its
+        problem has events.
+    threads : int, optional
+        Number of threads, as in `lierb.integrate`.
+
+    Returns
+    -------
+    pyarrow.RecordBatchReader
+        Reader; each batch is integrated when it is read.
+
+    Warns
+    -----
+    FailedTrajectoryWarning
+        Some trajectories have failed. The warning comes at the end.
+    StiffStepWarning
+        Fixed steps are too long for a force of `lierb.forces`, as in `lierb.integrate`.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> study = lierb.Study.of({
+    ...     "body": {"mass": 6.075, "inertia": [0.0126563, 0.0468281, 0.0569531]},
+    ...     "joint": {"type": "spherical", "body_point": [-0.15, 0.0375, 0.0]},
+    ...     "initial": {"omega": [6.28, 3.14, 0.63]},
+    ...     "sample": {"n": 5},
+    ...     "integrate": {"dt": 1e-3, "t_end": 0.1},
+    ... })
+    >>> sum(batch.num_rows for batch in lierb.integrate_batches(study))
+    5
+    """
+    given, _ = loaded(study)
+    warn_of_stiff_steps(given, stacklevel=3)
+    if table not in given.table_names:
+        raise ArgumentError(
+            f'table={table!r}; expected "summary", "history" with save_every or save_at, or '
+            '"events" of a problem with events'
+        )
+    design, parts, rule = given.design, parts_of(given), given.stopping_rule
+    seen: Failures | None = None
+
+    def made() -> Iterator[pa.Table]:
+        nonlocal seen
+        bodies: dict[Setting, Bodies] = {}
+        for part in parts:
+            if rule is not None:
+                known = bodies.setdefault(part.setting, Bodies(rule))
+                if known.count and rule.holds(known):
+                    continue
+            tables = part.tables(given, design, threads)
+            if failures := Failures.of(tables["summary"]):
+                own = replace(failures, setting=part.setting.label)
+                seen = Failures.joined([seen, own] if seen else [own], parts.trajectories)
+            if rule is not None:
+                known.add(tables["summary"])
+            yield tables[table]
+
+    tables = made()
+    first = next(tables)
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        yield from first.to_batches()
+        for each in tables:
+            yield from each.to_batches()
+        warn_of(seen, REPLAY, stacklevel=3)
+
+    return pa.RecordBatchReader.from_batches(first.schema, batches())
