@@ -45,7 +45,7 @@ import lierb
 from lierb.cli import cli
 from lierb.errors import StudyError, StudyWarning
 from lierb.studies.dataset import Dataset
-from lierb.studies.description.sections import KEYS
+from lierb.studies.description.sections.sampling import KEYS
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import line_of
 from lierb.studies.description.units import UNITS
@@ -740,7 +740,7 @@ def test_a_large_manifest_is_not_written_for_every_part(whole, tmp_path, monkeyp
     written = []
     write = Store.write
     monkeypatch.setattr(
-        Dataset, "write", lambda self, name, *rest: (written.append(name), write(self, name, *rest))
+        Store, "write", lambda self, name, *rest: (written.append(name), write(self, name, *rest))
     )
     lierb.run(study(), tmp_path)
     assert written.count("manifest.json") == 2  # at the beginning and at the end

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Self
 
-from lierb.studies.description.sections import IntegrateSection
+from lierb.studies.description.sections.running import IntegrateSection
 from lierb.studies.description.settings import settings_label
 from lierb.studies.description.study_tables import tables_of_study
 from lierb.studies.storage.results import Results

@@ -17,7 +17,7 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.sampling import Design
 from lierb.studies.description.messages import at
-from lierb.studies.description.sections import SHAPES
+from lierb.studies.description.sections.sampling import SHAPES
 from lierb.studies.description.starting import AUTO, started, started_mechanism
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING, StudyTables

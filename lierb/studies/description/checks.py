@@ -13,7 +13,8 @@ from lierb.runs.mechanism_checks import violation
 from lierb.runs.timing import MOST_SEED
 from lierb.studies.description.batches import Batch
 from lierb.studies.description.changes import index_of, path_of
-from lierb.studies.description.sections import RESERVED, IntegrateSection
+from lierb.studies.description.sections.running import IntegrateSection
+from lierb.studies.description.sections.sampling import RESERVED
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import HELD, StudyTables
 

@@ -22,14 +22,9 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.sampling import Design
 from lierb.studies.description.code import PREFIX, source_of
-from lierb.studies.description.sections import (
-    KEYS,
-    KEYS_OF_LINK,
-    OF_LINK,
-    POINTS,
-    IntegrateSection,
-    OutputSection,
-)
+from lierb.studies.description.sections.bodies import POINTS
+from lierb.studies.description.sections.running import IntegrateSection, OutputSection
+from lierb.studies.description.sections.sampling import KEYS, KEYS_OF_LINK, OF_LINK
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING

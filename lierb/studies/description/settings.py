@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lierb.studies.description.sections import IntegrateSection
+from lierb.studies.description.sections.running import IntegrateSection
 
 
 @dataclass(frozen=True)

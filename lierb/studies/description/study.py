@@ -31,7 +31,7 @@ from lierb.studies.description.batches import Batch, batch_of
 from lierb.studies.description.changes import applied
 from lierb.studies.description.code import Code, named, read_code
 from lierb.studies.description.messages import Given, at, at_key, located, messages
-from lierb.studies.description.sections import Baumgarte
+from lierb.studies.description.sections.running import Baumgarte
 from lierb.studies.description.settings import Setting, settings_label
 from lierb.studies.description.sources import LONGEST_STUDY, path_given
 from lierb.studies.description.stopping import Rule, rule_of

@@ -13,17 +13,11 @@ from pydantic import ConfigDict, PrivateAttr, model_validator
 from lierb.runs.timing import ADAPTIVE_METHOD
 from lierb.sampling import Design
 from lierb.studies.description.code import Code, named, sha256_of_text
-from lierb.studies.description.sections import (
-    SECTION,
-    BodySection,
-    InitialSection,
-    IntegrateSection,
-    JointSection,
-    OutputSection,
-    ProblemSection,
-    SampleSection,
-    Section,
-)
+from lierb.studies.description.sections.bodies import BodySection, InitialSection, JointSection
+from lierb.studies.description.sections.elements import ProblemSection
+from lierb.studies.description.sections.fields import SECTION, Section
+from lierb.studies.description.sections.running import IntegrateSection, OutputSection
+from lierb.studies.description.sections.sampling import SampleSection
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study_file import ELEMENTS, plain
 from lierb.support.shown import counted

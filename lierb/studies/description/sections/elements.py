@@ -1,0 +1,143 @@
+"""Table of the problem: links, loops, forces and the other elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema
+from pydantic_core import PydanticCustomError
+
+from lierb.errors import StudyError
+from lierb.model import forces
+from lierb.studies.description.code import EXPECTED, PATTERN, Code, function_of, named
+from lierb.studies.description.messages import called
+from lierb.studies.description.sections.bodies import LinkSection, LoopSection
+from lierb.studies.description.sections.fields import SECTION, Names, Section, Vector
+from lierb.studies.description.study_file import ELEMENTS
+from lierb.support.arrays import Array
+
+MOST_LINKS = 1000
+MOST_FORCES = 100  # all are in one kernel
+
+
+def _type_of_force(given: str) -> str:
+    if given in forces.FORCE_UNITS or named(given):
+        return given
+    known = ", ".join(map(repr, forces.FORCE_UNITS))
+    raise PydanticCustomError("type_of_force", f"input should be {known} or {EXPECTED}")
+
+
+def _type_of_function(given: str) -> str:
+    if named(given):
+        return given
+    raise PydanticCustomError("type_of_function", f"input should be {EXPECTED}")
+
+
+OF_FUNCTION = {"type": "string", "pattern": PATTERN}
+OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNCTION]}
+
+
+class ElementSection(BaseModel):
+    """An element of a list in [problem], with its parameters; `name` distinguishes equal types.
+
+    on : in a mechanism, the link or the two links on which it acts, or the link of its joint.
+    """
+
+    model_config = SECTION | ConfigDict(extra="allow")
+
+    table: ClassVar[str]
+    type: Annotated[str, AfterValidator(_type_of_function), WithJsonSchema(OF_FUNCTION)]
+    name: str | None = None
+    on: Annotated[Names, Field(min_length=1, max_length=2)] | None = None
+
+    @property
+    def label(self) -> str:
+        return self.name or self.type.rpartition(":")[2]
+
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        """Make the element, by a function of lierb or of the study's files."""
+        given = dict(self.model_extra or {})
+        where = f"{self.table}.{self.label}"
+        for name, value in given.items():
+            if name in sampled and isinstance(value, dict):
+                raise StudyError(
+                    f"problem.{where}.{name} is a table, and sample.{where}.{name} is where its "
+                    "distribution stands; leave one of them out"
+                )
+        values = given | sampled
+        if named(self.type):
+            made = function_of(self.table, self.type, code)(**values)
+        else:
+            made = called(where, getattr(forces, self.type), values)
+        return made.on(*self.on) if self.on else made
+
+
+class ColumnSection(ElementSection):
+    """An element whose `name` is its name in the results."""
+
+    def make(self, sampled: dict[str, Array], code: Code) -> Any:
+        element = super().make(sampled, code)
+        return element.named(self.name) if self.name else element
+
+
+class ForceSection(ElementSection):
+    """A force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
+
+    table = "forces"
+    type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
+
+
+class ConstraintSection(ElementSection):
+    """A function with `@lierb.constraint` in a file beside the study."""
+
+    table = "constraints"
+
+
+class ObservableSection(ColumnSection):
+    """A function with `@lierb.observable` in a file beside the study; `name` is its column's."""
+
+    table = "observables"
+
+
+class EventSection(ColumnSection):
+    """A function with `@lierb.event` in a file beside the study; `name` is that in the tables."""
+
+    table = "events"
+
+
+class StatesSection(ElementSection):
+    """A function with `@lierb.states` in a file beside the study; with initial values."""
+
+    table = "states"
+
+
+class ControllerSection(ElementSection):
+    """A function with `@lierb.controller` in a file beside the study; with `every` and the like."""
+
+    table = "controllers"
+
+
+class ProblemSection(Section):
+    """Gravity, m/s², and the lists of links, loops, forces and other elements."""
+
+    gravity: Vector = [0.0, 0.0, 0.0]
+    links: Annotated[list[LinkSection], Field(max_length=MOST_LINKS)] = []
+    loops: Annotated[list[LoopSection], Field(max_length=MOST_LINKS)] = []
+    forces: Annotated[list[ForceSection], Field(max_length=MOST_FORCES)] = []
+    constraints: Annotated[list[ConstraintSection], Field(max_length=MOST_FORCES)] = []
+    observables: Annotated[list[ObservableSection], Field(max_length=MOST_FORCES)] = []
+    events: Annotated[list[EventSection], Field(max_length=MOST_FORCES)] = []
+    states: Annotated[list[StatesSection], Field(max_length=MOST_FORCES)] = []
+    controllers: Annotated[list[ControllerSection], Field(max_length=MOST_FORCES)] = []
+
+    def elements(self) -> Iterator[tuple[str, ElementSection]]:
+        """Yield each force and other element, with the name of its list."""
+        for table in ELEMENTS:
+            for element in getattr(self, table):
+                yield table, element
+
+    def held(self) -> Iterator[LinkSection | LoopSection]:
+        """Yield the links, and after them the loops."""
+        yield from self.links
+        yield from self.loops

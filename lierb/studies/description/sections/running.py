@@ -1,0 +1,78 @@
+"""Tables of the integration and of the output."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import ConfigDict, Field
+
+from lierb.runs.timing import RTOL
+from lierb.studies.description.sections.fields import SECTION, Count, Names, Section, Several
+from lierb.studies.description.times import SaveAt, saved_times
+from lierb.support.arrays import Array
+
+
+class Baumgarte(Section):
+    """Rates of Baumgarte's stabilisation, 1/s."""
+
+    alpha: float
+    beta: float
+
+
+class IntegrateSection(Section):
+    """As `lierb.integrate` takes it; cspace, method, dt and rtol may be lists, run as a product.
+
+    With rtol or atol steps are adaptive, and dt is the first of them.
+    """
+
+    model_config = SECTION | ConfigDict(
+        json_schema_extra={"anyOf": [{"required": [key]} for key in ("dt", "rtol", "atol")]}
+    )
+
+    t_end: float
+    t0: float = 0.0
+    dt: Several = []
+    rtol: Several = []
+    atol: float | dict[str, float] | None = None
+    dt_min: float | None = None
+    dt_max: float | None = None
+    max_steps: Count | None = None
+    cspace: Names = Field(default=["SE3"], min_length=1)
+    method: Names = Field(default=["RK4"], min_length=1)
+    update: str = "local"
+    solver: str = "auto"
+    stabilise: Literal["project"] | Baumgarte | None = None
+    save_every: Count | None = None
+    save_at: SaveAt | None = None
+    discontinuities: list[float] | None = Field(default=None, min_length=1)
+    measure_every: Count = 1
+    record: list[str] = []
+
+    @property
+    def is_adaptive(self) -> bool:
+        return bool(self.rtol) or self.atol is not None
+
+    @property
+    def saves(self) -> bool:
+        """True if there is a history."""
+        return self.save_every is not None or self.save_at is not None
+
+    @property
+    def times(self) -> Array | None:
+        """Times of the history's rows, s; None unless `save_at` is set."""
+        return None if self.save_at is None else saved_times(self.save_at, self.t0, self.t_end)
+
+    @property
+    def steps(self) -> list[tuple[float | None, float | None]]:
+        """Pairs of dt and rtol: fixed steps have no rtol, adaptive ones the first step or None."""
+        if not self.is_adaptive:
+            return [(dt, None) for dt in self.dt]
+        first = self.dt[0] if self.dt else None
+        return [(first, rtol) for rtol in self.rtol or [RTOL]]
+
+
+class OutputSection(Section):
+    """Files of the results."""
+
+    part: Count = 16384  # bodies in a part
+    compression: Literal["none", "snappy", "zstd"] = "snappy"
