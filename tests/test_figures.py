@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 
 from lierb.results import panels
 from lierb.studies.findings import statistics, symbols
-from lierb.studies.pages import figures, replays
+from lierb.studies.pages import figures, over_bodies, replays
 from lierb.studies.pages.looks import Look, looks
 
 SAVED = {"save_every": 10}
@@ -119,7 +119,7 @@ def test_shares_begin_at_the_share_of_zeros():
     row = panels.Ridge(key, np.array([0.0, 0.0, 1e-9, 1e-7, 1e-8]), np.empty(0))
     look = Look(Setting("SE3", "RK4", 1e-3), key, 1.0)
     axes = figure.subplots()
-    figures._draw_shares([row], [look], 1e-18, "error", axes)
+    over_bodies._draw_shares([row], [look], 1e-18, "error", axes)
     np.testing.assert_allclose(axes.lines[0].get_xdata(), (1e-9, 1e-8, 1e-7))
     np.testing.assert_allclose(axes.lines[0].get_ydata(), (0.6, 0.8, 1.0))
     axes = figure.subplots()

@@ -54,7 +54,8 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.results.panels import MOST_KEYS, Key, Sheet, panels_of  # noqa: E402
 from lierb.results.plots import save  # noqa: E402
-from lierb.studies.pages.figures import AXES, CAPTIONS, omitted, sheets  # noqa: E402
+from lierb.studies.pages.columns import AXES  # noqa: E402
+from lierb.studies.pages.figures import CAPTIONS, omitted, sheets  # noqa: E402
 
 TEMPLATE = "report.html"
 SYMBOLS = ("circle", "diamond", "square", "x")  # from the largest dt to the smallest
