@@ -23,7 +23,7 @@ WORD = re.compile(r"[^\W\d][^\s\"'\[\]{},=#]*")  # what is no number, list or ta
 
 
 def parsed(text: str) -> tuple[str, Any]:
-    """Key and value of `KEY=VALUE`; VALUE as in a TOML file, where a word needs no quotes.
+    """Parse `KEY=VALUE`; VALUE is as in a TOML file, but words need no quotes.
 
     >>> parsed("integrate.dt=[1e-3, 1e-4]"), parsed("integrate.cspace=reduced")
     (('integrate.dt', [0.001, 0.0001]), ('integrate.cspace', 'reduced'))
@@ -53,7 +53,7 @@ def _value(key: str, text: str) -> Any:
 
 
 def path_of(key: str) -> tuple[str, ...]:
-    """The parts of a dotted key; one that has dots of its own is in quotes."""
+    """Split a dotted key into its parts; a part that contains dots is in quotes."""
     found: Any = {}
     with suppress(ValueError, RecursionError):
         found = tomllib.loads(f"{key} = 0")
@@ -67,7 +67,7 @@ def path_of(key: str) -> tuple[str, ...]:
 
 
 def applied(tables: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A study's tables with changes made, in their order.
+    """Return a study's tables with changes applied in their order.
 
     Raises StudyError where a key leads through what is no table.
     """
@@ -93,7 +93,7 @@ def _entered(place: dict[str, Any] | list[Any], part: str, of: str) -> Any:
 
 
 def index_of(items: Sequence[Any], part: str, of: str) -> int:
-    """Of an item by its number, its name, or its type; `of` is the key of them all."""
+    """Return the index of an item by its number, name or type.   of : key of the list."""
     if part.isdecimal() and int(part) < len(items):
         return int(part)
     names = [
@@ -108,12 +108,12 @@ def index_of(items: Sequence[Any], part: str, of: str) -> int:
 
 
 def written(changes: Mapping[str, Any]) -> list[str]:
-    """Changes as `parsed` reads them."""
+    """Format changes as `parsed` reads them."""
     return [f"{key}={_toml(value)}" for key, value in changes.items()]
 
 
 def _toml(value: Any) -> str:
-    """A value in one line of TOML."""
+    """Format a value as one line of TOML."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_toml(k)} = {_toml(v)}" for k, v in value.items()) + "}"
     if isinstance(value, (list, tuple)):

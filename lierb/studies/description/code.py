@@ -1,4 +1,4 @@
-"""Python files that a study names: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
+"""Python files of a study: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
 
 A study has the text of its files, not their places: so they are copied into the results, go to the
 workers of a cluster, and count in its digest. Whoever makes the problem of such a study runs them.
@@ -43,14 +43,14 @@ Code = Mapping[str, str]  # the text of each file, by its name
 
 
 class Named(NamedTuple):
-    """What a type names."""
+    """File and name of a function that a type refers to."""
 
     file: str
     name: str
 
 
 def named(kind: str) -> Named | None:
-    """What a type names in a file; None for another type."""
+    """Parse a type that refers to a file; None for another type."""
     if not re.match(PATTERN, kind) or "\n" in kind:
         return None
     return Named(*kind.removeprefix(PREFIX).split(":"))
@@ -64,7 +64,7 @@ def sha256_of_text(text: str) -> str:
 
 
 def read_code(folder: Path, files: Iterable[str]) -> dict[str, str]:
-    """The texts of these files of a folder. Raises StudyError, for links that lead out as well."""
+    """Read Python files of a folder. Raises StudyError, also for links that lead out of it."""
     return {file: _text_of(folder, file) for file in sorted(set(files))}
 
 
@@ -105,7 +105,7 @@ def _parsed(file: str, text: str) -> ast.Module:
 
 
 def _require_alone(tree: ast.Module, file: str, folder: Path) -> None:
-    """Raise StudyError for imports of what lies beside the file, which is not copied with it."""
+    """Raise StudyError for imports of files beside this one, which are not copied with it."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -132,12 +132,12 @@ _loading: ContextVar[str] = ContextVar("loading", default="")
 
 
 def is_loading() -> str:
-    """The file that is being run for a study here; "" if none is."""
+    """Name of the file that is being executed for a study; "" if none is."""
     return _loading.get()
 
 
 def module_of(file: str, text: str) -> ModuleType:
-    """What a file defines; it is run once a process for each text."""
+    """Execute a file, once in a process for each text; return its module."""
     digest = sha256_of_text(text)[:16]
     stem = re.sub(r"\W", "_", Path(file).stem)
     name, place = f"study_code_{stem}_{digest}", f"<{file} of a study, {digest}>"
@@ -161,7 +161,7 @@ def module_of(file: str, text: str) -> ModuleType:
 
 @contextmanager
 def _running(file: str) -> Iterator[None]:
-    """What the file raises is the study's error."""
+    """Context that turns an exception of the file into a StudyError."""
     token = _loading.set(file)
     try:
         yield
@@ -176,7 +176,7 @@ def _running(file: str) -> Iterator[None]:
 
 
 def _line_of(error: BaseException, place: str) -> str:
-    """The innermost line of a file that an exception has passed; "" if there is none."""
+    """Innermost line of a file that an exception has passed; "" if there is none."""
     found, trace = "", error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename.startswith(place):
@@ -186,7 +186,7 @@ def _line_of(error: BaseException, place: str) -> str:
 
 
 def function_of(table: str, kind: str, code: Code) -> Any:
-    """The decorated function that a type of a table of the problem names.
+    """Return the decorated function that a type of a table of the problem refers to.
 
     table : of KINDS.   Raises StudyError.
     """
@@ -211,7 +211,7 @@ def function_of(table: str, kind: str, code: Code) -> Any:
 
 
 def source_of(decorated: Decorated) -> tuple[str, str, str]:
-    """File, its text and name of a function that was made in Python.
+    """Return file, text and name of a function that was defined in Python.
 
     Raises StudyError for one that no file has for others to load.
     """

@@ -1,4 +1,4 @@
-"""A study of a problem and a design that were made in Python: the tables that a file would have.
+"""Study of a problem and a design made in Python: the tables that its file would have.
 
 So everything that studies can do, they can do with it: the folder of the results says it all.
 """
@@ -135,7 +135,7 @@ def _stabilise(kept: Stabilisation) -> Any:
 def _starts(
     mechanism: Mechanism, initial: Mapping[str, Any]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """What each link's table `initial` has, and the study's own."""
+    """Return each link's table `initial`, and the study's own."""
     of_links, rest = {}, {}
     for key, value in initial.items():
         if key == "close" and not isinstance(value, Mapping):
@@ -158,7 +158,7 @@ def _starts(
 def _held(
     mechanism: Mechanism, design: Design, initial: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    """The links and the loops."""
+    """Return the tables of the links and the loops."""
     links = [
         {
             "name": link.name, "parent": link.parent,
@@ -179,7 +179,7 @@ def _held(
 
 
 def _one(label: str, array: Array, item_axes: int = 0) -> Any:
-    """The numbers of one body, of which all have the same."""
+    """Return the numbers of one body. Raises StudyError if bodies differ."""
     if array.ndim > item_axes and len(array) > 1:
         raise StudyError(
             f"{label} has numbers of its own for {len(array)} bodies; in a study, what differs "
@@ -190,7 +190,7 @@ def _one(label: str, array: Array, item_axes: int = 0) -> Any:
 
 
 def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
-    """prefix : of its quantities' names."""
+    """Return the table of a body.   prefix : of its quantities' names."""
     tables = {
         "mass": _one(f"{prefix}mass", body.mass), "com": _one(f"{prefix}com", body.com, 1),
     }  # fmt: skip
@@ -213,7 +213,7 @@ def _joint(prefix: str, joint: Joint) -> dict[str, Any]:
 
 
 def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
-    """The design, under the names that its quantities have in a file."""
+    """Return the table of the design, with the file's names of the quantities."""
     names = [name for name in design.quantities if name != NOTHING]
     if design.method != "random" and names != sorted(names):
         raise StudyError(
@@ -238,7 +238,7 @@ def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
 
 
 def _is_section(section: list[str], problem: Problem | Mechanism) -> bool:
-    """Whether there is something to draw under these names."""
+    """Return whether quantities of a section of the file can be drawn."""
     if len(section) == 2 and section[0] in ELEMENTS:
         return True
     if isinstance(problem, Problem):
@@ -287,7 +287,7 @@ def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:
 
 
 def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """With names where several would have the same one: drag, drag_2, …"""
+    """Name elements whose labels are equal: drag, drag_2, …"""
     seen: dict[str, int] = {}
     for element in elements:
         label = element.get("name") or element["type"].rpartition(":")[2]
@@ -298,7 +298,7 @@ def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _require_same(problem: Problem | Mechanism, study: Study) -> None:
-    """Raise StudyError where the files make other functions than those that the problem has."""
+    """Raise StudyError if a file defines another function than the one in the problem."""
     made = study.batch(0, 1).problem
     for given, found in zip(problem.elements, made.elements, strict=True):
         if given.kind != found.kind and given.made_by is not None:

@@ -1,4 +1,4 @@
-"""What is wrong with a study, by the line and key of its file."""
+"""Messages about errors in a study, with the line and key of its file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_TOLD = 10  # of the things that are wrong
 
 
 class at:
-    """Errors in the block are those of a table of the file."""
+    """Context that turns a LierbError into a StudyError of a table of the file."""
 
     def __init__(self, table: str) -> None:
         self.table = table
@@ -34,7 +34,7 @@ class at:
 
 
 class at_key(at):
-    """The same, and of the key that they begin with, if it is one of `keys`."""
+    """Context as `at`; a key of `keys` that begins the message is added to the table's name."""
 
     def __init__(self, table: str, keys: Collection[str]) -> None:
         super().__init__(table)
@@ -48,7 +48,7 @@ class at_key(at):
 
 
 def called(table: str, function: Any, values: dict[str, Any]) -> Any:
-    """function(**values), where a key that it does not take is named."""
+    """Return function(**values). Raises StudyError for a key that it does not take."""
     signature = inspect.signature(function)
     known = [n for n, p in signature.parameters.items() if p.kind is not p.VAR_KEYWORD]
     for name in values:
@@ -68,14 +68,14 @@ def suggestion(name: str, known: list[str]) -> str:
 
 @dataclass(frozen=True)
 class Given:
-    """What a study is made from: a file's name and text, and changes of what it says."""
+    """Source of a study: name and text of its file, and changes of its tables."""
 
     source: str
     text: str
     changes: Mapping[str, Any]
 
     def place(self, path: tuple[Any, ...]) -> str:
-        """Where a key was given: the file's line, and what of its table was changed."""
+        """Return file and line of a key, and the changes of its table."""
         keys = [path_of(key) for key in self.changes]
         if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
             path = ("problem", path[0], *path[2:])
@@ -96,7 +96,7 @@ WORDS = {  # Python's in pydantic's messages, and those of a file
 def messages(
     errors: ValidationError, model: type[BaseModel], tables: dict[str, Any], given: Given
 ) -> str:
-    """The first of pydantic's errors, each in a line.   model : of the whole file."""
+    """Format the first of pydantic's errors, one a line.   model : of the whole file."""
     found = iter(errors.errors(include_url=False, include_context=False))
     lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(found, MOST_TOLD))
     if rest := sum(1 for _ in found):
@@ -105,7 +105,7 @@ def messages(
 
 
 def _message(error: Any, model: type[BaseModel], tables: dict[str, Any], given: Given) -> str:
-    """One of pydantic's errors as a line: where, key, what, got."""
+    """Format one of pydantic's errors as a line: place, key, error, input."""
     path = tuple(error["loc"])
     while path and not _leads_somewhere(path, tables) and error["type"] != "missing":
         path = path[:-1]  # pydantic adds the names of the alternatives that it tried
@@ -143,13 +143,13 @@ def _fields_at(model: Any, path: tuple[Any, ...]) -> list[str]:
 
 
 def _model_in(annotation: Any) -> Any:
-    """The table that a field is, or that the items of its list are."""
+    """Return the model that a field is, or that the items of its list are."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
     return next(filter(None, map(_model_in, get_args(annotation))), None)
 
 
 def located(message: str, given: Given) -> str:
-    """`table.key: what` with the line before it."""
+    """Put the place of a key before a message that begins with it: `table.key: …`."""
     key = message.partition(":")[0]
     return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"

@@ -1,4 +1,4 @@
-"""Quantiles, and how well a sample knows them."""
+"""Sample quantiles and their confidence intervals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CONFIDENCE = 0.95  # of every interval
 
 
 class Quantile(NamedTuple):
-    """A quantile, and an interval that has that of the whole population with CONFIDENCE.
+    """Sample quantile, and a confidence interval of the population's quantile.
 
     value : the least number that at least this share of the bodies stay at or below.
     low, high : two of the bodies' numbers, by their order alone, whatever the distribution: how
@@ -27,12 +27,12 @@ class Quantile(NamedTuple):
 
     @property
     def width(self) -> float:
-        """Of the interval; NaN where it has no end."""
+        """Width of the interval; NaN if it has no end."""
         return self.high - self.low
 
 
 def quantile_of(ordered: Array, probability: float) -> Quantile:
-    """A quantile of numbers that are in order; by `scipy.stats.quantile_test`.
+    """Compute a quantile of sorted numbers, by `scipy.stats.quantile_test`.
 
     The interval is the exact one of Conover, Practical Nonparametric Statistics, 3rd ed., 3.2.
     """
@@ -47,7 +47,7 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
 
 
 def share_width(count: int, of: int) -> float:
-    """Of the interval for a share, by Clopper and Pearson; `scipy.stats.binomtest`."""
+    """Width of a share's interval, by Clopper and Pearson; `scipy.stats.binomtest`."""
     require("scipy")
     from scipy.stats import binomtest
 

@@ -1,4 +1,4 @@
-"""The example studies that come with lierb."""
+"""Example studies of the package."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ SCHEMA = "#:schema "  # for editors; its path is that of the checkout
 
 
 def _folder() -> Path:
-    """A wheel has them inside the package, a checkout beside it."""
+    """Folder of the examples: inside the package in a wheel, beside it in a checkout."""
     inside = PACKAGE / "examples"
     return inside if inside.is_dir() else PACKAGE.parent / "examples"
 
 
 def examples() -> dict[str, str]:
-    """Each one's first line of comment, by name."""
+    """Return the first comment of each example, by name."""
     names = sorted(path.stem for path in _folder().glob("*.toml"))
     return {name: example(name).partition("\n")[0].removeprefix("# ") for name in names}
 
 
 def example(name: str) -> str:
-    """The TOML text of an example, or the Python file FILE.py that one names.
+    """Return the TOML text of an example, or a Python file FILE.py that an example refers to.
 
     Raises UnknownNameError.
     """

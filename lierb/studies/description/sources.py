@@ -1,4 +1,4 @@
-"""Where a study's file comes from: standard input and pipes are read once, and have no name."""
+"""Sources of a study's file: standard input and pipes are read once, and have no name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LONGEST_STUDY = 4 * 2**20  # of a study's file: 200 000 numbers with all their d
 
 
 def path_given(study: Any) -> Path:
-    """The path of a study's file, `~` being home. Raises ArgumentError for what is none."""
+    """Convert to a path, `~` being the home folder. Raises ArgumentError."""
     try:
         return Path(study).expanduser()
     except (TypeError, RuntimeError):  # no path; nobody's home
@@ -29,7 +29,7 @@ def path_given(study: Any) -> Path:
 
 @contextmanager
 def as_file(path: Path) -> Iterator[Path]:
-    """A study's file that may be read again and whose name may be the study's.
+    """Yield the path of a study's file that can be read again and has a name.
 
     That is `path` itself, or a copy `study.toml` that lasts as long as the block: of standard input
     (`-`), of a pipe, and of a file whose name is no text. Of what is longer than LONGEST_STUDY, or
@@ -47,7 +47,7 @@ def as_file(path: Path) -> Iterator[Path]:
 
 
 def _is_plain(path: Path) -> bool:
-    """Also of what does not exist: whoever reads it says so."""
+    """Return whether a path is a named file, or does not exist."""
     if str(path) == STDIN or str(path).startswith(NAMELESS):
         return False
     try:

@@ -1,4 +1,4 @@
-"""How the bodies of a study start: poses and twists from what its tables [initial] say.
+"""Initial poses and twists of a study's bodies, from its tables [initial].
 
 One body takes what `Joint.pose` and `Joint.twist` take. Links of a mechanism are placed one on the
 other, each by what its own table `initial` says; what is open then is closed.
@@ -40,7 +40,7 @@ Initial = Mapping[str, Any]
 
 
 def started(problem: Problem, initial: Initial, t0: float) -> tuple[Array, Array | None]:
-    """Twists and poses of one body that satisfy the joint."""
+    """Compute twists and poses of one body that satisfy the joint."""
     joint = problem.joint
     pose = _placed(joint, initial)
     kinds = [k for k in ("omega", "twist", "velocities") if k in initial]
@@ -61,7 +61,7 @@ def started(problem: Problem, initial: Initial, t0: float) -> tuple[Array, Array
 
 
 def _placed(joint: Joint, initial: Initial) -> Array | None:
-    """The poses that coordinates, or rotation and place, give; None for the closed joint."""
+    """Compute poses from coordinates, or rotation and place; None for the closed joint."""
     placed = [k for k in PLACES if k in initial]
     if "coordinates" in initial:
         if placed:
@@ -73,14 +73,14 @@ def _placed(joint: Joint, initial: Initial) -> Array | None:
 
 
 def _turned_and_placed(initial: Initial) -> Pose:
-    """The body's joint frame, seen from the other one."""
+    """Pose of the body's joint frame in the ground's or parent's."""
     turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
     place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
     return components(turn, 2), components(place)
 
 
 def _on(joint: Joint, relative: Pose) -> Pose:
-    """G D B⁻¹: the body seen from what it hangs on."""
+    """Pose of the body in its ground or parent, G D B⁻¹."""
     ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
     return se3.compose(se3.compose(ground, relative), se3.inverse(body))
 
@@ -91,7 +91,7 @@ def _on(joint: Joint, relative: Pose) -> Pose:
 def started_mechanism(
     mechanism: Mechanism, initial: Mapping[str, Initial], close: str, count: int, t0: float
 ) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Twists, (count, 6), and poses, (count, 4, 4), of all links.
+    """Compute twists, (count, 6), and poses, (count, 4, 4), of all links.
 
     initial : by link; of each what its table says.
     close : AUTO closes what links that are placed one on the other leave open, and projects twists
@@ -124,7 +124,7 @@ def _spread(what: str, array: Array, count: int, item_axes: int) -> Array:
 
 
 def _is_a_tree(mechanism: Mechanism) -> bool:
-    """Whether coordinates satisfy all rows that there are."""
+    """Return whether coordinates of the joints satisfy all rows."""
     own = {link.name for link in mechanism.links if motions_of(link.joint) or not link.joint.rows}
     rigid = {link.name for link in mechanism.links if link.joint.name == "fixed"}
     return all(at.name in own | rigid for at in mechanism.connections)
@@ -163,7 +163,7 @@ def _of_coordinates(name: str, joint: Joint, given: Any) -> Pose:
 def _twists(
     mechanism: Mechanism, initial: Mapping[str, Initial], poses: dict[str, Array]
 ) -> dict[int, Vec]:
-    """Of each link its rates on its joint, and what its parent carries along."""
+    """Compute each link's twist: its rates on its joint plus its parent's motion."""
     placed = mechanism.poses("pose0", poses)
     found: dict[int, Vec] = {}
     for i in mechanism.order:
@@ -198,7 +198,7 @@ def _rates(name: str, joint: Joint, given: Initial, relative: Pose) -> Vec:
 
 
 def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
-    """One for each coordinate: a list in a table is of one link, and no batch as what is drawn."""
+    """Convert the numbers of a joint's coordinates; a list is of one link, not of a batch."""
     if isinstance(given, list) and len(given) != len(names):
         expected = "a number" if len(names) == 1 else counted(len(names), "number")
         raise ArgumentError(

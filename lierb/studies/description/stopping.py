@@ -1,4 +1,4 @@
-"""When a study has enough bodies: the rule `[sample] stop_when`.
+"""Rule by which a study ends early: `[sample] stop_when`.
 
     width of 95% of pointing_error_max < 0.01      the interval of that quantile, in its own unit
     width of 95% of pointing_error_max < 2%        relative to the quantile
@@ -38,7 +38,7 @@ EXPECTED = '"width of 95% of COLUMN < 0.01", "… < 2%", or "width of failed < 0
 
 
 class Rule(NamedTuple):
-    """Enough bodies: the interval of a quantile of a column, or of the share that fails, is narrow.
+    """Bound on a confidence interval's width: of a column's quantile, or of the failed share.
 
     probability : of the quantile; None for the share that fails.   bound : of the interval's width.
     is_relative : whether the bound is a share of the quantile's own size.
@@ -50,7 +50,7 @@ class Rule(NamedTuple):
     is_relative: bool
 
     def holds(self, bodies: Bodies) -> bool:
-        """Whether they are enough; not where they are too few for an interval."""
+        """Return whether the bodies are enough; False if they are too few for an interval."""
         if self.probability is None:
             return share_width(bodies.failed, bodies.count) < self.bound
         found = quantile_of(bodies.ordered, self.probability)
@@ -58,7 +58,7 @@ class Rule(NamedTuple):
 
 
 def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = False) -> Rule:
-    """The rule that a text says, of a column of the problem's summaries. Raises StudyError.
+    """Parse a rule about a column of the problem's summaries. Raises StudyError.
 
     has_lane_clocks : whether each trajectory has steps of its own, and columns that count them.
     """
@@ -85,7 +85,7 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
 
 
 class Bodies:
-    """What a rule needs to know of the bodies so far, in one setting."""
+    """Statistics of the bodies so far in one setting, which a rule is applied to."""
 
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
@@ -94,7 +94,7 @@ class Bodies:
 
     @property
     def columns(self) -> list[str]:
-        """Of a summary, those that are looked at."""
+        """Names of the summary's columns that the rule depends on."""
         return ["status"] if self.rule.probability is None else ["status", self.rule.column]
 
     def add(self, summary: pa.Table) -> None:

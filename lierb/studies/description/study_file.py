@@ -1,4 +1,4 @@
-"""A study's file: its text, the line of a key, and what it can hold.
+"""Text of a study's file, the lines of its keys, and the values that a file can hold.
 
 `plain` is the one way in, for a file's tables and for those that Python makes: what it lets pass
 can be written as TOML and as JSON, and is read back as it was.
@@ -38,7 +38,7 @@ _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
 def read(path: Path) -> str:
-    """The text of a study's file, or pipe.
+    """Read the text of a study's file, or pipe.
 
     Raises StudyError for a folder, for what is no text or too large, OSError where nothing is.
     """
@@ -66,7 +66,7 @@ TOO_LARGE = (
 
 
 def tables_in(text: str, source: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises StudyError with the line of what is wrong."""
+    """Parse a TOML text into tables. Raises StudyError with the line of an error."""
     if found := _LONG_KEY.search(text):
         raise StudyError(f"{_line_at(text, found.start(), source)}: a key of {MOST_PARTS}+ parts")
     try:
@@ -87,7 +87,7 @@ _TOO_LARGE_NUMBER = "a whole number of more than 64 bits; write it with an expon
 
 
 def _line_at(text: str, index: int, source: str) -> str:
-    """`file:line`, and the key that is set there."""
+    """Format the place of an index as `file:line: key`."""
     lines = text[: index + 1].split("\n")
     table: list[str] = []
     for line in lines[:-1]:
@@ -99,7 +99,7 @@ def _line_at(text: str, index: int, source: str) -> str:
 
 
 def _deepest(text: str) -> int:
-    """Where the most brackets are open, as far as strings have none."""
+    """Return the index at which most brackets are open, those in strings included."""
     depth, deepest, where = 0, 0, 0
     for found in re.finditer(r"[\[\]{}]", text):
         depth += 1 if found[0] in "[{" else -1
@@ -109,7 +109,7 @@ def _deepest(text: str) -> int:
 
 
 def line_of(text: str, path: tuple[Any, ...]) -> int | None:
-    """The line of a TOML text where a key, or the nearest table around it, is.
+    """Return the line of a TOML text that sets a key, or else the nearest table around it.
 
     path : keys; of one of several tables, as of [[problem.links]], also its number or its name.
     """
@@ -128,7 +128,7 @@ Names = dict[tuple[Any, ...], list[str]]  # of the tables in each list of them
 
 
 def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
-    """Number and path of each line that sets something, with the numbers of tables in lists."""
+    """Return number and path of each line that sets something, and the names of listed tables."""
     lines: list[tuple[int, tuple[Any, ...]]] = []
     names: Names = {}
     table: list[str] = []
@@ -152,7 +152,7 @@ def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
 
 
 def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
-    """With the number of the table that a list of them has had last, after each list."""
+    """Insert the number of the latest table after each list of tables in a path."""
     found: tuple[Any, ...] = ()
     for part in path:
         found += (part,)
@@ -162,7 +162,7 @@ def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
 
 
 def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
-    """A path with numbers for names; ANY where it does not say which."""
+    """Replace names of listed tables by their numbers, or by ANY where a path has none."""
     found: tuple[Any, ...] = ()
     for part in path:
         known = names.get(found)
@@ -178,7 +178,7 @@ def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
 
 
 def _parts_of(line: str, table: list[str]) -> list[str] | None:
-    """The path that a line of TOML sets: a table's, or a key's in the table."""
+    """Return the path that a line of TOML sets: a table's, or a key's in the table."""
     stripped = line.strip()
     if stripped.startswith("["):
         return [part.strip(" \"'") for part in stripped.strip("[]").split("]")[0].split(".")]
@@ -189,7 +189,7 @@ def _parts_of(line: str, table: list[str]) -> list[str] | None:
 
 
 def shortened(text: str) -> str:
-    """A message without the middle of what is too long to be read."""
+    """Leave out the middle of a message that is too long."""
     half = TOLD // 2
     return text if len(text) <= TOLD else f"{text[:half]} … {text[-half:]}"
 
@@ -198,7 +198,7 @@ def shortened(text: str) -> str:
 
 
 def plain(tables: Any) -> dict[str, Any]:
-    """Tables as a file has them: dictionaries and lists, new ones, of numbers and text.
+    """Convert tables to what a file can hold: new dictionaries and lists of numbers and text.
 
     Arrays and tuples become lists, NumPy's numbers Python's, distributions their tables, SciPy's
     rotations matrices, −0 becomes 0. What is None is not given.
@@ -212,7 +212,7 @@ def plain(tables: Any) -> dict[str, Any]:
 
 
 def plain_changes(changes: Any) -> dict[str, Any]:
-    """Changes by dotted keys, of what a file can hold; None where something is to be left out."""
+    """Convert changes by dotted keys to what a file can hold; None removes a key."""
     if not isinstance(changes, Mapping):
         raise StudyError(f"changes must be a dictionary by dotted keys, got {told(changes)}")
     return {
@@ -222,7 +222,7 @@ def plain_changes(changes: Any) -> dict[str, Any]:
 
 
 class _Plain:
-    """One walk; `left` is how many values there may be, lest a list that is in itself goes on."""
+    """Conversion of nested values; `left` bounds their number, as a list may contain itself."""
 
     def __init__(self) -> None:
         self.left = LONGEST_STUDY // 4  # a value takes four characters, in a line of its own
@@ -324,7 +324,7 @@ def _table_of(distribution: Distribution, path: tuple[str, ...]) -> Any:
 
 
 def _matrix_of(given: Any, path: tuple[str, ...]) -> Any:
-    """Of SciPy's `Rotation` or `RigidTransform`; a frame's rotation is about the origin."""
+    """Convert SciPy's `Rotation` or `RigidTransform`; a frame's rotation is about the origin."""
     try:
         matrix = as_floats("it", as_matrix("it", given))
     except LierbError as error:

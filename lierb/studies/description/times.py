@@ -1,4 +1,4 @@
-"""When rows of a study's history are: `save_at` in [integrate], as a list or by a rule.
+"""Times of the rows of a study's history: `save_at` in [integrate], a list or a rule.
 
 save_at = [0.0, 0.5, 2.0]                          s, in ascending order
 save_at = { every = 0.5, from = 1.0, to = 4.0 }    from and to are t0 and t_end by default
@@ -23,7 +23,7 @@ EXPECTED = "times in s, in ascending order, or { every = …, from = …, to = �
 
 
 def _checked(given: Any) -> Any:
-    """As it is given. Raises PydanticCustomError for what is neither."""
+    """Validate a list of times or a rule. Raises PydanticCustomError."""
     if isinstance(given, dict):
         for key in given:
             if key not in RULE:
@@ -61,7 +61,7 @@ SaveAt = Annotated[
 
 
 def saved_times(given: Any, t0: float, t_end: float) -> Array:
-    """Times, s, of what `save_at` says. Raises ArgumentError for a rule that gives none."""
+    """Compute the times of `save_at`, s. Raises ArgumentError for a rule that gives none."""
     if not isinstance(given, dict):
         return np.array(given, dtype=float)
     every = float(given["every"])

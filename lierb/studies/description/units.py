@@ -1,4 +1,4 @@
-"""Units of what a study samples: in its tables' fields, and on the axes of its figures."""
+"""Units of sampled quantities, for the fields of tables and the axes of figures."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ UNITS = {
 
 
 def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
-    """The unit of a sampled quantity such as `initial.omega`; of mixed ones each, with commas; ""
-    of a parameter of a function of the user's, which has the unit that the user thinks of.
+    """Return the unit of a sampled quantity such as `initial.omega`.
+
+    Mixed units are separated by commas. The parameter of a user's function has none, "".
 
     problem : the study's, the coordinates of whose joints are angles or lengths.
     """
@@ -45,13 +46,13 @@ def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
 
 
 def joint_of(quantity: str, problem: Problem | Mechanism) -> Joint:
-    """The joint that a quantity such as `initial.velocities` or `rod.initial.velocities` is of."""
+    """Return the joint of a quantity such as `initial.velocities` or `rod.initial.velocities`."""
     if isinstance(problem, Problem):
         return problem.joint
     return problem.link(quantity.partition(".")[0]).joint
 
 
 def each_unit(unit: str, width: int) -> list[str]:
-    """The units of so many components: each its own, or all the same."""
+    """Return the unit of each component."""
     units = unit.split(", ")
     return units if len(units) == width else [unit] * width

@@ -1,4 +1,4 @@
-"""A study's parts: which bodies in which setting, and the tables that come of them."""
+"""Parts of a study: a range of bodies in one setting, and its tables."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EVENTS_FORESEEN = 10  # crossings of each event in a trajectory: nobody knows be
 
 @dataclass(frozen=True)
 class Part:
-    """Some bodies in one setting of a study."""
+    """Range of bodies in one setting of a study."""
 
     name: str
     setting: Setting
@@ -42,9 +42,7 @@ class Part:
     count: int
 
     def work(self, study: Study) -> int:
-        """How much there is to do, as progress is told: body-steps, or shares of trajectories where
-        each has its own steps.
-        """
+        """Amount of work, in body-steps, or in shares of trajectories that have their own steps."""
         if study.has_lane_clocks:
             return self.count * SHARES
         run = study.integrate
@@ -53,7 +51,7 @@ class Part:
     def tables(
         self, study: Study, design: Design, threads: int | None, progress: Progress | None = None
     ) -> dict[str, pa.Table]:
-        """What its bodies do: `summary`, `history` and `events` if there are any."""
+        """Integrate the bodies; return `summary`, and `history` and `events` if there are any."""
         batch = study.batch(self.first, self.count, design)
         options = study.options(self.setting)
         if study.problem.controllers:  # noise is drawn by a trajectory's number in the whole study
@@ -72,7 +70,7 @@ class Part:
         return tables
 
     def _labelled(self, table: pa.Table) -> pa.Table:
-        """With the trajectories' numbers in the study, and the setting before."""
+        """Number the trajectories as in the study, and insert columns of the setting."""
         rows = table.num_rows
         own = numbers(as_array(table["trajectory"]) + self.first)
         table = table.set_column(0, table.schema.field("trajectory"), own)
@@ -84,7 +82,7 @@ class Part:
 
 
 class Parts(Sequence[Part]):
-    """All parts of a study, setting by setting, each made when it is asked for.
+    """All parts of a study, setting by setting; each is made when it is accessed.
 
     Names sort as the parts do: numbers are as wide as the study's largest.
     """
@@ -121,7 +119,7 @@ class Parts(Sequence[Part]):
         return self._part(setting, n * self._size)
 
     def named(self, name: str) -> Part | None:
-        """The part of that name, if there is one."""
+        """Return the part of that name, or None."""
         setting, _, first = name.partition("-")
         if not (setting.isdecimal() and first.isdecimal()):
             return None
@@ -136,7 +134,7 @@ class Parts(Sequence[Part]):
         return self._bodies * len(self._settings)
 
     def work(self, names: Iterable[str] | None = None) -> int:
-        """Of the parts of these names, of all if None; see `Part.work`."""
+        """Amount of work of the parts of these names, by default of all; see `Part.work`."""
         if names is None:
             counted = [Part("", setting, 0, self._bodies) for setting in self._settings]
         else:
@@ -150,12 +148,12 @@ class Parts(Sequence[Part]):
 
 
 def parts_of(study: Study) -> Parts:
-    """All parts, setting by setting."""
+    """Return all parts of a study, setting by setting."""
     return Parts(study)
 
 
 def part_size(study: Study) -> int:
-    """Bodies in a part: as the study says, fewer if their history would not fit the memory."""
+    """Number of bodies in a part: the study's, or fewer if their history would fill the memory."""
     run = study.integrate
     if study.has_lane_clocks:
         return max(1, min(study.output.part, int(HISTORY_BYTES / max(1, bytes_of_body(study)))))
@@ -168,14 +166,14 @@ def part_size(study: Study) -> int:
 
 
 def bytes_of_body(study: Study) -> int:
-    """Of a trajectory's rows in `history` and `events`, where each has a clock of its own."""
+    """Bytes of a trajectory's rows in `history` and `events`, if each has its own clock."""
     run, problem = study.integrate, study.batch(0, 1).problem
     each = (LABEL_BYTES + event_row_bytes(problem)) * EVENTS_FORESEEN * len(problem.events)
     return each + saved_rows(study) * (LABEL_BYTES + history_row_bytes(problem, run.record))
 
 
 def saved_rows(study: Study) -> int:
-    """Of a trajectory in the history, in the setting with most of them."""
+    """Number of a trajectory's rows in the history, in the setting with most of them."""
     run = study.integrate
     if run.times is not None:
         return len(run.times)
@@ -185,7 +183,7 @@ def saved_rows(study: Study) -> int:
 
 
 def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
-    """With what its bodies drew behind, in its units."""
+    """Append columns of the sampled quantities, with their units."""
     for name, values in batch.draws.items():
         column = _column(np.ascontiguousarray(values))
         unit = unit_of(name, study, batch.problem)
@@ -195,5 +193,5 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
 
 
 def _column(values: Array) -> pa.Array:
-    """Numbers, or flat lists of a body's numbers."""
+    """Column of numbers, or of flat lists of a body's numbers."""
     return numbers(values) if values.ndim == 1 else vectors(values.reshape(len(values), -1))
