@@ -21,8 +21,9 @@ from lierb.studies.dataset import Dataset
 from lierb.studies.storage.store import Store
 
 pytest.importorskip("plotly")
+from lierb.studies.pages.explorer import POINTS
 from lierb.studies.pages.figures import figures, omitted
-from lierb.studies.pages.report import POINTS, write_report
+from lierb.studies.pages.report import write_report
 from lierb.support.files import require_page
 
 BODIES = 50

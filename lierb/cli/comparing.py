@@ -22,12 +22,12 @@ MOST_BODIES = 64  # of a study, unless --n says another number
 
 
 def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:
-    """Callback of options that take names: several, or one with commas in it."""
+    """Callback of options that take names, one or several with commas."""
     return [word.strip() for each in given for word in each.split(",") if word.strip()]
 
 
 def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> list[float]:
-    """The same of numbers."""
+    """Callback of options that take numbers, one or several with commas."""
     try:
         return [float(word) for word in _words(ctx, param, given)]
     except ValueError as error:
@@ -35,7 +35,7 @@ def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...])
 
 
 def _several(name: str, callback: Any, metavar: str, told: str) -> Any:
-    """An option for several values: with commas, or given more than once."""
+    """Option for several values: with commas, or given more than once."""
     return click.option(name, multiple=True, callback=callback, metavar=metavar, help=told)
 
 
@@ -138,7 +138,7 @@ def compare(
 
 
 def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, Any]:
-    """Steps and tolerances: those that are asked for, else the study's."""
+    """Steps and tolerances of the options, else those of the study."""
     run = study.integrate
     if not (dts or rtols):
         if run.is_adaptive:
@@ -150,7 +150,7 @@ def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, An
 
 
 def _left_out(study: Study) -> list[str]:
-    """What [integrate] has that runs of a comparison have not: they are whole, and keep no rows."""
+    """Keys of [integrate] that a comparison leaves out: its runs are whole, and save no rows."""
     run = study.integrate
     keys = ("dt_min", "dt_max", "max_steps", "save_every", "save_at", "record")
     left = [key for key in keys if getattr(run, key) not in (None, [])]
@@ -158,13 +158,13 @@ def _left_out(study: Study) -> list[str]:
 
 
 def _steps(study: Study) -> list[float]:
-    """Those of the study; of one its half and its quarter as well, else there would be no order."""
+    """Steps of the study; a single one with its half and its quarter, to give an order."""
     dts = study.integrate.dt
     return [dts[0], dts[0] / 2, dts[0] / 4] if len(dts) == 1 else dts
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """For a terminal."""
+    """Make a table for a terminal."""
     from lierb.studies.findings.findings import empty_table
 
     words = [name for name in header if name in ("method", "c-space", "over")]

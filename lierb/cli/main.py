@@ -1,4 +1,4 @@
-"""The group of commands, and those that are no study's.
+"""Group of all commands, and the commands that are not about studies.
 
 Each command imports what it runs inside its function, so that `lierb --help` stays quick.
 """
@@ -29,7 +29,7 @@ NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of th
 
 
 class Commands(click.Group):
-    """A group whose commands end with one sentence where Python would show a traceback."""
+    """Group whose commands report an error in one sentence instead of a traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -54,7 +54,7 @@ for command in (*study_cli.COMMANDS, compare):
 
 
 def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
-    """Callback for options that take a finite number."""
+    """Callback of options that take a finite number."""
     if not math.isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number")
     return value
@@ -111,7 +111,7 @@ def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: 
 @cli.command()
 @click.option("--json", "as_json", is_flag=True, help="As JSON, for a report or a script.")
 def info(as_json: bool) -> None:
-    """What lierb runs with here: versions, CPU, lanes, threads, compiled kernels."""
+    """Print what lierb runs with: versions, CPU, lanes, threads, compiled kernels."""
     import json
 
     from lierb.installation import info as found_by
@@ -141,7 +141,7 @@ def info(as_json: bool) -> None:
 @cli.command()
 @click.option("--clear", is_flag=True, help="Delete them all, whatever version they are of.")
 def cache(clear: bool) -> None:
-    """Compiled kernels on the disk: where they are, how many, how large."""
+    """Print folder, number and size of the compiled kernels on the disk."""
     from lierb.installation import clear_cache, info
 
     if clear:
@@ -180,7 +180,7 @@ def warmup(
     multipliers: bool,
     changes: study_cli.Changes,
 ) -> None:
-    """Compile ahead of time what later processes then load from the disk cache.
+    """Compile kernels ahead of time, for later processes to load from the disk.
 
     JOINT is a name such as spherical (the default), or several. Every option but --solver may be
     given more than once: each combination is compiled. Or it is the TOML file of a study.
@@ -210,7 +210,7 @@ def warmup(
 
 
 def _findings_table(report: PaperReport) -> Table:
-    """A block of rows for each joint and c-space: the step sizes, and the judgement beside them.
+    """Table with a block of rows for each joint and c-space.
 
     It is 79 columns wide, so that it fits where output is piped as well.
     """
@@ -250,7 +250,7 @@ def _findings_table(report: PaperReport) -> Table:
 
 
 def _error_cells(findings: list[Finding]) -> list[list[str]]:
-    """For each step size: the step size, the position error, the rotation error."""
+    """Cells of each step size: the step, the position error, the rotation error."""
     by_quantity = {finding.quantity: finding.errors for finding in findings}
     dts = findings[0].dts
     absent = [None] * len(dts)
@@ -268,7 +268,7 @@ def _number(error: float | None) -> str:
 
 
 def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
-    """For each error: its name, the observed order, the verdict, the claim, whether they agree."""
+    """Cells of each error: name, observed order, verdict, claim, agreement."""
     agreement = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "–"}
     return [
         [
@@ -283,7 +283,7 @@ def _judgement_cells(findings: list[Finding]) -> list[list[str]]:
 
 
 def _closing_lines(report: PaperReport, out: Path) -> Iterator[str]:
-    """How to read the table, what was read differently, what agrees, and where the files are."""
+    """Yield notes on the table, departures from the paper, agreement, and files."""
     yield ""
     yield "pos, rot: the position and the rotation error, largest of all steps."
     yield "exact: at rounding for every dt.  >=: the finer error is at rounding, a lower bound."

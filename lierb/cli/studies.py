@@ -1,4 +1,4 @@
-"""The commands of `lierb` that run and look at studies."""
+"""Commands that run studies and show their results."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ COPIED = "lierb.copied"  # in a context: the study is from a pipe
 
 
 class UserPath(click.Path):
-    """A path whose `~` is expanded, as in `--out=~/top`, which a shell leaves alone."""
+    """Path whose `~` is expanded, as in `--out=~/top`, where a shell does not."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         # as text: a Path makes `s3:/x` of a URL, and the folder here of nothing
@@ -45,7 +45,7 @@ FOLDER = click.argument("folder", type=UserPath(exists=True, file_okay=False, pa
 
 
 def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
-    """Callback of STUDY: a file that may be read again, until the command ends."""
+    """Callback of STUDY: a file that can be read repeatedly until the command ends."""
     path = ctx.with_resource(as_file(given))
     ctx.meta[COPIED] = path != given
     return path
@@ -58,7 +58,7 @@ STUDY = click.argument(
 
 
 def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
-    """Callback of --set: what is changed, by dotted keys."""
+    """Callback of --set: changes by dotted keys."""
     try:
         pairs = [parsed(each) for each in given]
     except StudyError as error:
@@ -170,7 +170,7 @@ def run(
 
 
 def _to_go_on(study: Path, changes: Changes, out: str | None, folder: Path) -> str:
-    """The command that does the rest of a run, of the folder's own study if it was from a pipe."""
+    """Command that resumes a run; a study from a pipe is resumed from its folder."""
     if click.get_current_context().meta[COPIED]:
         return shlex.join(["lierb", "run", str(folder / FILE), "--out", str(folder), "--resume"])
     options = [word for each in written(changes) for word in ("--set", each)]
@@ -194,7 +194,7 @@ def _require_one_way(
 
 @contextmanager
 def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | None]:
-    """A client of the cluster that was asked for, if one was."""
+    """Start or join the cluster of the options; yield its client, or None without one."""
     if workers is None and scheduler is None:
         yield None
         return
@@ -209,7 +209,7 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | Non
 @click.command()
 @FOLDER
 def show(folder: Path) -> None:
-    """The summary of a study's results in FOLDER, finished or not."""
+    """Print the summary of a study's results in FOLDER, finished or not."""
     require("study")
     from lierb.studies.dataset import Dataset
 
@@ -222,7 +222,7 @@ def show(folder: Path) -> None:
 @click.command()
 @FOLDER
 def plot(folder: Path) -> None:
-    """Figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
+    """Draw figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
     require("study")
     require("plot")
     from lierb.studies.dataset import Dataset
@@ -245,7 +245,7 @@ def plot(folder: Path) -> None:
     help="The file to write.  [default: FOLDER/report.html]",
 )  # fmt: skip
 def report_page(folder: Path, out: Path | None) -> None:
-    """One HTML page on a study's results in FOLDER, which opens without a network."""
+    """Write a study's results in FOLDER as one HTML page, which opens without a network."""
     require("study")
     from lierb.studies.dataset import Dataset
 
@@ -258,7 +258,7 @@ def report_page(folder: Path, out: Path | None) -> None:
 @STUDY
 @SET
 def predict(study: Path, changes: Changes) -> None:
-    """Which constraints of a STUDY's joints each configuration space keeps exactly, and why.
+    """Print which constraints of a STUDY's joints each configuration space keeps, and why.
 
     Of its first body: where the joint is on the body can make a difference.
     """
@@ -275,7 +275,7 @@ def predict(study: Path, changes: Changes) -> None:
 
 
 def _replay(study: Study, folder: Path, trajectory: int, threads: int | None) -> None:
-    """A trajectory's history in files of its own, its events, and its row of the summary."""
+    """Integrate a trajectory; write its histories, and print its summaries and events."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -333,7 +333,7 @@ def _show(dataset: Dataset) -> None:
 
 
 def _end_with_failures(dataset: Dataset) -> None:
-    """How many failed, why, and what to do: what is read last."""
+    """Print the failures and their remedies last, where they are read."""
     failures = dataset.failures()
     if failures is None:
         return
@@ -345,7 +345,7 @@ def _end_with_failures(dataset: Dataset) -> None:
 
 
 def _again(dataset: Dataset, *options: str) -> str:
-    """The command that runs the study of a folder into it."""
+    """Command that runs the study of a folder into it."""
     study, folder = str(dataset.folder / FILE), str(dataset.folder)
     return shlex.join(["lierb", "run", study, "--out", folder, *options])
 

@@ -1,4 +1,4 @@
-"""What commands print: wide tables, progress on standard error."""
+"""Output of commands: wide tables, and progress on standard error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 
 
 def print_whole(table: Table) -> None:
-    """In a window that is too narrow the lines wrap, but no number is cut."""
+    """Print a table; a narrow window wraps its lines, but cuts no number."""
     from rich.console import Console
 
     console = Console(highlight=False)
@@ -26,7 +26,7 @@ def print_whole(table: Table) -> None:
 
 @contextmanager
 def progress_of_cases() -> Iterator[Callable[[int, int, str], None]]:
-    """A bar on standard error; where that is no terminal, a line for each joint or figure."""
+    """Yield a progress bar on standard error, or lines where that is no terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 

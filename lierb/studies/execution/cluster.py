@@ -1,4 +1,4 @@
-"""A study's parts on the workers of a Dask cluster. Needs the extra `lierb[cluster]`."""
+"""Execution of a study's parts on a Dask cluster. Needs the extra `lierb[cluster]`."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def spread(
     gather: bool,
     stopping: threading.Event,
 ) -> Generator[tuple[str, list[Stored]]]:
-    """Run parts on a cluster, until it is stopping; their names and files as they finish.
+    """Run parts on a cluster until `stopping` is set; yield their names and files.
 
     A part whose worker dies is given to another one. Only so many parts are given out at a time
     that neither they nor, with `gather`, their files fill anybody's memory.
@@ -97,7 +97,7 @@ def spread(
 
 @contextmanager
 def local_client(workers: int) -> Iterator[Client]:
-    """A cluster of so many processes on this machine, which share its cores, and its client."""
+    """Start worker processes on this machine, which share its cores; yield the client."""
     require("cluster")
     from distributed import Client, LocalCluster
 
@@ -117,7 +117,7 @@ def local_client(workers: int) -> Iterator[Client]:
 
 @contextmanager
 def client_of(scheduler: str) -> Iterator[Client]:
-    """A client of the scheduler at an address such as tcp://10.0.0.1:8786."""
+    """Yield a client of the scheduler at an address such as tcp://10.0.0.1:8786."""
     require("cluster")
     from distributed import Client
 
@@ -138,7 +138,7 @@ def client_of(scheduler: str) -> Iterator[Client]:
 
 
 def _be_quiet() -> None:
-    """What happens to a connection is said in lierb's words: distributed's logs repeat it.
+    """Silence distributed's logs about connections, which lierb reports itself.
 
     For good, since a task may be heard of when the process ends.
     """
@@ -153,7 +153,7 @@ def _is_no_connection(record: logging.LogRecord) -> bool:
 
 
 def _is_lost(client: Client, error: Exception) -> bool:
-    """Whether the scheduler is, rather than something else the matter."""
+    """Return whether an error means that the connection to the scheduler is lost."""
     from distributed.comm import CommClosedError
 
     signs = CancelledError, CommClosedError, NoAnswer
@@ -161,11 +161,11 @@ def _is_lost(client: Client, error: Exception) -> bool:
 
 
 class NoAnswer(Exception):
-    """The scheduler is connected, and says nothing."""
+    """The connected scheduler does not answer."""
 
 
 def _workers(client: Client) -> dict[str, int]:
-    """The threads of each worker, by its address."""
+    """Number of threads of each worker, by its address."""
     try:
         found: dict[str, int] = client.sync(
             client.scheduler.ncores, callback_timeout=CONNECT_SECONDS
@@ -179,14 +179,14 @@ def _workers(client: Client) -> dict[str, int]:
 
 
 def dask_setup(_worker: Any) -> None:
-    """As a worker of `local_client` starts: a terminal's Ctrl-C is for the main process alone."""
+    """Ignore a terminal's Ctrl-C in a worker of `local_client`; the main process handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run_part(
     study: Study, part: Part, place: tuple[Path, bytes] | None, threads: int | None
 ) -> tuple[list[File] | list[Stored], dict[str, Any]]:
-    """A part's files, stored already if there is a `place`; and what they were made with."""
+    """Integrate a part in a worker; return its files, stored if there is a `place`, and machine."""
     if place is not None:
         _require_same_folder(*place)
     tables = part.tables(study, study.design, threads or _own_threads())
@@ -195,7 +195,7 @@ def _run_part(
 
 
 def _own_threads() -> int:
-    """Threads of this worker. Its tasks take turns in the kernel, so all are for the one there."""
+    """Number of threads of this worker. Its tasks run one at a time, each with all threads."""
     from distributed import get_worker
 
     return int(min(get_worker().state.nthreads, numba.config.NUMBA_NUM_THREADS))
@@ -236,7 +236,7 @@ def _require_workers(client: Client) -> None:
 
 
 def _finished(client: Client, futures: list[Future]) -> list[Future]:
-    """Those that are, as soon as there are any."""
+    """Wait for futures; return those that are done."""
     from distributed import wait
 
     seen = time.monotonic()
@@ -252,7 +252,7 @@ def _finished(client: Client, futures: list[Future]) -> list[Future]:
 
 
 def _result(client: Client, future: Future, part: Part) -> Any:
-    """What a finished task returned, which its worker has until now."""
+    """Fetch the result of a finished task from its worker."""
     from distributed import KilledWorker
 
     patience = LOST_SECONDS

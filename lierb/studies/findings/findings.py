@@ -1,4 +1,4 @@
-"""What a study found, setting by setting: quantiles of the errors, failures, observed orders."""
+"""Findings of a study, setting by setting: error quantiles, failures, observed orders."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ NEGLIGIBLE = 1e-18  # an error below this is none, relative to the problem's own
 
 @dataclass(frozen=True)
 class Found:
-    """One setting of a study.
+    """Errors of the bodies in one setting of a study.
 
     bodies : finished ones.   failed : those of them whose status is not ok.
     quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
@@ -67,7 +67,7 @@ class Found:
 
 
 def study_of(dataset: Results) -> Study:
-    """The study whose results they are."""
+    """Return the study of a folder's results."""
     try:
         return Study.model_validate(dataset.manifest["study"]).with_code(dataset.code())
     except ValidationError as error:
@@ -75,7 +75,7 @@ def study_of(dataset: Results) -> Study:
 
 
 def findings(dataset: Results) -> list[Found]:
-    """What the finished parts say, setting by setting."""
+    """Evaluate the finished parts, setting by setting."""
     study = study_of(dataset)
     kinds = (*kinds_of(study.batch(0, 1).problem), "energy")
     return [_found(dataset, study, setting, kinds) for setting in study.settings]
@@ -98,7 +98,7 @@ def _found(dataset: Results, study: Study, setting: Setting, kinds: tuple[str, .
 
 
 def quantities(dataset: Results) -> list[Spread]:
-    """Quantiles of the errors that there are and of all observables, with confidence intervals."""
+    """Quantiles, with intervals, of the errors that are not zero and of all observables."""
     study = study_of(dataset)
     units = {kind: label.partition(", ")[2] or "1" for kind, label in LABELS.items()}
     columns = {name: units[kind] for kind, name in errors_seen(dataset, study).items()}
@@ -106,12 +106,12 @@ def quantities(dataset: Results) -> list[Spread]:
 
 
 def happened(dataset: Results) -> list[Occurred]:
-    """How often each event of the problem happened, and when first; [] without events."""
+    """Number and first times of each event of the problem; [] without events."""
     return list(occurrences(dataset, study_of(dataset)))
 
 
 def indices(dataset: Results) -> list[Sensitivity]:
-    """Sobol's indices of what observables, or else the errors, depend on; [] for other designs."""
+    """Sobol's indices of the observables, or else of the errors; [] for other designs."""
     study = study_of(dataset)
     columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
     return list(sensitivities(dataset, study, columns))
@@ -138,25 +138,25 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
 
 
 def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str, Array]:
-    """Columns of the bodies that are ok in a setting; lists as (n, k)."""
+    """Read columns of the bodies that are ok in a setting; lists as (n, k)."""
     table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
     return {name: as_array(table, name) for name in names}
 
 
 def drawn_columns(dataset: Results) -> dict[str, str]:
-    """The columns of what was sampled, and their units."""
+    """Names of the columns of sampled quantities, and their units."""
     fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
     return {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in fields}
 
 
 def some_rows(rows: int, most: int) -> Array:
-    """Which rows to draw if there are too many: at random, since Sobol points have a rhythm."""
+    """Indices of at most so many rows, at random: Sobol points are periodic."""
     chosen = np.random.default_rng(0).permutation(rows)[:most]
     return np.sort(chosen)
 
 
 def errors_seen(dataset: Results, study: Study) -> dict[str, str]:
-    """The errors of which there are any, and their columns."""
+    """Return the errors that are not negligible, and their columns."""
     seen = set()
     for setting in study.settings:
         columns = ok_columns(dataset, setting, list(ERRORS.values()))
@@ -167,7 +167,7 @@ def errors_seen(dataset: Results, study: Study) -> dict[str, str]:
 
 
 def least_drawn(dataset: Results, study: Study) -> dict[str, float]:
-    """Where errors of each kind are drawn that are below it: zero has no place on a log axis."""
+    """Least error of each kind that a logarithmic axis shows."""
     sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
     return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}
 
@@ -176,7 +176,7 @@ def least_drawn(dataset: Results, study: Study) -> dict[str, float]:
 
 
 def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
-    """One with these columns and no rows."""
+    """Make a table for a terminal, with columns of words and of numbers, and no rows."""
     from rich import box
     from rich.table import Table
 
@@ -189,7 +189,7 @@ def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
 
 
 def table_of(found: list[Found]) -> Table:
-    """For a terminal."""
+    """Make the table of the errors."""
     step = "dt/s" if all(each.setting.rtol is None for each in found) else "rtol"
     words = ("c-space", "method", step, "bodies", "failed", "largest error of")
     table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
@@ -212,7 +212,7 @@ def table_of(found: list[Found]) -> Table:
 
 
 def quantile_told(quantile: Quantile) -> tuple[str, str]:
-    """The quantile, and its interval, with three digits; a dash where there is none."""
+    """Format a quantile and its interval with three digits; a dash if there is none."""
     value, low, high = (
         "–" if np.isnan(x) else f"{x:.3g}" for x in (quantile.value, quantile.low, quantile.high)
     )
@@ -220,7 +220,7 @@ def quantile_told(quantile: Quantile) -> tuple[str, str]:
 
 
 def first_told(quantile: Quantile, t_end: float) -> tuple[str, str]:
-    """A quantile of a time that may be later than the run; its interval."""
+    """Format a quantile of a time, which may lie beyond t_end, and its interval."""
     value, low, high = (
         "–" if np.isnan(x) else f"> {t_end:g}" if np.isinf(x) else f"{x:.3g}"
         for x in (quantile.value, quantile.low, quantile.high)
@@ -229,7 +229,7 @@ def first_told(quantile: Quantile, t_end: float) -> tuple[str, str]:
 
 
 def with_unit(spread: Spread) -> str:
-    """A quantity's name, its unit, and how many bodies have no number."""
+    """Format a quantity's name, its unit, and the number of bodies without a number."""
     name = f"{spread.name}, {spread.unit}" if spread.unit != "1" else spread.name
     return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
 
@@ -239,7 +239,7 @@ def _in_sections(
     found: Iterable[Told],
     title: Callable[[Told], str] = lambda each: each.setting.label,
 ) -> Iterator[Told]:
-    """Each of them, behind a row with its setting's title where that is another than before."""
+    """Yield the items; each new title is first added as a row of its own."""
     before = None
     for each in found:
         section = each.setting, title(each)
@@ -251,7 +251,7 @@ def _in_sections(
 
 
 def table_of_quantities(found: list[Spread]) -> Table:
-    """For a terminal."""
+    """Make the table of the quantiles."""
     words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
     table = empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
     for each in _in_sections(table, found):
@@ -262,7 +262,7 @@ def table_of_quantities(found: list[Spread]) -> Table:
 
 
 def table_of_events(found: list[Occurred], t_end: float) -> Table:
-    """For a terminal."""
+    """Make the table of the events."""
     words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
     table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
     for each in _in_sections(table, found):
@@ -274,13 +274,13 @@ def table_of_events(found: list[Occurred], t_end: float) -> Table:
 
 
 def index_told(index: tuple[float, float, float]) -> tuple[str, str]:
-    """An index of sensitivity and its interval."""
+    """Format a sensitivity index and its interval."""
     value, low, high = ("–" if np.isnan(x) else f"{x:.3f}" for x in index)
     return value, f"{low}…{high}"
 
 
 def table_of_indices(found: list[Sensitivity]) -> Table:
-    """For a terminal."""
+    """Make the table of the sensitivity indices."""
     interval = f"{CONFIDENCE:.0%} interval"
     words = ("share of the variance due to",)
     table = empty_table(words, ("alone", interval, "in all", interval))

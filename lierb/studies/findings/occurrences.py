@@ -1,4 +1,4 @@
-"""How often a study's events happened, and when first."""
+"""Occurrences of a study's events: their number, and first times."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lierb.support.arrays import Array
 
 
 class Occurred(NamedTuple):
-    """An event in one setting, in the bodies that did not fail.
+    """Event in one setting, over the bodies that did not fail.
 
     crossings : in all.   bodies : with one at least, of `of`.
     first : quantiles of the time of a body's first one, s; of bodies that had none it is ∞, as it
@@ -34,13 +34,14 @@ class Occurred(NamedTuple):
 
 
 def event_names(study: Study) -> list[str]:
-    """As the table of events has them."""
+    """Names of the events in the tables."""
     return [each.label for each in study.problem.events]
 
 
 def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, int]:
-    """When an event first happened to each body that did not fail, s, in order, ∞ where it did
-    not; and how often it happened to them in all.
+    """Return when an event first happened to each body, and how often it happened in all.
+
+    The times, s, are sorted; ∞ where it did not happen. Failed bodies do not count.
     """
     own = rows_of(setting)
     fine = as_array(
@@ -62,7 +63,7 @@ def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, i
 def occurrences(
     dataset: Results, study: Study, probabilities: Sequence[float] = PROBABILITIES
 ) -> Iterator[Occurred]:
-    """Every event, setting by setting."""
+    """Yield the occurrences of every event, setting by setting."""
     for setting in study.settings:
         for name in event_names(study):
             first, count = first_times(dataset, setting, name)

@@ -1,4 +1,4 @@
-"""How large a study's lengths and energies are: rounding is told from error relative to them."""
+"""Characteristic lengths and energies of a study, to tell rounding from error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
 
 def rows_of(setting: Setting) -> pc.Expression:
-    """The filter for a setting's rows."""
+    """Filter for the rows of a setting."""
     return (
         (pc.field("cspace") == setting.cspace)
         & (pc.field("method") == setting.method)
@@ -28,7 +28,7 @@ def rows_of(setting: Setting) -> pc.Expression:
 
 
 def as_array(table: pa.Table, name: str) -> Array:
-    """A column of numbers; lists as (n, k)."""
+    """Convert a column of numbers to an array; lists to (n, k)."""
     column = table[name].combine_chunks()
     if pa.types.is_fixed_size_list(column.type):
         return np.asarray(column.flatten().to_numpy().reshape(-1, column.type.list_size))
@@ -36,7 +36,7 @@ def as_array(table: pa.Table, name: str) -> Array:
 
 
 def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
-    """What a setting's errors are relative to: position, m; rotation, 1; energy, J.
+    """Scales of a setting's errors: position, m; rotation, 1; energy, J.
 
     Medians over the first bodies, of the larger of the numbers at start and end. Position: the
     problem's own length and the distance from the ground's origin. Energy: the kinetic one, the
@@ -78,5 +78,5 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
 
 
 def _prefixes(links: list[str]) -> list[str]:
-    """What stands before the names of the state's columns."""
+    """Prefixes of the names of the state's columns."""
     return [f"{name}." for name in links] or [""]

@@ -1,4 +1,4 @@
-"""What a study's bodies tell of all that might have been drawn: quantiles with their intervals."""
+"""Statistics of a study's bodies: quantiles with intervals, and sensitivity indices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_NUMBERS = 2**24  # of a history that are looked at together, 128 MB
 
 
 class Spread(NamedTuple):
-    """A quantity of the bodies in one setting.
+    """Quantiles of a quantity over the bodies in one setting.
 
     bodies : those that are ok and for which it is a number.   undefined : ok, and it is none.
     """
@@ -39,7 +39,7 @@ class Spread(NamedTuple):
 
 
 def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
-    """The columns of a summary that observables have, and their units."""
+    """Names of the summary's columns of observables, and their units."""
     names = [
         f"{element.name}_{how}"
         for element in study.batch(0, 1).problem.observables
@@ -55,7 +55,7 @@ def spreads(
     columns: dict[str, str],
     probabilities: Sequence[float] = PROBABILITIES,
 ) -> Iterator[Spread]:
-    """Quantiles of columns of the summary, setting by setting.   columns : with their units."""
+    """Yield quantiles of columns of the summary, setting by setting.   columns : their units."""
     for setting in study.settings:
         for name, unit in columns.items():
             values = _ok_values(dataset, setting, name)
@@ -65,7 +65,7 @@ def spreads(
 
 
 def _ok_values(dataset: Results, setting: Setting, name: str) -> Array:
-    """A column of the bodies that are ok in a setting."""
+    """Read a column of the bodies that are ok in a setting."""
     table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & IS_FINE)
     return as_array(table, name)
 
@@ -81,7 +81,7 @@ def percentiles_over_time(
     *,
     of: Callable[[Array], Array] = np.asarray,
 ) -> pa.Table:
-    """Percentiles of a column of the history, over the bodies that have a number at each time.
+    """Compute percentiles of a column of the history at each time, over the bodies.
 
     of : what is asked of the numbers first, such as np.abs.
 
@@ -127,7 +127,7 @@ def percentiles_over_time(
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:
-    """When each saved step is, in order; the same for all bodies of a setting."""
+    """Times of the saved steps, in order; all bodies of a setting share them."""
     first = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting))
     if not first.num_rows:
         return {}
@@ -144,7 +144,7 @@ LEAST_ROWS = 4
 
 
 class _Index(NamedTuple):
-    """With the ends of its interval."""
+    """Index with its confidence interval."""
 
     value: float
     low: float
@@ -152,7 +152,7 @@ class _Index(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """How much of a column's variance a sampled quantity accounts for, in one setting.
+    """Shares of a column's variance that a sampled quantity accounts for, in one setting.
 
     first : alone.   total : with all that it does together with others. NaN
         where the column is the same for all bodies, or too few of them are ok.
@@ -168,7 +168,7 @@ class Sensitivity(NamedTuple):
 
 
 def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Iterator[Sensitivity]:
-    """Sobol's indices of columns of the summary, for a study whose design is "saltelli".
+    """Yield Sobol's indices of columns of the summary, of a "saltelli" design.
 
     By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).
     Counted are the first 2ᵏ rows of the design, as many as are whole: those after a body that is
@@ -207,7 +207,7 @@ def _indices(values: Array) -> tuple[Array, Array]:
 
 
 def _estimated(values: Array) -> Array:
-    """(2, quantities): first and total indices."""
+    """First and total indices, (2, quantities)."""
     require("scipy")
     from scipy.stats import sobol_indices
 

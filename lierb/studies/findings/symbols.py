@@ -1,4 +1,4 @@
-"""How sampled numbers are called on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
+"""Labels of sampled numbers on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MOST_COMPONENTS = 6  # matrices have no axes
 def labelled(
     drawn: dict[str, str], rows: dict[str, Array], study: Study
 ) -> Iterator[tuple[str, Array]]:
-    """Sampled numbers one by one, but for matrices, by a label with their unit.
+    """Yield each sampled number by a label with its unit; matrices are left out.
 
     Of a vector in which bodies differ, components in which they do not are left out.
 
@@ -51,7 +51,7 @@ def labelled(
 
 
 def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[str]:
-    """A name for each component."""
+    """Return a name for each component."""
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""

@@ -14,7 +14,7 @@ from lierb.studies.description.study import Study
 
 @dataclass(frozen=True)
 class Look:
-    """How a setting is drawn: a colour for each c-space and method, a dash for each dt or rtol.
+    """Line style of a setting: a colour for each c-space and method, a dash for each step.
 
     width : of its line; the first ones are thicker, so that a line that lies on another shows both.
     """
@@ -25,12 +25,12 @@ class Look:
 
 
 def step_sizes(study: Study) -> list[float]:
-    """The steps, or tolerances, of a study's settings, the largest first."""
+    """Steps, or tolerances, of a study's settings, the largest first."""
     return sorted({setting.step for setting in study.settings}, reverse=True)
 
 
 def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]:
-    """Of the settings that are drawn."""
+    """Return the line styles of the settings that are drawn, by default of all."""
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
     sizes = step_sizes(study)
     colours = dict(zip(spaces, colours_of([cspace for cspace, _ in spaces])))

@@ -1,4 +1,4 @@
-"""The worst and the median trajectory of a study once more, as a moving picture."""
+"""Animation of the worst and the median trajectory of a study, which are integrated again."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_SPACES = 2  # c-spaces and methods side by side
 
 @dataclass(frozen=True)
 class Chosen:
-    """Trajectories to look at, by what they are called, and the settings to see them in.
+    """Trajectories to animate, by their description, and the settings to show them in.
 
     kind : of the error by which they were chosen; None where none got to its end.
     """
@@ -36,7 +36,7 @@ class Chosen:
 
 
 def chosen(dataset: Results, study: Study) -> Chosen | None:
-    """The trajectory with the largest error and that with the median one, in the setting of it.
+    """Choose the trajectory with the largest error and, in its setting, the one with the median.
 
     Of a study none of whose bodies got to its end, the first that failed. None without any row.
     """
@@ -63,14 +63,14 @@ def chosen(dataset: Results, study: Study) -> Chosen | None:
 
 
 def _beside(study: Study, setting: Setting) -> list[Setting]:
-    """The setting, and the other c-spaces with its method and step."""
+    """Return the setting, and other c-spaces with its method and step."""
     alike = [s for s in study.settings if (s.method, s.step) == (setting.method, setting.step)]
     others = [s for s in alike if s != setting][: MOST_SPACES - 1]
     return [s for s in alike if s == setting or s in others]
 
 
 def replayed(study: Study, picked: Chosen) -> Animation:
-    """Run the chosen trajectories again, each as in the study, and animate them.
+    """Integrate the chosen trajectories again, each as in the study, and animate them.
 
     See `lierb.studies.execution.running.replay`.
     """
@@ -93,12 +93,12 @@ def replayed(study: Study, picked: Chosen) -> Animation:
 
 
 def _without_draws(summary: pa.Table) -> pa.Table:
-    """As `integrate` makes it: a rotation that was drawn is no link's."""
+    """Return the summary of `integrate`: a sampled rotation would be taken for a link's."""
     return summary.select([n for n in summary.column_names if not n.startswith("sample.")])
 
 
 def _with_states(study: Study, setting: Setting) -> Study:
-    """The study that records states, and nothing for which a kernel would have to be compiled."""
+    """Return the study with states recorded, and nothing that needs a kernel of its own."""
     run = study.integrate
     kept = [name for name in run.record if name not in ("energy", "state")]
     changes: dict[str, Any] = {"record": ["state", *kept] if run.saves else ["state"]}
@@ -114,7 +114,7 @@ def _with_states(study: Study, setting: Setting) -> Study:
 
 
 def told(picked: Chosen) -> str:
-    """What is shown, in a sentence."""
+    """Describe the chosen trajectories in a sentence."""
     if picked.kind is None:
         return "No body got to its end: the first that failed, until it did."
     error = ERRORS[picked.kind].removesuffix("_max").replace("_", " ")
