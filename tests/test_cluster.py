@@ -22,7 +22,7 @@ import lierb
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, StudyWarning
 from lierb.studies.execution import cluster
-from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.store import Store
 
 pytest.importorskip("distributed")
@@ -156,7 +156,7 @@ def test_a_worker_left_behind_by_another_run_overwrites_nothing(tmp_path):
     before = hashes(tmp_path)
     other = study(sample={"seed": 4})
     place = tmp_path, (tmp_path / "study.toml").read_bytes()
-    cluster._run_part(other, parts_of(other)[0], place, 1)
+    cluster._run_part(other, Parts(other)[0], place, 1)
     now = hashes(tmp_path)
     assert {name: now[name] for name in before} == before
     assert all(name.endswith(".unfinished") for name in now.keys() - before.keys())
@@ -203,7 +203,7 @@ def test_workers_that_are_gone_are_not_waited_for_for_ever(tmp_path, monkeypatch
 @pytest.mark.slow
 def test_a_result_whose_worker_left_with_it_is_not_waited_for_for_ever(monkeypatch):
     monkeypatch.setattr(cluster, "LOST_SECONDS", 1.0)
-    part = next(iter(parts_of(study(**SHORT))))
+    part = next(iter(Parts(study(**SHORT))))
     with cluster.local_client(1) as client:
         future = client.submit(int, 1)
         dask.distributed.wait([future])

@@ -26,7 +26,7 @@ from lierb.studies.dataset import Dataset
 from lierb.studies.storage import results as results_module
 from lierb.studies.storage.files import parquet_files
 from lierb.studies.storage.manifest import sealed
-from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.store import Store
 from lierb.support.files import folder_of, write_whole
 
@@ -70,8 +70,8 @@ def begun(folder, text="", parts=2):
     """A folder of two parts that are not integrated, the second one missing."""
     given, dataset = small(), Store(folder)
     with dataset.locked():
-        dataset.begin(given.digest(), given.model_dump(), text, parts)
-        for name in itertools.islice((part.name for part in parts_of(given)), parts - 1):
+        dataset.begin(given, text, parts)
+        for name in itertools.islice((part.name for part in Parts(given)), parts - 1):
             files = parquet_files(name, {"summary": table_of(), "history": table_of(9)}, "snappy")
             dataset.enter(name, dataset.store(files))
     return dataset
@@ -673,7 +673,7 @@ def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
 
         return called
 
-    made = {part.name: part.tables(small(), small().design, 1) for part in parts_of(small())}
+    made = {part.name: part.tables(small(), small().design, 1) for part in Parts(small())}
     monkeypatch.setattr("lierb.studies.storage.parts.Part.tables", lambda part, *_: made[part.name])
     wanted = hashes(whole)
     for n in itertools.count(1, stride):
@@ -699,8 +699,8 @@ def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
 
 def test_parts_of_very_many_bodies_are_made_one_by_one(tmp_path):
     huge = small(sample={"n": 10**12})
-    parts = parts_of(huge)
-    assert parts.total == len(parts) == 10**12 // 8
+    parts = Parts(huge)
+    assert parts.total == 10**12 // 8
     assert parts.trajectories == 10**12
     assert parts.work() == 10**12 * 50
     seen = []
@@ -722,7 +722,7 @@ def test_parts_of_very_many_bodies_are_made_one_by_one(tmp_path):
 @pytest.mark.parametrize("n", [1, 8, 9, 10**10, 10**10 + 1, 10**12, 2**62])
 def test_names_of_parts_sort_as_parts_do(n):
     given = small(sample={"n": n}, integrate={"cspace": ["SE3", "SO3xR3"], "dt": [1e-3, 1e-2]})
-    parts = parts_of(given)
+    parts = Parts(given)
     some = [0, 1, parts.total // 4 - 1, parts.total // 4, parts.total // 2 + 1, parts.total - 1]
     chosen = [parts[k] for k in sorted({k for k in some if 0 <= k < parts.total})]
     names = [part.name for part in chosen]
@@ -736,6 +736,6 @@ def test_names_of_parts_sort_as_parts_do(n):
 
 def test_names_of_very_many_settings_sort_as_they_do():
     dts = [0.05 / k for k in range(1, 121)]
-    names = [part.name for part in parts_of(small(integrate={"dt": dts, "save_every": None}))]
+    names = [part.name for part in Parts(small(integrate={"dt": dts, "save_every": None}))]
     assert names == sorted(names)
     assert names[-1].startswith("119-")

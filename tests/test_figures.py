@@ -16,8 +16,8 @@ from studies import sorted_rows, study
 import lierb
 from lierb.errors import FailedTrajectoryWarning, UnknownNameError
 from lierb.results.colours import CSPACE_COLOURS
+from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
-from lierb.studies.findings.sizes import as_array
 from lierb.support.files import sha256_of
 
 pytest.importorskip("matplotlib")
@@ -197,7 +197,7 @@ def test_figures_over_time_read_a_few_times_at_once(dataset, given, monkeypatch)
 
     def counted(table, name):
         sizes.append(table.num_rows)
-        return as_array(table, name)
+        return as_array(table[name])
 
     def heights() -> list[np.ndarray]:
         return [line.get_ydata() for axes in drawn(dataset, "time") for line in axes.lines]

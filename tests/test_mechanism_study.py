@@ -353,7 +353,7 @@ def test_report_of_a_study_of_mechanisms_is_complete(whole, tmp_path):
 
 def test_units_and_symbols_of_a_mechanism(whole):
     from lierb.studies.dataset import Dataset
-    from lierb.studies.findings.findings import drawn_columns
+    from lierb.studies.findings.columns import drawn_columns
     from lierb.studies.findings.symbols import labelled
 
     dataset = Dataset(whole)

@@ -53,7 +53,7 @@ from lierb.studies.execution import opening, replaying, running
 from lierb.studies.execution.replaying import replay
 from lierb.studies.storage import store as store_module
 from lierb.studies.storage.manifest import sealed
-from lierb.studies.storage.parts import _with_draws, parts_of
+from lierb.studies.storage.parts import Parts, _with_draws
 from lierb.studies.storage.store import Store
 
 EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.toml"))
@@ -335,7 +335,7 @@ def test_rows_are_those_of_integrate(whole):
     given = study()
     rows = Dataset(whole)
     rows.read()
-    assert len(rows.parts) == PARTS == len(parts_of(given))
+    assert len(rows.parts) == PARTS == Parts(given).total
     stored = sorted_rows(whole)
     batch = given.batch(0, 50)
     for n, (cspace, dt) in enumerate((c, d) for c in ("SE3", "SO3xR3") for d in (1e-3, 2e-3)):
@@ -399,7 +399,7 @@ def test_a_study_without_samples_is_one_body(tmp_path):
 
 def test_a_run_that_did_nothing_does_not_block_its_folder(whole, tmp_path):
     given = study(sample={"seed": 9})
-    Store(tmp_path).begin(given.digest(), given.model_dump(), "", 1)
+    Store(tmp_path).begin(given, "", 1)
     lierb.run(study(), tmp_path)
     assert bits(tmp_path) == bits(whole)
 
@@ -450,7 +450,7 @@ def test_start_time_is_that_of_the_study():
         found = [np.array(table[name].to_pylist()) for table in tables]
         # rounding is tidied at steps that are counted from 0 s: 1e-15 of 10 rad/s
         np.testing.assert_allclose(*found, rtol=0, atol=1e-13)
-    assert parts_of(runs[1])[0].work(runs[1]) == 8 * 50
+    assert Parts(runs[1])[0].work(runs[1]) == 8 * 50
 
 
 def test_history_has_its_own_parts(tmp_path):

@@ -165,7 +165,7 @@ def _steps(study: Study) -> list[float]:
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """Make a table for a terminal."""
-    from lierb.studies.findings.findings import empty_table
+    from lierb.studies.findings.tables import empty_table
 
     words = [name for name in header if name in ("method", "c-space", "over")]
     table = empty_table(words, header[len(words) :])

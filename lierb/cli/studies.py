@@ -307,11 +307,8 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings.findings import (
-        findings,
-        happened,
-        indices,
-        quantities,
+    from lierb.studies.findings.findings import findings, happened, indices, quantities
+    from lierb.studies.findings.tables import (
         table_of,
         table_of_events,
         table_of_indices,

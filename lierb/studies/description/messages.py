@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import islice
@@ -19,32 +20,20 @@ from lierb.studies.description.study_file import ELEMENTS, line_of, shortened
 MOST_TOLD = 10  # of the things that are wrong
 
 
-class at:
-    """Context that turns a LierbError into a StudyError of a table of the file."""
+@contextmanager
+def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
+    """Turn a LierbError in the block into a StudyError of a table of the file.
 
-    def __init__(self, table: str) -> None:
-        self.table = table
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, _kind: Any, error: Any, _traceback: Any) -> None:
-        if isinstance(error, LierbError) and not isinstance(error, StudyError):
-            raise StudyError(f"{self.table}: {error}") from None
-
-
-class at_key(at):
-    """Context as `at`; a key of `keys` that begins the message is added to the table's name."""
-
-    def __init__(self, table: str, keys: Collection[str]) -> None:
-        super().__init__(table)
-        self.keys = keys
-
-    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
+    A key of `keys` that begins the message is added to the table's name.
+    """
+    try:
+        yield
+    except StudyError:
+        raise
+    except LierbError as error:
         first = re.match(r"\w+", str(error))
-        if first and first[0] in self.keys:
-            self.table = f"{self.table}.{first[0]}"
-        super().__exit__(kind, error, traceback)
+        key = f".{first[0]}" if first and first[0] in keys else ""
+        raise StudyError(f"{table}{key}: {error}") from None
 
 
 def called(table: str, function: Any, values: dict[str, Any]) -> Any:

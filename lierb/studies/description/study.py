@@ -30,7 +30,7 @@ from lierb.studies.description import checks
 from lierb.studies.description.batches import Batch, batch_of
 from lierb.studies.description.changes import applied
 from lierb.studies.description.code import Code, named, read_code
-from lierb.studies.description.messages import Given, at, at_key, located, messages
+from lierb.studies.description.messages import Given, at, located, messages
 from lierb.studies.description.sections.running import Baumgarte
 from lierb.studies.description.settings import Setting, settings_label
 from lierb.studies.description.sources import LONGEST_STUDY, path_given
@@ -175,7 +175,7 @@ class Study(Shown, StudyTables):
         with at("initial"), np.errstate(all="ignore"):
             checks.check_start(batch, self.integrate.t0)
         for setting in self.settings:
-            with at_key("integrate", (*NEW_KEYS, "save_every")):
+            with at("integrate", (*NEW_KEYS, "save_every")):
                 check_options(batch.problem, **self.options(setting))
         checks.check_seed(self)
 

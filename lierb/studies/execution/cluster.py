@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +28,13 @@ from lierb.support.extras import remedy, require
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-AHEAD = 2  # parts given to each worker: they take turns in the kernel, with all its threads
+Place = tuple[Path, bytes] | None  # a shared folder and its study.toml; None to send files back
+AHEAD = 2  # tasks of each worker: they run in turn, each with all its threads
 CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 GONE = f"all workers of the cluster are gone; {KEPT}"
 LOST = f"the connection to the cluster was lost ({{}}); {KEPT}"
-LOST_SECONDS = 60  # without any worker: they do not come back
+LOST_SECONDS = 60  # without any worker, after which none is expected
 TALKING = ("client", "core", "comm", "comm.core", "comm.tcp", "batched", "utils", "utils_comm")
 
 
@@ -40,59 +42,76 @@ def spread(
     client: Client,
     study: Study,
     parts: Iterable[Part],
-    dataset: Store,
+    store: Store,
     threads: int | None,
     gather: bool,
     stopping: threading.Event,
 ) -> Generator[tuple[str, list[Stored]]]:
     """Run parts on a cluster until `stopping` is set; yield their names and files.
 
-    A part whose worker dies is given to another one. Only so many parts are given out at a time
-    that neither they nor, with `gather`, their files fill anybody's memory.
+    A part whose worker dies is submitted again. With `gather` the files are sent to this process.
     """
     _be_quiet()
     _require_workers(client)
-    place = None if gather else (dataset.folder.resolve(), (dataset.folder / STUDY).read_bytes())
-    waiting = iter(parts)
-    under_way: dict[Future, Part] = {}
-    elsewhere: set[str] = set()
-
-    def give() -> None:
-        most = max(1, AHEAD * len(_workers(client)))
-        while len(under_way) < most and not stopping.is_set():
-            part = next(waiting, None)
-            if part is None:
-                return
-            # pure=False: a key of its own, since a part of the same name may be another study's
-            future = client.submit(_run_part, study, part, place, threads, pure=False)
-            under_way[future] = part
-
+    place = None if gather else (store.folder.resolve(), (store.folder / STUDY).read_bytes())
+    tasks = _Tasks(client, study, iter(parts), place, threads)
+    differing: set[str] = set()
     try:
-        give()
-        while under_way:
-            for future in _finished(client, list(under_way)):
-                part = under_way.pop(future)
-                made, where = _result(client, future, part)
+        tasks.submit(stopping)
+        while tasks.submitted:
+            for future in _finished(client, list(tasks.submitted)):
+                part = tasks.submitted.pop(future)
+                files, where = _result(client, future, part)
                 if where != machine():
-                    elsewhere.add(_differences(where))
-                yield part.name, dataset.store(made) if gather else made
-            give()
+                    differing.add(_differences(where))
+                yield part.name, store.store(files) if gather else files
+            tasks.submit(stopping)
     except Exception as error:
         if not _is_lost(client, error):
             raise
-        under_way.clear()  # nobody is there to be told
+        tasks.submitted.clear()
         raise StudyError(LOST.format(type(error).__name__)) from None
     finally:
-        if under_way and client.status == "running":
-            with suppress(OSError):  # it was not, as it turns out
-                client.cancel(list(under_way))
-        for differences in elsewhere:
+        tasks.cancel()
+        for differences in differing:
             warnings.warn(
                 f"a worker differs from this machine ({differences}); its parts may differ in the "
                 "last bits",
                 StudyWarning,
                 stacklevel=2,
             )
+
+
+@dataclass
+class _Tasks:
+    """Parts of a study as tasks of a cluster, at most AHEAD for each worker.
+
+    This bounds the memory of the scheduler and, where files are gathered, of this process.
+    """
+
+    client: Client
+    study: Study
+    waiting: Iterator[Part]
+    place: Place
+    threads: int | None
+    submitted: dict[Future, Part] = field(default_factory=dict)
+
+    def submit(self, stopping: threading.Event) -> None:
+        most = max(1, AHEAD * len(_workers(self.client)))
+        while len(self.submitted) < most and not stopping.is_set():
+            part = next(self.waiting, None)
+            if part is None:
+                return
+            # pure=False: a new key, since another study may have a part of the same name
+            future = self.client.submit(
+                _run_part, self.study, part, self.place, self.threads, pure=False
+            )
+            self.submitted[future] = part
+
+    def cancel(self) -> None:
+        if self.submitted and self.client.status == "running":
+            with suppress(OSError):  # the connection is lost after all
+                self.client.cancel(list(self.submitted))
 
 
 @contextmanager
@@ -122,11 +141,11 @@ def client_of(scheduler: str) -> Iterator[Client]:
     from distributed import Client
 
     _be_quiet()
-    client = Client.__new__(Client)  # kept, to be closed where its start fails
+    client = Client.__new__(Client)  # kept, to close it if its start fails
     try:
         client.__init__(scheduler, timeout=CONNECT_SECONDS)
-    except Exception as error:  # each kind of address has its own
-        # Left to the collector, it may be closed amidst another one's start, and wait for its lock.
+    except Exception as error:  # its type depends on the kind of address
+        # The garbage collector might close it during another client's start, and wait for its lock.
         with suppress(Exception):
             client.close()
         raise StudyError(
@@ -140,7 +159,7 @@ def client_of(scheduler: str) -> Iterator[Client]:
 def _be_quiet() -> None:
     """Silence distributed's logs about connections, which lierb reports itself.
 
-    For good, since a task may be heard of when the process ends.
+    This is permanent: a task may be reported when the process ends.
     """
     for name in TALKING:
         logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
@@ -184,7 +203,7 @@ def dask_setup(_worker: Any) -> None:
 
 
 def _run_part(
-    study: Study, part: Part, place: tuple[Path, bytes] | None, threads: int | None
+    study: Study, part: Part, place: Place, threads: int | None
 ) -> tuple[list[File] | list[Stored], dict[str, Any]]:
     """Integrate a part in a worker; return its files, stored if there is a `place`, and machine."""
     if place is not None:
@@ -226,7 +245,7 @@ def _require_workers(client: Client) -> None:
     try:
         client.run_on_scheduler(machine)
         client.run(machine)
-    except Exception as error:  # what cannot be imported there comes back in many guises
+    except Exception as error:  # a failed import there raises many types
         if _is_lost(client, error):
             raise StudyError(LOST.format(type(error).__name__)) from None
         raise StudyError(
@@ -260,11 +279,11 @@ def _result(client: Client, future: Future, part: Part) -> Any:
         try:
             return future.result(timeout=patience)
         except TimeoutError:
-            if future.status == "error":  # the task's own
+            if future.status == "error":  # raised by the task
                 raise
             if not _workers(client):  # the last worker left with it
                 raise StudyError(GONE) from None
-            patience *= 2  # another worker does it again, or it is a long way from there
+            patience *= 2  # another worker repeats it, or the connection is slow
         except KilledWorker as error:
             raise StudyError(
                 f"workers died {error.allowed_failures + 1} times in a row that had part "

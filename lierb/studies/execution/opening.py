@@ -13,7 +13,7 @@ from lierb.studies.description.changes import written
 from lierb.studies.description.sources import as_file, path_given
 from lierb.studies.description.study import Study
 from lierb.studies.storage.files import part_named
-from lierb.studies.storage.parts import Parts, parts_of
+from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
 
@@ -44,7 +44,7 @@ def opened(
 
     Raises StudyError for a folder that is not the study's; see `lierb.studies.dataset`.
     """
-    parts = parts_of(study)
+    parts = Parts(study)
     if store.exists():
         store.read()
     is_same = store.manifest.get("digest") == study.digest()
@@ -61,10 +61,7 @@ def opened(
         )
     unentered(store, parts if is_same else None)
     if not store.parts:
-        store.begin(
-            study.digest(), study.model_dump(), text, parts.total, changes,
-            study.code, study.fingerprints() if study.files else {},
-        )  # fmt: skip
+        store.begin(study, text, parts.total, changes)
         store.drop_unfinished()
     else:
         _resume(store, study, text)

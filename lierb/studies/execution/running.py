@@ -7,13 +7,12 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from lierb.errors import ArgumentError, StudyError
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import warn_of
-from lierb.sampling import Design
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.code import is_loading
 from lierb.studies.description.from_python import study_of
@@ -33,45 +32,6 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-@overload
-def run(
-    study: Study | str | Path,
-    out: str | Path,
-    /,
-    *,
-    changes: Mapping[str, Any] | None = None,
-    resume: bool = False,
-    threads: int | None = None,
-    progress: Progress = None,
-    client: Client | None = None,
-    gather: bool = False,
-) -> Dataset: ...
-@overload
-def run(
-    study: Study | str | Path,
-    *,
-    out: str | Path,
-    changes: Mapping[str, Any] | None = None,
-    resume: bool = False,
-    threads: int | None = None,
-    progress: Progress = None,
-    client: Client | None = None,
-    gather: bool = False,
-) -> Dataset: ...
-@overload
-def run(
-    study: Problem | Mechanism,
-    design: Design,
-    out: str | Path,
-    *,
-    changes: Mapping[str, Any] | None = None,
-    resume: bool = False,
-    threads: int | None = None,
-    progress: Progress = None,
-    client: Client | None = None,
-    gather: bool = False,
-    **settings: Any,
-) -> Dataset: ...
 def run(
     study: Study | Problem | Mechanism | str | Path,
     design: Any = None,

@@ -16,7 +16,7 @@ from lierb.studies.description.study import Study
 from lierb.studies.execution.opening import loaded
 from lierb.studies.execution.replaying import REPLAY
 from lierb.studies.execution.stiff_steps import warn_of_stiff_steps
-from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.parts import Parts
 
 
 def integrate_batches(
@@ -66,7 +66,7 @@ def integrate_batches(
             f'table={table!r}; expected "summary", "history" with save_every or save_at, or '
             '"events" of a problem with events'
         )
-    design, parts, rule = given.design, parts_of(given), given.stopping_rule
+    design, parts, rule = given.design, Parts(given), given.stopping_rule
     seen: Failures | None = None
 
     def made() -> Iterator[pa.Table]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -14,27 +13,24 @@ from lierb.analysis.convergence import Order, observed_order
 from lierb.analysis.magnitudes import kinds_of
 from lierb.errors import StudyError
 from lierb.results.failures import has_failed
-from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
+from lierb.studies.description.quantiles import quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
+from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.occurrences import Occurred, occurrences
-from lierb.studies.findings.sizes import as_array, rows_of, sizes_of
+from lierb.studies.findings.sizes import sizes_of
 from lierb.studies.findings.statistics import (
-    PROBABILITIES,
     Sensitivity,
     Spread,
     observed_columns,
     sensitivities,
     spreads,
 )
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
-from lierb.support.shown import rounded
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
-Told = TypeVar("Told", Occurred, Sensitivity, Spread)  # what has a setting
+    pass
 
 ERRORS = {
     "position": "position_error_max",
@@ -134,25 +130,7 @@ def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
     }
 
 
-# ---- columns -----------------------------------------------------------------------------------
-
-
-def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str, Array]:
-    """Read columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
-    return {name: as_array(table, name) for name in names}
-
-
-def drawn_columns(dataset: Results) -> dict[str, str]:
-    """Names of the columns of sampled quantities, and their units."""
-    fields = [field for field in dataset.table().schema if field.name.startswith("sample.")]
-    return {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in fields}
-
-
-def some_rows(rows: int, most: int) -> Array:
-    """Indices of at most so many rows, at random: Sobol points are periodic."""
-    chosen = np.random.default_rng(0).permutation(rows)[:most]
-    return np.sort(chosen)
+# ---- errors ------------------------------------------------------------------------------------
 
 
 def errors_seen(dataset: Results, study: Study) -> dict[str, str]:
@@ -170,121 +148,3 @@ def least_drawn(dataset: Results, study: Study) -> dict[str, float]:
     """Least error of each kind that a logarithmic axis shows."""
     sizes = [sizes_of(dataset, study, setting) for setting in study.settings]
     return {kind: NEGLIGIBLE * (min(s[kind] for s in sizes) or 1.0) for kind in ERRORS}
-
-
-# ---- for a terminal ----------------------------------------------------------------------------
-
-
-def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
-    """Make a table for a terminal, with columns of words and of numbers, and no rows."""
-    from rich import box
-    from rich.table import Table
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1))
-    for column in words:
-        table.add_column(column, no_wrap=True)
-    for column in numbers:
-        table.add_column(column, no_wrap=True, justify="right")
-    return table
-
-
-def table_of(found: list[Found]) -> Table:
-    """Make the table of the errors."""
-    step = "dt/s" if all(each.setting.rtol is None for each in found) else "rtol"
-    words = ("c-space", "method", step, "bodies", "failed", "largest error of")
-    table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
-    for each in found:
-        seen, setting = orders(found, each), each.setting
-        heads = [
-            setting.cspace,
-            setting.method,
-            f"{setting.step:g}",
-            str(each.bodies),
-            str(each.failed),
-        ]
-        for kind, label in LABELS.items():
-            quantiles = [rounded(x) for x in each.quantiles[kind]]
-            order = "" if seen[kind] is None else str(seen[kind])
-            table.add_row(*heads, label, *quantiles, order)
-            heads = [""] * len(heads)
-        table.add_section()
-    return table
-
-
-def quantile_told(quantile: Quantile) -> tuple[str, str]:
-    """Format a quantile and its interval with three digits; a dash if there is none."""
-    value, low, high = (
-        "–" if np.isnan(x) else f"{x:.3g}" for x in (quantile.value, quantile.low, quantile.high)
-    )
-    return value, f"{low}…{high}"
-
-
-def first_told(quantile: Quantile, t_end: float) -> tuple[str, str]:
-    """Format a quantile of a time, which may lie beyond t_end, and its interval."""
-    value, low, high = (
-        "–" if np.isnan(x) else f"> {t_end:g}" if np.isinf(x) else f"{x:.3g}"
-        for x in (quantile.value, quantile.low, quantile.high)
-    )
-    return value, f"{low}…{high}"
-
-
-def with_unit(spread: Spread) -> str:
-    """Format a quantity's name, its unit, and the number of bodies without a number."""
-    name = f"{spread.name}, {spread.unit}" if spread.unit != "1" else spread.name
-    return f"{name} (not a number: {spread.undefined})" if spread.undefined else name
-
-
-def _in_sections(
-    table: Table,
-    found: Iterable[Told],
-    title: Callable[[Told], str] = lambda each: each.setting.label,
-) -> Iterator[Told]:
-    """Yield the items; each new title is first added as a row of its own."""
-    before = None
-    for each in found:
-        section = each.setting, title(each)
-        if section != before:
-            table.add_section()
-            table.add_row(section[1])
-            before = section
-        yield each
-
-
-def table_of_quantities(found: list[Spread]) -> Table:
-    """Make the table of the quantiles."""
-    words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
-    table = empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
-    for each in _in_sections(table, found):
-        values, intervals = zip(*map(quantile_told, each.quantiles), strict=True)
-        table.add_row(f"  {with_unit(each)}", *values)
-        table.add_row("", *intervals)
-    return table
-
-
-def table_of_events(found: list[Occurred], t_end: float) -> Table:
-    """Make the table of the events."""
-    words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
-    table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
-    for each in _in_sections(table, found):
-        values, intervals = zip(*(first_told(q, t_end) for q in each.first), strict=True)
-        bodies = f"{each.bodies} of {each.of}"
-        table.add_row(f"  {each.name}", str(each.crossings), bodies, *values)
-        table.add_row("", "", "", *intervals)
-    return table
-
-
-def index_told(index: tuple[float, float, float]) -> tuple[str, str]:
-    """Format a sensitivity index and its interval."""
-    value, low, high = ("–" if np.isnan(x) else f"{x:.3f}" for x in index)
-    return value, f"{low}…{high}"
-
-
-def table_of_indices(found: list[Sensitivity]) -> Table:
-    """Make the table of the sensitivity indices."""
-    interval = f"{CONFIDENCE:.0%} interval"
-    words = ("share of the variance due to",)
-    table = empty_table(words, ("alone", interval, "in all", interval))
-    title = lambda each: f"{each.column}, {each.setting.label}"
-    for each in _in_sections(table, found, title):
-        table.add_row(f"  {each.quantity}", *index_told(each.first), *index_told(each.total))
-    return table

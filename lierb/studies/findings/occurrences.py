@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow.compute as pc
 
+from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import Quantile, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
-from lierb.studies.findings.sizes import as_array, rows_of
+from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.findings.statistics import PROBABILITIES
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
 
@@ -44,13 +45,11 @@ def first_times(dataset: Results, setting: Setting, name: str) -> tuple[Array, i
     The times, s, are sorted; ∞ where it did not happen. Failed bodies do not count.
     """
     own = rows_of(setting)
-    fine = as_array(
-        dataset.table().to_table(columns=["trajectory"], filter=own & IS_FINE), "trajectory"
-    )
+    fine = ok_columns(dataset, setting, ["trajectory"])["trajectory"]
     rows = dataset.table("events").to_table(
         columns=["trajectory", "t"], filter=own & (pc.field("event") == name)
     )
-    bodies, times = as_array(rows, "trajectory"), as_array(rows, "t")
+    bodies, times = as_array(rows["trajectory"]), as_array(rows["t"])
     counted = np.isin(bodies, fine)
     order = np.argsort(fine, kind="stable")
     first = np.full(len(fine), np.inf)

@@ -5,34 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 
 from lierb.analysis.magnitudes import magnitudes
+from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
+from lierb.studies.findings.columns import rows_of
 from lierb.studies.storage.results import IS_FINE, Results
-from lierb.support.arrays import Array, components, pose_matrix
+from lierb.support.arrays import components, pose_matrix
 
 BODIES = 64  # that are looked at: the order of magnitude of a median is all that is needed
 STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
-
-
-def rows_of(setting: Setting) -> pc.Expression:
-    """Filter for the rows of a setting."""
-    return (
-        (pc.field("cspace") == setting.cspace)
-        & (pc.field("method") == setting.method)
-        & (pc.field(setting.column) == setting.step)
-    )
-
-
-def as_array(table: pa.Table, name: str) -> Array:
-    """Convert a column of numbers to an array; lists to (n, k)."""
-    column = table[name].combine_chunks()
-    if pa.types.is_fixed_size_list(column.type):
-        return np.asarray(column.flatten().to_numpy().reshape(-1, column.type.list_size))
-    return np.asarray(column.to_numpy())
 
 
 def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
@@ -52,7 +35,7 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
         ],
         filter=rows_of(setting) & IS_FINE,
     )
-    ended = as_array(rows, "trajectory")
+    ended = as_array(rows["trajectory"])
     first = int(ended.min()) if rows.num_rows else 0
     count = min(BODIES, len(study.design) - first)
     batch = study.batch(first, count)
@@ -63,7 +46,7 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
         for prefix in _prefixes(links):
             state = {name: np.full((count, width), np.nan) for name, width in STATE.items()}
             for name, values in state.items():
-                values[ended[seen] - first] = as_array(rows, f"{prefix}{name}")[seen]
+                values[ended[seen] - first] = as_array(rows[f"{prefix}{name}"])[seen]
             pose = pose_matrix((components(state["rotation"]), components(state["position"])))
             found[prefix.removesuffix(".")] = pose, np.hstack((state["omega"], state["v"]))
         poses: Any = {name: pose for name, (pose, _) in found.items()}

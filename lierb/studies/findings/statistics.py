@@ -11,10 +11,11 @@ import pyarrow.compute as pc
 
 from lierb.errors import require_name
 from lierb.kernels.systems.observables import KEEPS
+from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
-from lierb.studies.findings.sizes import as_array, rows_of
+from lierb.studies.findings.columns import ok_columns, rows_of
 from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
@@ -58,16 +59,10 @@ def spreads(
     """Yield quantiles of columns of the summary, setting by setting.   columns : their units."""
     for setting in study.settings:
         for name, unit in columns.items():
-            values = _ok_values(dataset, setting, name)
+            values = ok_columns(dataset, setting, [name])[name]
             ordered = np.sort(values[~np.isnan(values)])
             found = tuple(quantile_of(ordered, p) for p in probabilities)
             yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), found)
-
-
-def _ok_values(dataset: Results, setting: Setting, name: str) -> Array:
-    """Read a column of the bodies that are ok in a setting."""
-    table = dataset.table().to_table(columns=[name], filter=rows_of(setting) & IS_FINE)
-    return as_array(table, name)
 
 
 # ---- over time ---------------------------------------------------------------------------------
@@ -103,7 +98,7 @@ def percentiles_over_time(
         some = steps[first : first + most]
         inside = (pc.field("step") >= some[0]) & (pc.field("step") <= some[-1])
         table = history.to_table(columns=["step", name], filter=rows & inside)
-        values, at = of(as_array(table, name)), as_array(table, "step")
+        values, at = of(as_array(table[name])), as_array(table["step"])
         order = np.argsort(at, kind="stable")
         starts = np.searchsorted(at[order], some[1:])
         for group in np.split(values[order], starts):
@@ -183,7 +178,7 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
             values = np.full(design.n, np.nan)
             is_ok = rows_of(setting) & IS_FINE
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
-            values[as_array(table, "trajectory")] = as_array(table, column)
+            values[as_array(table["trajectory"])] = as_array(table[column])
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
             count = len(whole) if whole.all() else int(whole.argmin())
             rows = 1 << count.bit_length() - 1 if count else 0

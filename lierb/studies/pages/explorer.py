@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import drawn_columns, least_drawn, ok_columns, some_rows
+from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
+from lierb.studies.findings.findings import least_drawn
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.columns import AXES
 from lierb.studies.pages.looks import looks, step_sizes

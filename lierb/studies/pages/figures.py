@@ -9,7 +9,8 @@ from pathlib import Path
 from lierb.errors import require_name
 from lierb.results.panels import Sheet, figure_of
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import drawn_columns, ok_columns, study_of
+from lierb.studies.findings.columns import drawn_columns, ok_columns
+from lierb.studies.findings.findings import study_of
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.over_bodies import distribution_sheet, parameter_sheet, quantity_sheet
 from lierb.studies.pages.over_step import order_sheet

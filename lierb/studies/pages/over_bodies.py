@@ -20,14 +20,8 @@ from lierb.results.panels import (
     ridges,
 )
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import (
-    ERRORS,
-    drawn_columns,
-    errors_seen,
-    least_drawn,
-    ok_columns,
-    some_rows,
-)
+from lierb.studies.findings.columns import drawn_columns, ok_columns, some_rows
+from lierb.studies.findings.findings import ERRORS, errors_seen, least_drawn
 from lierb.studies.findings.symbols import labelled
 from lierb.studies.pages.columns import AXES, KNOWN, axis_label, other_columns
 from lierb.studies.pages.looks import Look, looks, step_sizes

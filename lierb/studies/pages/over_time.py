@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lierb.kernels.systems.measures import MEASURES
+from lierb.results.columns import as_array
 from lierb.results.panels import MOST_KEYS, NO_TIMES, Sheet, label_lines, log_axes, positive
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.findings import errors_seen, least_drawn
 from lierb.studies.findings.occurrences import event_names, first_times
-from lierb.studies.findings.sizes import as_array
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.pages.columns import AXES, KNOWN, axis_label, other_columns
 from lierb.studies.pages.looks import Look, looks
@@ -135,4 +135,4 @@ def _bands(
 ) -> tuple[Array, Array]:
     """Times, and the PERCENTILES of `of` the column at each, (4, times)."""
     table = percentiles_over_time(dataset, name, setting, PERCENTILES, of=of)
-    return as_array(table, "t"), np.stack([as_array(table, f"p{p:g}") for p in PERCENTILES])
+    return as_array(table["t"]), np.stack([as_array(table[f"p{p:g}"]) for p in PERCENTILES])

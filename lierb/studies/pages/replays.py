@@ -14,8 +14,8 @@ from lierb.results.colours import CSPACE_NAMES
 from lierb.results.result import Result
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import ERRORS, errors_seen, ok_columns
-from lierb.studies.findings.sizes import rows_of
+from lierb.studies.findings.columns import ok_columns, rows_of
+from lierb.studies.findings.findings import ERRORS, errors_seen
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_FINE, Results
 

@@ -12,31 +12,27 @@ import numpy as np
 
 from lierb.analysis.prediction import Prediction, joint_by_joint, predict
 from lierb.errors import LierbError
+from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import CONFIDENCE
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
+from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
     Found,
-    drawn_columns,
     errors_seen,
     findings,
-    first_told,
     happened,
-    index_told,
     indices,
-    ok_columns,
     orders,
-    quantile_told,
     quantities,
     study_of,
-    with_unit,
 )
-from lierb.studies.findings.sizes import as_array
 from lierb.studies.findings.statistics import PROBABILITIES
+from lierb.studies.findings.tables import first_time, with_interval, with_unit
 from lierb.studies.pages.replays import chosen, replayed, told
-from lierb.studies.storage.parts import parts_of
+from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import IS_FINE, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
@@ -118,12 +114,12 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
         "confidence": f"{CONFIDENCE:.0%}",
         "errors": [_error_rows(found, each) for each in found],
         "quantities": [
-            (each.setting, with_unit(each), [quantile_told(q) for q in each.quantiles])
+            (each.setting, with_unit(each), [with_interval(q[1:]) for q in each.quantiles])
             for each in quantities(dataset)
         ],
-        "events": [(each, [first_told(q, end) for q in each.first]) for each in happened(dataset)],
+        "events": [(each, [first_time(q, end) for q in each.first]) for each in happened(dataset)],
         "indices": [
-            (each.setting, each.column, each.quantity, *map(index_told, (each.first, each.total)))
+            (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
         ],
         "figures": [_drawn_sheet(name, sheet) for name, sheet in sheets(dataset)],
@@ -138,9 +134,9 @@ def _steps_done(dataset: Results, study: Study) -> int:
     """Number of steps of all bodies, rejected ones included."""
     table = dataset.table()
     if not study.has_lane_clocks:
-        return parts_of(study).work(dataset.parts)
+        return Parts(study).work(dataset.parts)
     counts = table.to_table(columns=["steps", "rejected"])
-    return int(as_array(counts, "steps").sum() + as_array(counts, "rejected").sum())
+    return int(as_array(counts["steps"]).sum() + as_array(counts["rejected"]).sum())
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import overload
 
 import numpy as np
 import pyarrow as pa
@@ -81,7 +80,7 @@ class Part:
         return table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
 
 
-class Parts(Sequence[Part]):
+class Parts:
     """All parts of a study, setting by setting; each is made when it is accessed.
 
     Names sort as the parts do: numbers are as wide as the study's largest.
@@ -96,9 +95,6 @@ class Parts(Sequence[Part]):
             max(2, len(str(len(self._settings) - 1))), max(10, len(str(self._bodies - 1))),
         )  # fmt: skip
 
-    def __len__(self) -> int:
-        return self.total
-
     def __iter__(self) -> Iterator[Part]:
         return (
             self._part(setting, first)
@@ -106,16 +102,8 @@ class Parts(Sequence[Part]):
             for first in range(0, self._bodies, self._size)
         )
 
-    @overload
-    def __getitem__(self, number: int) -> Part: ...
-    @overload
-    def __getitem__(self, number: slice) -> list[Part]: ...
-    def __getitem__(self, number: int | slice) -> Part | list[Part]:
-        if isinstance(number, slice):
-            return [self[n] for n in range(*number.indices(self.total))]
-        if not -self.total <= number < self.total:
-            raise IndexError(f"part {number} of {self.total}")
-        setting, n = divmod(number % self.total, self._each)
+    def __getitem__(self, number: int) -> Part:
+        setting, n = divmod(number, self._each)
         return self._part(setting, n * self._size)
 
     def named(self, name: str) -> Part | None:
@@ -145,11 +133,6 @@ class Parts(Sequence[Part]):
         name = f"{setting:0{self._widths[0]}d}-{first:0{self._widths[1]}d}"
         count = min(self._size, self._bodies - first)
         return Part(name, self._settings[setting], first, count)
-
-
-def parts_of(study: Study) -> Parts:
-    """Return all parts of a study, setting by setting."""
-    return Parts(study)
 
 
 def part_size(study: Study) -> int:

@@ -16,6 +16,7 @@ from filelock import FileLock, Timeout
 from lierb.errors import StudyError, StudyFileError
 from lierb.runs.provenance import machine
 from lierb.studies.description.code import FILE, Code, sha256_of_text
+from lierb.studies.description.study import Study
 from lierb.studies.description.study_tables import TABLES
 from lierb.studies.storage.files import File, Stored, parquet_in
 from lierb.studies.storage.manifest import FORMAT, PART, sealed
@@ -86,40 +87,27 @@ class Store(Results):
     # ---- study -----------------------------------------------------------------------------------
 
     def begin(
-        self,
-        digest: str,
-        study: dict[str, Any],
-        text: str,
-        asked: int,
-        changes: Mapping[str, Any] | None = None,
-        code: Code | None = None,
-        functions: Mapping[str, str] | None = None,
+        self, study: Study, text: str, asked: int, changes: Mapping[str, Any] | None = None
     ) -> None:
         """Write the manifest of a study without parts, its study.toml and its Python files.
 
-        text : of study.toml.   asked : number of parts.   code : texts of the Python files.
-        functions : their fingerprints.   Files of an earlier study without parts are replaced.
-        Raises StudyError for a study.toml or Python file of the user's that differs.
+        text : of study.toml.   asked : number of parts.   Files of an earlier study without parts
+        are replaced. Raises StudyError for a study.toml or Python file of the user's that differs.
         """
-        begun, texts = self.manifest.get("text"), code or {}
-        if begun and sha256_of(self.folder / STUDY) == begun:
-            self.drop([STUDY])
-        for file, digest_begun in self.manifest.get("code", {}).items():
-            if sha256_of(self.folder / file) == digest_begun:
-                self.drop([file])
-        digests = {file: sha256_of_text(text) for file, text in texts.items()}
-        missing = self._missing_code(digests)
-        is_there = self.study_text(digest) is not None
+        begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
+        self.drop([f for f, sha256 in begun.items() if sha256 == sha256_of(self.folder / f)])
+        missing = self._missing_code(study.code_digests)
+        is_there = self.study_text(study.digest()) is not None
         self.manifest = {
-            "format": FORMAT, "digest": digest, "text": None if is_there else sha256_of_text(text),
-            "study": study, "set": dict(changes or {}), "machine": machine(), "asked": asked,
-            "parts": {},
+            "format": FORMAT, "digest": study.digest(),
+            "text": None if is_there else sha256_of_text(text), "study": study.model_dump(),
+            "set": dict(changes or {}), "machine": machine(), "asked": asked, "parts": {},
         }  # fmt: skip
-        if texts:
-            self.manifest |= {"code": digests, "functions": dict(functions or {})}
+        if study.files:
+            self.manifest |= {"code": study.code_digests, "functions": study.fingerprints()}
         self._write_manifest()  # first: a study.toml without one is the user's
         for file in missing:
-            self.write(file, texts[file].encode())
+            self.write(file, study.code[file].encode())
         if not is_there:
             self.write(STUDY, text.encode())
 
