@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from lierb.errors import ArgumentError, StudyError
 from lierb.model.mechanism.mechanism import Mechanism
@@ -32,6 +32,45 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
+@overload
+def run(
+    study: Study | str | Path,
+    out: str | Path,
+    /,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+) -> Dataset: ...
+@overload
+def run(
+    study: Study | str | Path,
+    *,
+    out: str | Path,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+) -> Dataset: ...
+@overload
+def run(
+    study: Problem | Mechanism,
+    design: Design,
+    out: str | Path,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    resume: bool = False,
+    threads: int | None = None,
+    progress: Progress = None,
+    client: Client | None = None,
+    gather: bool = False,
+    **settings: Any,
+) -> Dataset: ...
 def run(
     study: Study | Problem | Mechanism | str | Path,
     design: Any = None,
