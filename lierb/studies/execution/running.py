@@ -13,6 +13,7 @@ from lierb.errors import ArgumentError, StudyError
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import warn_of
+from lierb.sampling import Design
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.code import is_loading
 from lierb.studies.description.from_python import study_of
