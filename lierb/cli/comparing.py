@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from lierb.studies.description.study import Study
 
-MOST_BODIES = 64  # of a study, unless --n says another number
+MOST_BODIES = 64  # unless --n is given
 
 
 def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from lierb.analysis.paper import Finding, PaperReport
 
 
-NO_CACHE = "none: the JIT is off, or no folder can be written"  # in place of the cache's folder
+NO_CACHE = (
+    "none: the JIT is off, or no folder can be written"  # printed instead of the cache's folder
+)
 
 
 class Commands(click.Group):
@@ -38,7 +40,7 @@ class Commands(click.Group):
             click.echo("\nInterrupted. No file is left half-written.", err=True)
             ctx.exit(INTERRUPTED)
         except BrokenPipeError:
-            raise  # `lierb … | head`: click ends quietly
+            raise  # `lierb … | head`: click exits quietly
         except (MissingExtraError, LierbError, OSError) as error:
             raise click.ClickException(str(error)) from error
 

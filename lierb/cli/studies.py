@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from lierb.studies.description.study import Study
 
 Changes = dict[str, Any]
-FILE = "study.toml"  # lierb.studies.storage.store.STUDY, without what that imports
-MOST_EVENTS = 20  # of a trajectory, that are printed
-COPIED = "lierb.copied"  # in a context: the study is from a pipe
+FILE = "study.toml"  # lierb.studies.storage.results.STUDY, whose import is slow
+MOST_EVENTS = 20  # most printed events of a trajectory
+COPIED = "lierb.copied"  # key of a context: True if the study is from a pipe
 
 
 class UserPath(click.Path):
     """Path whose `~` is expanded, as in `--out=~/top`, where a shell does not."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        # as text: a Path makes `s3:/x` of a URL, and the folder here of nothing
+        # as text: a Path turns a URL into `s3:/x`, and an empty path into the current folder
         return super().convert(os.path.expanduser(value), param, ctx)  # noqa: PTH111
 
 
@@ -138,7 +138,7 @@ def run(
     """
     require("study")
     if report:
-        require("report")  # now, rather than after the run
+        require("report")  # before the run, not after it
     from lierb.studies.description.study import Study
     from lierb.studies.execution.running import run as run_study
     from lierb.studies.execution.stiff_steps import stiff_settings
@@ -147,7 +147,7 @@ def run(
     _require_one_way(workers, scheduler, gather, report, only)
     own = {"sample.n": n, "sample.seed": seed, "sample.stop_when": stop_when}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
-    loaded = Study.load(study, changes)  # what is wrong is said before any worker starts
+    loaded = Study.load(study, changes)  # errors come before any worker starts
     if only is not None:
         _replay(loaded, folder, only, threads)
         return

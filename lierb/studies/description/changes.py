@@ -4,7 +4,7 @@
     sample.initial.omega.mean    of a table in a table
     problem.forces.0.damping     of one of several tables: by its number, its name or its type
 
-Tables and keys that are not there are added; whether there may be such is the study's to say.
+Missing tables and keys are added; the study's model checks them afterwards.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 from lierb.errors import StudyError
 
-WORD = re.compile(r"[^\W\d][^\s\"'\[\]{},=#]*")  # what is no number, list or table
+WORD = re.compile(r"[^\W\d][^\s\"'\[\]{},=#]*")  # text that is no number, list or table
 
 
 def parsed(text: str) -> tuple[str, Any]:
@@ -43,9 +43,9 @@ def _value(key: str, text: str) -> Any:
     except (ValueError, RecursionError) as error:
         if WORD.fullmatch(text):
             return text
-        if re.fullmatch(r"\[[^\[\]\"'{}]*\]", text):  # words perhaps: [SE3, reduced]
+        if re.fullmatch(r"\[[^\[\]\"'{}]*\]", text):  # possibly words: [SE3, reduced]
             return [_value(key, item.strip()) for item in text[1:-1].rstrip(" ,").split(",")]
-        why = str(error).partition(" (at")[0]  # the column is that of a line of ours
+        why = str(error).partition(" (at")[0]  # whose column counts from `value = `
         raise StudyError(f"{key}={text}: no value of TOML ({why}); text needs quotes") from None
     if tables.keys() != {"value"}:
         raise StudyError(f"{key}={text}: expected one value")

@@ -1,7 +1,7 @@
 """Python files of a study: `type = "python:FILE.py:NAME"`, FILE beside the study's file.
 
-A study has the text of its files, not their places: so they are copied into the results, go to the
-workers of a cluster, and count in its digest. Whoever makes the problem of such a study runs them.
+A study holds the texts of its files, not their paths: they are copied into the results, sent to the
+workers of a cluster, and part of its digest. They are executed when the problem is made.
 """
 
 from __future__ import annotations
@@ -96,7 +96,9 @@ def _text_of(folder: Path, file: str) -> str:
 
 def _parsed(file: str, text: str) -> ast.Module:
     try:
-        return ast.parse(text.removeprefix("\ufeff"), file)  # which Python reads over in a file
+        return ast.parse(
+            text.removeprefix("\ufeff"), file
+        )  # the byte-order mark, which Python skips in a file
     except (SyntaxError, ValueError, RecursionError) as error:
         line = getattr(error, "lineno", None)
         raise StudyError(
@@ -126,7 +128,7 @@ def _require_alone(tree: ast.Module, file: str, folder: Path) -> None:
 # ---- running -----------------------------------------------------------------------------------
 
 _modules: dict[str, ModuleType] = {}
-_texts: dict[str, tuple[str, str]] = {}  # file and text, by the name that its code has
+_texts: dict[str, tuple[str, str]] = {}  # file name and text, by the file name in its code objects
 _lock = threading.RLock()
 _loading: ContextVar[str] = ContextVar("loading", default="")
 
@@ -144,7 +146,7 @@ def module_of(file: str, text: str) -> ModuleType:
     with _lock:
         if name not in _modules:
             lines = text.splitlines(keepends=True)
-            linecache.cache[place] = (len(text), None, lines, place)  # for messages
+            linecache.cache[place] = (len(text), None, lines, place)  # source lines of tracebacks
             _texts[place] = file, text
             module = sys.modules[name] = ModuleType(name)
             try:

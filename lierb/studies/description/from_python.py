@@ -1,6 +1,6 @@
 """Study of a problem and a design made in Python: the tables that its file would have.
 
-So everything that studies can do, they can do with it: the folder of the results says it all.
+Such a study has all features of studies, and its results are described by their folder alone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lierb.studies.description.study_tables import NOTHING
 from lierb.support.arrays import Array
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)
-OF_JOINT = ("pitch", "length", *POINTS)  # what may be drawn of a joint that is made
+OF_JOINT = ("pitch", "length", *POINTS)  # quantities of a joint made in Python that can be drawn
 
 
 def study_of(

@@ -17,7 +17,7 @@ from lierb.errors import LierbError, StudyError
 from lierb.studies.description.changes import path_of, written
 from lierb.studies.description.study_file import ELEMENTS, line_of, shortened
 
-MOST_TOLD = 10  # of the things that are wrong
+MOST_LISTED = 10  # errors of a file
 
 
 @contextmanager
@@ -66,7 +66,7 @@ class Given:
     def place(self, path: tuple[Any, ...]) -> str:
         """Return file and line of a key, and the changes of its table."""
         keys = [path_of(key) for key in self.changes]
-        if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
+        if path and path[0] in ELEMENTS:  # parameters are in a table of [[problem.forces]]
             path = ("problem", path[0], *path[2:])
         names = tuple(map(str, path))
         line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
@@ -75,7 +75,7 @@ class Given:
         return f"{place} with {', '.join(near)}" if near else place
 
 
-WORDS = {  # Python's in pydantic's messages, and those of a file
+WORDS = {  # Python's terms in pydantic's messages, and those of TOML
     r"a valid dictionary( or instance of \w+)?": "a table",
     r"a valid string": "text",
     r"a valid list": "a list",
@@ -86,9 +86,9 @@ def messages(
     errors: ValidationError, model: type[BaseModel], tables: dict[str, Any], given: Given
 ) -> str:
     """Format the first of pydantic's errors, one a line.   model : of the whole file."""
-    found = iter(errors.errors(include_url=False, include_context=False))
-    lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(found, MOST_TOLD))
-    if rest := sum(1 for _ in found):
+    each = iter(errors.errors(include_url=False, include_context=False))
+    lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(each, MOST_LISTED))
+    if rest := sum(1 for _ in each):
         return "\n".join((*lines, f"{given.source}: and {rest} more"))
     return "\n".join(lines)
 
@@ -122,7 +122,7 @@ def _leads_somewhere(path: tuple[Any, ...], tables: Any) -> bool:
 
 def _fields_at(model: Any, path: tuple[Any, ...]) -> list[str]:
     for part in path:
-        if isinstance(part, int):  # of a list
+        if isinstance(part, int):  # index of a list
             continue
         field = model.model_fields.get(part)
         model = _model_in(field.annotation) if field else BaseModel

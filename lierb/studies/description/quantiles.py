@@ -9,15 +9,15 @@ import numpy as np
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
-CONFIDENCE = 0.95  # of every interval
+CONFIDENCE = 0.95  # level of every interval
 
 
 class Quantile(NamedTuple):
     """Sample quantile, and a confidence interval of the population's quantile.
 
-    value : the least number that at least this share of the bodies stay at or below.
-    low, high : two of the bodies' numbers, by their order alone, whatever the distribution: how
-        many are below the population's quantile is binomial. NaN where there are too few bodies.
+    value : the least number with at least this share of the bodies at or below it.
+    low, high : order statistics of the sample; their ranks follow from the binomial distribution,
+        whatever the population's. NaN if there are too few bodies.
     """
 
     probability: float

@@ -7,7 +7,7 @@ from pathlib import Path
 from lierb.errors import unknown_name
 
 PACKAGE = Path(__file__).parents[2]
-SCHEMA = "#:schema "  # for editors; its path is that of the checkout
+SCHEMA = "#:schema "  # for editors; its path holds in the checkout only
 
 
 def _folder() -> Path:

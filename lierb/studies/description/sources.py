@@ -14,14 +14,14 @@ from lierb.errors import ArgumentError, told
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
 COPY = "study.toml"
-LONGEST_STUDY = 4 * 2**20  # of a study's file: 200 000 numbers with all their digits
+LONGEST_STUDY = 4 * 2**20  # bytes of a study's file: 200 000 numbers with all digits
 
 
 def path_given(study: Any) -> Path:
     """Convert to a path, `~` being the home folder. Raises ArgumentError."""
     try:
         return Path(study).expanduser()
-    except (TypeError, RuntimeError):  # no path; nobody's home
+    except (TypeError, RuntimeError):  # no path; no home folder
         raise ArgumentError(
             f"study={told(study)}; expected a lierb.Study, or the path of its TOML file"
         ) from None
@@ -31,9 +31,9 @@ def path_given(study: Any) -> Path:
 def as_file(path: Path) -> Iterator[Path]:
     """Yield the path of a study's file that can be read again and has a name.
 
-    That is `path` itself, or a copy `study.toml` that lasts as long as the block: of standard input
-    (`-`), of a pipe, and of a file whose name is no text. Of what is longer than LONGEST_STUDY, or
-    has no end, the copy has one byte more than that. Raises OSError where nothing can be read.
+    Standard input (`-`), a pipe, and a file whose name is no text are copied to a `study.toml` that
+    exists in the block: at most LONGEST_STUDY and one byte, as a pipe may have no end. Raises
+    OSError.
     """
     if _is_plain(path):
         yield path

@@ -1,7 +1,7 @@
 """Initial poses and twists of a study's bodies, from its tables [initial].
 
-One body takes what `Joint.pose` and `Joint.twist` take. Links of a mechanism are placed one on the
-other, each by what its own table `initial` says; what is open then is closed.
+One body takes the arguments of `Joint.pose` and `Joint.twist`. Links of a mechanism are placed one
+on the other, each by its own table `initial`; loops that are open then are closed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from lierb.support.arrays import (
 from lierb.support.shown import counted
 
 PLACES = ("rotation", "place")
-AUTO, NEVER = "auto", "never"  # whether loops are closed
+AUTO, NEVER = "auto", "never"  # closing of loops
 Initial = Mapping[str, Any]
 
 
@@ -93,11 +93,11 @@ def started_mechanism(
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Compute twists, (count, 6), and poses, (count, 4, 4), of all links.
 
-    initial : by link; of each what its table says.
-    close : AUTO closes what links that are placed one on the other leave open, and projects twists
-        that violate rows, both to the nearest ones by the masses; NEVER leaves them.
+    initial : tables of the links, by name.
+    close : AUTO closes open loops, and projects twists that violate rows, both to the nearest ones
+        in the mass metric; NEVER leaves them.
     """
-    with np.errstate(all="ignore"):  # what overflows is found in the result
+    with np.errstate(all="ignore"):  # overflow shows in the result
         placed = _poses(mechanism, initial)
     poses = {
         name: _spread(f"the pose of {name}", pose_matrix(placed[i]), count, 2)
@@ -177,7 +177,7 @@ def _twists(
             continue
         carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, found)
         frame = pose_components(link.joint.body_frame)
-        if "omega" in given:  # its joint frame's origin goes with the parent
+        if "omega" in given:  # the origin of its joint frame moves with the parent
             omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))
             own: Vec = (*mat_t_vec(frame[0], omega), *carried[3:])
         else:

@@ -4,9 +4,9 @@
     width of 95% of pointing_error_max < 2%        relative to the quantile
     width of failed < 0.001                        of the share of bodies that fail
 
-After each part, in the order of the parts, the rule is asked about all bodies up to there, in each
-setting by itself; the first part after which it holds is that setting's last. So it depends on the
-study alone where a study stops, not on who runs its parts, or how often it was interrupted.
+After each part, in the order of the parts, the rule is applied to all bodies of the setting up to
+there; the first part after which it holds is the setting's last. The end of a study depends on the
+study alone, not on the process that runs its parts, or on interruptions.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ EXPECTED = '"width of 95% of COLUMN < 0.01", "… < 2%", or "width of failed < 0
 class Rule(NamedTuple):
     """Bound on a confidence interval's width: of a column's quantile, or of the failed share.
 
-    probability : of the quantile; None for the share that fails.   bound : of the interval's width.
-    is_relative : whether the bound is a share of the quantile's own size.
+    probability : of the quantile; None for the share that fails.   bound : on the interval's width.
+    is_relative : True if the bound is a share of the quantile's size.
     """
 
     probability: float | None
@@ -60,7 +60,7 @@ class Rule(NamedTuple):
 def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = False) -> Rule:
     """Parse a rule about a column of the problem's summaries. Raises StudyError.
 
-    has_lane_clocks : whether each trajectory has steps of its own, and columns that count them.
+    has_lane_clocks : True if each trajectory has its own steps, and columns that count them.
     """
     found = FORM.fullmatch(text)
     share, column, bound, percent = found.groups("") if found else ("",) * 4
@@ -90,7 +90,7 @@ class Bodies:
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
         self.count = self.failed = 0
-        self.ordered: Array = np.empty(0)  # numbers of the column, of bodies that are ok
+        self.ordered: Array = np.empty(0)  # the column, over the bodies that are ok
 
     @property
     def columns(self) -> list[str]:
@@ -104,5 +104,5 @@ class Bodies:
         if self.rule.probability is not None:
             values = as_array(summary[self.rule.column])[~failed]
             joined = np.concatenate((self.ordered, np.sort(values[~np.isnan(values)])))
-            joined.sort(kind="stable")  # which merges what is in order
+            joined.sort(kind="stable")  # a merge of two sorted runs
             self.ordered = joined

@@ -1,7 +1,7 @@
 """Text of a study's file, the lines of its keys, and the values that a file can hold.
 
-`plain` is the one way in, for a file's tables and for those that Python makes: what it lets pass
-can be written as TOML and as JSON, and is read back as it was.
+`plain` converts the tables of a file and those made in Python: its result can be written as TOML
+and as JSON, and is read back unchanged.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from lierb.studies.description.sources import LONGEST_STUDY
 from lierb.support.arrays import as_floats, as_matrix, components, pose_matrix
 
 ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
-MOST_TEXT = 1000  # characters of a name
-MOST_PARTS = 32  # of a dotted key: tomllib takes time with the square of them
-DEEPEST = 16  # tables and lists in each other; a study's own go seven deep
-LARGEST = 2**64 - 1  # of whole numbers, the largest seed
-TOLD = 400  # characters of a message that are what was given
+MOST_TEXT = 1000  # characters of a text
+MOST_PARTS = 32  # parts of a dotted key: tomllib's time grows with their square
+DEEPEST = 16  # nested tables and lists; a study needs seven
+LARGEST = 2**64 - 1  # whole number: the largest seed
+LONGEST_MESSAGE = 400  # characters
 
 _KEY = r"""(?:(?<![\w-])[\w-]{1,100}+|"(?:[^"\\\n]|\\.){0,100}+"|'[^'\n]{0,100}+')"""
 _LONG_KEY = re.compile(rf"{_KEY}(?:[ \t]*+\.[ \t]*+(?:[\w-]{{1,100}}+|{_KEY})){{{MOST_PARTS},}}+")
@@ -76,7 +76,7 @@ def tables_in(text: str, source: str) -> dict[str, Any]:
     except RecursionError:
         place = _line_at(text, _deepest(text), source)
         raise StudyError(f"{place}: lists or tables nested too deeply; expected {DEEP}") from None
-    except ValueError as error:  # Python reads no whole number of more than 4300 digits
+    except ValueError as error:  # Python parses no integer of more than 4300 digits
         found = _LONG_NUMBER.search(text)
         place = _line_at(text, found.start(), source) if found else source
         raise StudyError(f"{place}: {_TOO_LARGE_NUMBER if found else error}") from None
@@ -115,7 +115,7 @@ def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     """
     lines, names = _lines_in(text)
     wanted = _numbered(path, names)
-    best: tuple[int, int] | None = None  # parts that agree, line
+    best: tuple[int, int] | None = None  # number of matching parts, line
     for number, found in lines:
         is_near = len(found) <= len(wanted) and all(w in (f, ANY) for f, w in zip(found, wanted))
         if found and is_near and (best is None or len(found) > best[0]):
@@ -123,8 +123,8 @@ def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     return best[1] if best else None
 
 
-ANY = None  # in a path, whichever of several tables
-Names = dict[tuple[Any, ...], list[str]]  # of the tables in each list of them
+ANY = None  # in a path: any of several tables
+Names = dict[tuple[Any, ...], list[str]]  # names of the tables in each list of tables
 
 
 def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
@@ -190,8 +190,8 @@ def _parts_of(line: str, table: list[str]) -> list[str] | None:
 
 def shortened(text: str) -> str:
     """Leave out the middle of a message that is too long."""
-    half = TOLD // 2
-    return text if len(text) <= TOLD else f"{text[:half]} … {text[-half:]}"
+    half = LONGEST_MESSAGE // 2
+    return text if len(text) <= LONGEST_MESSAGE else f"{text[:half]} … {text[-half:]}"
 
 
 # ---- what a file can hold ----------------------------------------------------------------------
@@ -225,7 +225,7 @@ class _Plain:
     """Conversion of nested values; `left` bounds their number, as a list may contain itself."""
 
     def __init__(self) -> None:
-        self.left = LONGEST_STUDY // 4  # a value takes four characters, in a line of its own
+        self.left = LONGEST_STUDY // 4  # a value on a line of its own takes four characters
 
     def value(self, given: Any, path: tuple[str, ...]) -> Any:
         self._take(1, path)
@@ -235,7 +235,7 @@ class _Plain:
             case bool() | np.bool_():
                 raise StudyError(f"{_key(path)}: is {given}; a study has numbers and text only")
             case np.timedelta64():
-                pass  # a whole number to NumPy alone
+                pass  # NumPy counts it as an integer
             case int() | np.integer():
                 return self._whole(int(given), path)
             case float() | np.floating():
@@ -243,7 +243,7 @@ class _Plain:
             case str():
                 return _checked_text(given, path)
             case list() | tuple():
-                if given and set(map(type, given)) == {float}:  # most of what is long
+                if given and set(map(type, given)) == {float}:  # fast path for long lists
                     self._take(len(given), path)
                     return [each + 0.0 for each in given]
                 return [self.value(each, (*path, str(n))) for n, each in enumerate(given)]

@@ -17,8 +17,8 @@ from lierb.errors import ArgumentError
 from lierb.support.arrays import Array
 
 RULE = ("every", "from", "to")
-MOST_TIMES = 10**7  # 1 GB and more of one trajectory
-NEARLY = 1e-9  # of `every`: what `to` may be off by, as 0.3 is from 3 × 0.1
+MOST_TIMES = 10**7  # rows of one trajectory: 1 GB and more
+NEARLY = 1e-9  # tolerance of `to` relative to `every`: 0.3 is not 3 × 0.1
 EXPECTED = "times in s, in ascending order, or { every = …, from = …, to = … }"
 
 

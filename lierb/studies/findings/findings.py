@@ -39,7 +39,7 @@ ERRORS = {
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
-NEGLIGIBLE = 1e-18  # an error below this is none, relative to the problem's own size
+NEGLIGIBLE = 1e-18  # error that counts as zero, relative to the problem's scale
 
 
 @dataclass(frozen=True)

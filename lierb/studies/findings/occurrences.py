@@ -21,9 +21,8 @@ from lierb.support.arrays import Array
 class Occurred(NamedTuple):
     """Event in one setting, over the bodies that did not fail.
 
-    crossings : in all.   bodies : with one at least, of `of`.
-    first : quantiles of the time of a body's first one, s; of bodies that had none it is ∞, as it
-        would be later than the run.
+    crossings : in all bodies.   bodies : number of those with a crossing, out of `of`.
+    first : quantiles of the time of a body's first crossing, s; ∞ for a body without one.
     """
 
     setting: Setting

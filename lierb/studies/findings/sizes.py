@@ -14,17 +14,17 @@ from lierb.studies.findings.columns import rows_of
 from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import components, pose_matrix
 
-BODIES = 64  # that are looked at: the order of magnitude of a median is all that is needed
+BODIES = 64  # number of bodies: the median's order of magnitude is enough
 STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
 
 def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
     """Scales of a setting's errors: position, m; rotation, 1; energy, J.
 
-    Medians over the first bodies, of the larger of the numbers at start and end. Position: the
-    problem's own length and the distance from the ground's origin. Energy: the kinetic one, the
-    magnitudes of all potential ones, and m g times the problem's own length; of a mechanism those
-    of its links, and of gravity.
+    Medians over the first bodies, of the larger value of start and end. Position: the problem's
+    characteristic length and the distance from the ground's origin. Energy: the kinetic energy, the
+    magnitudes of all potential energies, and m g times the characteristic length; of a mechanism
+    those of its links, and of gravity.
     """
     links = [link.name for link in study.problem.links]
     rows = dataset.table().head(

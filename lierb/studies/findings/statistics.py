@@ -21,14 +21,14 @@ from lierb.support.arrays import Array
 from lierb.support.extras import require
 
 PROBABILITIES = (0.05, 0.5, 0.95)
-NO_RESULTS = ("t", "dt", "rtol")  # of a history's columns of numbers
-MOST_NUMBERS = 2**24  # of a history that are looked at together, 128 MB
+NO_RESULTS = ("t", "dt", "rtol")  # columns of a history that are no results
+MOST_NUMBERS = 2**24  # read at once from a history: 128 MB
 
 
 class Spread(NamedTuple):
     """Quantiles of a quantity over the bodies in one setting.
 
-    bodies : those that are ok and for which it is a number.   undefined : ok, and it is none.
+    bodies : number of ok bodies with a number.   undefined : number of ok bodies with NaN.
     """
 
     setting: Setting
@@ -78,10 +78,10 @@ def percentiles_over_time(
 ) -> pa.Table:
     """Compute percentiles of a column of the history at each time, over the bodies.
 
-    of : what is asked of the numbers first, such as np.abs.
+    of : function of the numbers, such as np.abs.
 
     Returns a table of step, t, bodies and a column for each, such as p5 and p97.5, in the column's
-    unit. The history may be larger than the memory: so many times are read at once as fit 128 MB.
+    unit. The history may be larger than the memory: at most MOST_NUMBERS are read at once.
 
     Raises UnknownNameError for a column that is none of one number.
     """
@@ -134,7 +134,7 @@ def _times(dataset: Results, setting: Setting) -> dict[int, float]:
 
 # ---- sensitivity -------------------------------------------------------------------------------
 
-RESAMPLED = 200  # times, for the intervals of indices
+RESAMPLED = 200  # bootstrap samples for an index's interval
 LEAST_ROWS = 4
 
 
@@ -149,9 +149,9 @@ class _Index(NamedTuple):
 class Sensitivity(NamedTuple):
     """Shares of a column's variance that a sampled quantity accounts for, in one setting.
 
-    first : alone.   total : with all that it does together with others. NaN
-        where the column is the same for all bodies, or too few of them are ok.
-    rows : of the design that are counted.
+    first : of the quantity alone.   total : with its interactions. NaN if all bodies have the same
+        value, or too few bodies are ok.
+    rows : number of the design's rows that are used.
     """
 
     setting: Setting
@@ -166,8 +166,8 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
     """Yield Sobol's indices of columns of the summary, of a "saltelli" design.
 
     By `scipy.stats.sobol_indices`: first order by Saltelli et al. (2010), total by Jansen (1999).
-    Counted are the first 2ᵏ rows of the design, as many as are whole: those after a body that is
-    not ok, not done, or has no number are left out. Intervals are percentiles of bootstrapped rows.
+    The first 2ᵏ rows of the design are used, up to the first body that is not ok, not done, or has
+    no number. Intervals are percentiles of bootstrapped rows.
     """
     design = study.design
     if design.method != "saltelli":
@@ -206,7 +206,7 @@ def _estimated(values: Array) -> Array:
     require("scipy")
     from scipy.stats import sobol_indices
 
-    # Twice the same output: SciPy would take one quantity's indices for numbers.
+    # The output is repeated, since SciPy squeezes the axis of a single quantity.
     f = np.repeat(values.T[:, None], 2, axis=1)
     found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=len(values))
     shape = (2, values.shape[1] - 2)

@@ -13,7 +13,7 @@ from lierb.studies.description.units import each_unit, joint_of
 from lierb.support.arrays import Array
 
 SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-SYMBOLS = {  # of the components of a vector, or one word for each of them
+SYMBOLS = {  # symbols of a vector's components
     "initial.omega": ("ω₁", "ω₂", "ω₃"),
     "initial.twist": ("ω₁", "ω₂", "ω₃", "v₁", "v₂", "v₃"),
     "initial.point_velocity": ("ṗ₁", "ṗ₂", "ṗ₃"),
@@ -24,7 +24,7 @@ SYMBOLS = {  # of the components of a vector, or one word for each of them
     "problem.gravity": ("g₁", "g₂", "g₃"),
 }
 GREEK = {"phi": "φ", "xi": "ξ", "alpha": "α", "beta": "β"}
-MOST_COMPONENTS = 6  # matrices have no axes
+MOST_COMPONENTS = 6  # matrices are left out
 
 
 def labelled(
@@ -55,7 +55,7 @@ def _symbols(quantity: str, width: int, is_vector: bool, study: Study) -> list[s
     section, _, key = quantity.rpartition(".")
     first, _, of_link = section.partition(".")
     owner = ""
-    if of_link and first not in ELEMENTS:  # what one body has, with the link's name before
+    if of_link and first not in ELEMENTS:  # a quantity of a link, which has its name before it
         owner, quantity = f"{first}: ", f"{of_link}.{key}"
     elif first == "forces":
         owner = f"{of_link}: "
@@ -81,5 +81,5 @@ def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
     for name in names:
         letter, number = name.rstrip("0123456789"), name.lstrip("abcdefghijklmnopqrstuvwxyz")
         symbol = GREEK.get(letter, letter) + rate + number.translate(SUBSCRIPTS)
-        found.append(normalize("NFC", symbol))  # fonts have ḋ, few place a dot on a d
+        found.append(normalize("NFC", symbol))  # fonts have ḋ, but few combine d with a dot
     return found

@@ -19,8 +19,8 @@ from lierb.studies.findings.findings import ERRORS, errors_seen
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_FINE, Results
 
-FRAMES = 500  # of each
-MOST_SPACES = 2  # c-spaces and methods side by side
+FRAMES = 500  # of each trajectory
+MOST_SPACES = 2  # settings side by side
 
 
 @dataclass(frozen=True)

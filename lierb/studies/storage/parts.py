@@ -21,14 +21,14 @@ from lierb.support.arrays import Array
 from lierb.support.collected_warnings import told_elsewhere
 
 Progress = Callable[[int, int], None]
-HISTORY_BYTES = 64e6  # of a part's history, at most
-HISTORY_ROW_BYTES = 100  # about, without what `record` adds
-STATE_BYTES = 144  # of a body
-JOINT_BYTES = 32  # of the errors of each joint of a mechanism
-# Of studies whose trajectories have a clock each, rows are counted to the byte; the others' parts
-# are as large as they have always been, so that they can be resumed.
-LABEL_BYTES = 16  # of a row: cspace, method, dt
-EVENTS_FORESEEN = 10  # crossings of each event in a trajectory: nobody knows before it has run
+HISTORY_BYTES = 64e6  # most bytes of a part's history
+HISTORY_ROW_BYTES = 100  # bytes of a row, about, without the columns of `record`
+STATE_BYTES = 144  # bytes of a body's state
+JOINT_BYTES = 32  # bytes of a joint's errors
+# Estimates for the parts of fixed-step studies; unchanged, so that old studies can be resumed.
+# Rows of trajectories with their own clocks are counted to the byte.
+LABEL_BYTES = 16  # bytes of a row's cspace, method and dt
+EVENTS_FORESEEN = 10  # assumed crossings of each event in a trajectory
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Part:
         """Integrate the bodies; return `summary`, and `history` and `events` if there are any."""
         batch = study.batch(self.first, self.count, design)
         options = study.options(self.setting)
-        if study.problem.controllers:  # noise is drawn by a trajectory's number in the whole study
+        if study.problem.controllers:  # noise depends on a trajectory's number in the study
             numbers_of_all = np.arange(self.first, self.first + self.count)
             options |= {"seed": study.sample.seed, "trajectories": numbers_of_all}
         with told_elsewhere():
@@ -74,8 +74,10 @@ class Part:
         own = numbers(as_array(table["trajectory"]) + self.first)
         table = table.set_column(0, table.schema.field("trajectory"), own)
         step, unit = numbers(np.full(rows, self.setting.step)), {"dt": "s", "rtol": "1"}
-        told = {"unit": unit[self.setting.column]}
-        table = table.add_column(0, pa.field(self.setting.column, step.type, metadata=told), step)
+        metadata = {"unit": unit[self.setting.column]}
+        table = table.add_column(
+            0, pa.field(self.setting.column, step.type, metadata=metadata), step
+        )
         table = table.add_column(0, "method", repeated(self.setting.method, rows))
         return table.add_column(0, "cspace", repeated(self.setting.cspace, rows))
 
@@ -89,8 +91,8 @@ class Parts:
     def __init__(self, study: Study) -> None:
         self._study, self._settings = study, study.settings
         self._bodies, self._size = len(study.design), part_size(study)
-        self._each = -(-self._bodies // self._size)  # of a setting
-        self.total = self._each * len(self._settings)  # may be more than `len` can say
+        self._each = -(-self._bodies // self._size)  # parts of a setting
+        self.total = self._each * len(self._settings)
         self._widths = (
             max(2, len(str(len(self._settings) - 1))), max(10, len(str(self._bodies - 1))),
         )  # fmt: skip
@@ -170,8 +172,10 @@ def _with_draws(table: pa.Table, study: Study, batch: Batch) -> pa.Table:
     for name, values in batch.draws.items():
         column = _column(np.ascontiguousarray(values))
         unit = unit_of(name, study, batch.problem)
-        told = {"unit": unit} if unit else None
-        table = table.append_column(pa.field(f"sample.{name}", column.type, metadata=told), column)
+        metadata = {"unit": unit} if unit else None
+        table = table.append_column(
+            pa.field(f"sample.{name}", column.type, metadata=metadata), column
+        )
     return table
 
 
