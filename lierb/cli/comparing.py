@@ -34,9 +34,9 @@ def _numbers(ctx: click.Context, param: click.Parameter, given: tuple[str, ...])
         raise click.BadParameter(f"{error}; expected numbers, as 1e-2,5e-3") from None
 
 
-def _several(name: str, callback: Any, metavar: str, told: str) -> Any:
+def _several(name: str, callback: Any, metavar: str, text: str) -> Any:
     """Option for several values: with commas, or given more than once."""
-    return click.option(name, multiple=True, callback=callback, metavar=metavar, help=told)
+    return click.option(name, multiple=True, callback=callback, metavar=metavar, help=text)
 
 
 @click.command()
@@ -115,7 +115,7 @@ def compare(
     if left := _left_out(loaded):
         click.echo(f"Not taken from the study: {', '.join(left)}.", err=True)
     with progress_of_cases() as progress:
-        found = convergence(
+        comparison = convergence(
             batch.problem, methods or run.method, **control, cspaces=cspaces or run.cspace,
             twist0=batch.twist0, pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update,
             solver=run.solver, stabilise=kept["stabilise"], measure_every=run.measure_every,
@@ -123,14 +123,16 @@ def compare(
             repeats=repeats, name=name, progress=progress,
         )  # fmt: skip
         progress(0, 1, "files")
-        files = found.save(folder)
+        files = comparison.save(folder)
     if form is not None:
-        click.echo(found.to_markdown() if form == "markdown" else found.to_latex(), nl=False)
+        click.echo(
+            comparison.to_markdown() if form == "markdown" else comparison.to_latex(), nl=False
+        )
     else:
-        for header, rows in found.told():
+        for header, rows in comparison.told():
             print_whole(_table(header, rows))
             click.echo()
-        for note in found.notes:
+        for note in comparison.notes:
             click.echo(wrapped(note))
     click.echo(
         f"Written to {folder}: {', '.join(path.name for path in files)}", err=form is not None

@@ -64,27 +64,17 @@ def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
 
 @cli.command()
 @click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("results/paper"),
-    show_default=True,
-    help="Folder for the tables and figures.",
-)
+    "--out", type=click.Path(file_okay=False, path_type=Path), default=Path("results/paper"),
+    show_default=True, help="Folder for the tables and figures.",
+)  # fmt: skip
 @click.option(
-    "--gravity",
-    type=float,
-    default=0.0,
-    show_default=True,
-    callback=finite,
+    "--gravity", type=float, default=0.0, show_default=True, callback=finite,
     help="In m/s², along -e3 of the ground; the paper mentions none.",
-)
+)  # fmt: skip
 @click.option(
-    "--update",
-    type=click.Choice(["local", "global"]),
-    default="local",
-    show_default=True,
+    "--update", type=click.Choice(["local", "global"]), default="local", show_default=True,
     help="How a step updates the configuration.",
-)
+)  # fmt: skip
 @click.option("--as-printed", is_flag=True, help="Keep the mistakes that the paper prints.")
 @click.option("--no-figures", is_flag=True, help="Write the tables only.")
 def paper(out: Path, gravity: float, update: str, as_printed: bool, no_figures: bool) -> None:
@@ -118,20 +108,20 @@ def info(as_json: bool) -> None:
 
     from lierb.installation import info as found_by
 
-    found = found_by()
+    facts = found_by()
     if as_json:
-        click.echo(json.dumps(found, indent=2))
+        click.echo(json.dumps(facts, indent=2))
         return
-    cache = found.pop("cache")
+    cache = facts.pop("cache")
     rows = {
         "versions": ", ".join(
-            f"{name} {found[name]}"
+            f"{name} {facts[name]}"
             for name in ("lierb", "python", "numba", "llvmlite", "numpy", "pyarrow")
         ),
-        "platform": found["platform"],
-        "CPU": f"{found['cpu']} ({', '.join(found['vectors'])}{', fma' * found['fma']})",
-        "lanes": f"{found['lanes']} bodies in a vector register",
-        "threads": f"{found['threads']} ({found['threading_layer']})",
+        "platform": facts["platform"],
+        "CPU": f"{facts['cpu']} ({', '.join(facts['vectors'])}{', fma' * facts['fma']})",
+        "lanes": f"{facts['lanes']} bodies in a vector register",
+        "threads": f"{facts['threads']} ({facts['threading_layer']})",
         "cache": cache["folder"] or NO_CACHE,
         "compiled": f"{cache['kernels']} kernels of this version, {cache['bytes'] / 1e6:.1f} MB "
         f"of at most {cache['most_bytes'] / 1e6:.0f}",
@@ -155,9 +145,9 @@ def cache(clear: bool) -> None:
             ) from error
         click.echo(f"Deleted {len(deleted)} files, {sum(deleted.values()) / 1e6:.1f} MB.")
         return
-    found = info()["cache"]
-    told = f"{found['kernels']} kernels of this version, {found['bytes'] / 1e6:.1f} MB"
-    click.echo(f"{told}; folder: {found['folder'] or NO_CACHE}")
+    facts = info()["cache"]
+    size = f"{facts['kernels']} kernels of this version, {facts['bytes'] / 1e6:.1f} MB"
+    click.echo(f"{size}; folder: {facts['folder'] or NO_CACHE}")
 
 
 @cli.command()

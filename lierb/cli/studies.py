@@ -268,9 +268,9 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.studies.description.study import Study
 
     batch = Study.load(study, changes).batch(0, 1)
-    found = predict_joints(*batch.first)
-    click.echo(str(found))
-    for joint, each in joint_by_joint(found):
+    prediction = predict_joints(*batch.first)
+    click.echo(str(prediction))
+    for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))
 
 
@@ -321,9 +321,9 @@ def _show(dataset: Dataset) -> None:
     if events := happened(dataset):
         click.echo()
         print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
-    if found := indices(dataset):
+    if sensitivities := indices(dataset):
         click.echo()
-        print_whole(table_of_indices(found))
+        print_whole(table_of_indices(sensitivities))
     done, asked = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
     click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")

@@ -54,14 +54,14 @@ def _value(key: str, text: str) -> Any:
 
 def path_of(key: str) -> tuple[str, ...]:
     """Split a dotted key into its parts; a part that contains dots is in quotes."""
-    found: Any = {}
+    inner: Any = {}
     with suppress(ValueError, RecursionError):
-        found = tomllib.loads(f"{key} = 0")
+        inner = tomllib.loads(f"{key} = 0")
     path = []
-    while isinstance(found, dict) and len(found) == 1:
-        ((part, found),) = found.items()
+    while isinstance(inner, dict) and len(inner) == 1:
+        ((part, inner),) = inner.items()
         path.append(part)
-    if not path or isinstance(found, dict):
+    if not path or isinstance(inner, dict):
         raise StudyError(f"{key!r} is no key of a study, such as sample.n or integrate.dt")
     return tuple(path)
 

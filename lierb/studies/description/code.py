@@ -179,12 +179,12 @@ def _running(file: str) -> Iterator[None]:
 
 def _line_of(error: BaseException, place: str) -> str:
     """Innermost line of a file that an exception has passed; "" if there is none."""
-    found, trace = "", error.__traceback__
+    line, trace = "", error.__traceback__
     while trace is not None:
         if trace.tb_frame.f_code.co_filename.startswith(place):
-            found = at(trace.tb_frame.f_code, trace.tb_lineno)
+            line = at(trace.tb_frame.f_code, trace.tb_lineno)
         trace = trace.tb_next
-    return found
+    return line
 
 
 def function_of(table: str, kind: str, code: Code) -> Any:
@@ -200,16 +200,16 @@ def function_of(table: str, kind: str, code: Code) -> Any:
             f"problem.{table}: {kind}: this study has no {there.file}, since it was made without a "
             "folder; use lierb.Study.load, or lierb.Study.of(…, folder=…)"
         )
-    found = getattr(module_of(there.file, code[there.file]), there.name, None)
+    function = getattr(module_of(there.file, code[there.file]), there.name, None)
     expected, decorator = KINDS[table]
-    if found is None:
+    if function is None:
         raise StudyError(f"problem.{table}: {there.file} defines no {there.name}")
-    if not isinstance(found, expected):
+    if not isinstance(function, expected):
         raise StudyError(
-            f"problem.{table}: {there.name} in {there.file} is {told(found)}; expected a function "
-            f"with @lierb.{decorator} before it"
+            f"problem.{table}: {there.name} in {there.file} is {told(function)}; expected a "
+            f"function with @lierb.{decorator} before it"
         )
-    return found
+    return function
 
 
 def source_of(decorated: Decorated) -> tuple[str, str, str]:

@@ -300,8 +300,8 @@ def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _require_same(problem: Problem | Mechanism, study: Study) -> None:
     """Raise StudyError if a file defines another function than the one in the problem."""
     made = study.batch(0, 1).problem
-    for given, found in zip(problem.elements, made.elements, strict=True):
-        if given.kind != found.kind and given.made_by is not None:
+    for given, again in zip(problem.elements, made.elements, strict=True):
+        if given.kind != again.kind and given.made_by is not None:
             raise StudyError(
                 f"{given.name} is another function in its file than the one that the problem has: "
                 "the file was edited since it was imported, or what the function refers to was set "

@@ -42,8 +42,8 @@ def quantile_of(ordered: Array, probability: float) -> Quantile:
     from scipy.stats import quantile_test
 
     value = float(np.quantile(ordered, probability, method="inverted_cdf"))
-    found = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
-    return Quantile(probability, value, float(found.low), float(found.high))
+    interval = quantile_test(ordered, q=value, p=probability).confidence_interval(CONFIDENCE)
+    return Quantile(probability, value, float(interval.low), float(interval.high))
 
 
 def share_width(count: int, of: int) -> float:
@@ -51,5 +51,5 @@ def share_width(count: int, of: int) -> float:
     require("scipy")
     from scipy.stats import binomtest
 
-    found = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
-    return float(found.high - found.low)
+    interval = binomtest(count, of).proportion_ci(CONFIDENCE, method="exact")
+    return float(interval.high - interval.low)

@@ -131,22 +131,22 @@ def _is_a_tree(mechanism: Mechanism) -> bool:
 
 
 def _poses(mechanism: Mechanism, initial: Mapping[str, Initial]) -> dict[int, Pose]:
-    found: dict[int, Pose] = {}
+    poses: dict[int, Pose] = {}
     for i in mechanism.order:
         link, given = mechanism.links[i], initial.get(mechanism.names[i], {})
         kinds = [k for k in ("coordinates", "pose", *PLACES) if k in given]
         if len(kinds) > 1 and kinds != [*PLACES]:
             raise ArgumentError(f"{link.name}: give coordinates, or rotation and place, or pose")
         if "pose" in given:
-            found[i] = pose_components(as_poses(f"{link.name}.pose", given["pose"]))
+            poses[i] = pose_components(as_poses(f"{link.name}.pose", given["pose"]))
             continue
         if kinds and kinds[0] in PLACES:
             relative = _turned_and_placed(given)
         else:
             relative = _of_coordinates(link.name, link.joint, given.get("coordinates"))
         local, parent = _on(link.joint, relative), mechanism.parents[i]
-        found[i] = local if parent == NOWHERE else se3.compose(found[parent], local)
-    return found
+        poses[i] = local if parent == NOWHERE else se3.compose(poses[parent], local)
+    return poses
 
 
 def _of_coordinates(name: str, joint: Joint, given: Any) -> Pose:
@@ -165,7 +165,7 @@ def _twists(
 ) -> dict[int, Vec]:
     """Compute each link's twist: its rates on its joint plus its parent's motion."""
     placed = mechanism.poses("pose0", poses)
-    found: dict[int, Vec] = {}
+    twists: dict[int, Vec] = {}
     for i in mechanism.order:
         link, at = mechanism.links[i], mechanism.joints[i]
         given = initial.get(link.name, {})
@@ -173,17 +173,17 @@ def _twists(
         if len(kinds) > 1:
             raise ArgumentError(f"{link.name}: give velocities, or omega, or twist")
         if "twist" in given:
-            found[i] = components(as_numbers(f"{link.name}.twist", given["twist"], (6,)))
+            twists[i] = components(as_numbers(f"{link.name}.twist", given["twist"], (6,)))
             continue
-        carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, found)
+        carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, twists)
         frame = pose_components(link.joint.body_frame)
         if "omega" in given:  # the origin of its joint frame moves with the parent
             omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))
             own: Vec = (*mat_t_vec(frame[0], omega), *carried[3:])
         else:
             own = add(_rates(link.name, link.joint, given, mechanism.relative(at, placed)), carried)
-        found[i] = se3.Ad(frame, own)
-    return found
+        twists[i] = se3.Ad(frame, own)
+    return twists
 
 
 def _rates(name: str, joint: Joint, given: Initial, relative: Pose) -> Vec:

@@ -53,8 +53,8 @@ class Rule(NamedTuple):
         """Return whether the bodies are enough; False if they are too few for an interval."""
         if self.probability is None:
             return share_width(bodies.failed, bodies.count) < self.bound
-        found = quantile_of(bodies.ordered, self.probability)
-        return found.width < self.bound * (abs(found.value) if self.is_relative else 1.0)
+        quantile = quantile_of(bodies.ordered, self.probability)
+        return quantile.width < self.bound * (abs(quantile.value) if self.is_relative else 1.0)
 
 
 def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = False) -> Rule:
@@ -62,9 +62,9 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
 
     has_lane_clocks : True if each trajectory has its own steps, and columns that count them.
     """
-    found = FORM.fullmatch(text)
-    share, column, bound, percent = found.groups("") if found else ("",) * 4
-    if not found or (share == "") != (column == FAILED) or (column == FAILED and percent):
+    match = FORM.fullmatch(text)
+    share, column, bound, percent = match.groups("") if match else ("",) * 4
+    if not match or (share == "") != (column == FAILED) or (column == FAILED and percent):
         raise StudyError(f"sample.stop_when: {told(text)}; expected {EXPECTED}")
     probability = float(share) / 100.0 if share else None
     if probability is not None and not 0.0 < probability < 1.0:

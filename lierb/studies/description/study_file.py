@@ -67,8 +67,8 @@ TOO_LARGE = (
 
 def tables_in(text: str, source: str) -> dict[str, Any]:
     """Parse a TOML text into tables. Raises StudyError with the line of an error."""
-    if found := _LONG_KEY.search(text):
-        raise StudyError(f"{_line_at(text, found.start(), source)}: a key of {MOST_PARTS}+ parts")
+    if match := _LONG_KEY.search(text):
+        raise StudyError(f"{_line_at(text, match.start(), source)}: a key of {MOST_PARTS}+ parts")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -77,9 +77,9 @@ def tables_in(text: str, source: str) -> dict[str, Any]:
         place = _line_at(text, _deepest(text), source)
         raise StudyError(f"{place}: lists or tables nested too deeply; expected {DEEP}") from None
     except ValueError as error:  # Python parses no integer of more than 4300 digits
-        found = _LONG_NUMBER.search(text)
-        place = _line_at(text, found.start(), source) if found else source
-        raise StudyError(f"{place}: {_TOO_LARGE_NUMBER if found else error}") from None
+        match = _LONG_NUMBER.search(text)
+        place = _line_at(text, match.start(), source) if match else source
+        raise StudyError(f"{place}: {_TOO_LARGE_NUMBER if match else error}") from None
 
 
 DEEP = f"at most {DEEPEST}, one in the other"
@@ -101,10 +101,10 @@ def _line_at(text: str, index: int, source: str) -> str:
 def _deepest(text: str) -> int:
     """Return the index at which most brackets are open, those in strings included."""
     depth, deepest, where = 0, 0, 0
-    for found in re.finditer(r"[\[\]{}]", text):
-        depth += 1 if found[0] in "[{" else -1
+    for bracket in re.finditer(r"[\[\]{}]", text):
+        depth += 1 if bracket[0] in "[{" else -1
         if depth > deepest:
-            deepest, where = depth, found.start()
+            deepest, where = depth, bracket.start()
     return where
 
 
@@ -116,10 +116,12 @@ def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     lines, names = _lines_in(text)
     wanted = _numbered(path, names)
     best: tuple[int, int] | None = None  # number of matching parts, line
-    for number, found in lines:
-        is_near = len(found) <= len(wanted) and all(w in (f, ANY) for f, w in zip(found, wanted))
-        if found and is_near and (best is None or len(found) > best[0]):
-            best = len(found), number
+    for number, path_there in lines:
+        is_near = len(path_there) <= len(wanted) and all(
+            w in (f, ANY) for f, w in zip(path_there, wanted)
+        )
+        if path_there and is_near and (best is None or len(path_there) > best[0]):
+            best = len(path_there), number
     return best[1] if best else None
 
 
@@ -133,18 +135,18 @@ def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
     names: Names = {}
     table: list[str] = []
     for number, line in enumerate(text.split("\n"), start=1):
-        found = _parts_of(line, table)
-        if found is None:
+        parts = _parts_of(line, table)
+        if parts is None:
             continue
         stripped = line.strip()
         if stripped.startswith("["):
-            table = found
+            table = parts
         if stripped.startswith("[["):
-            owner = (*_latest(tuple(found[:-1]), names), found[-1])
+            owner = (*_latest(tuple(parts[:-1]), names), parts[-1])
             names.setdefault(owner, []).append("")
             if len(names[owner]) == 1:
                 lines.append((number, owner))  # the list as a whole
-        path = _latest(tuple(found), names)
+        path = _latest(tuple(parts), names)
         lines.append((number, path))
         if path[-1] == "name" and path[:-2] in names:
             names[path[:-2]][-1] = stripped.partition("=")[2].split("#")[0].strip(" \"'")
@@ -153,28 +155,28 @@ def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
 
 def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
     """Insert the number of the latest table after each list of tables in a path."""
-    found: tuple[Any, ...] = ()
+    numbered: tuple[Any, ...] = ()
     for part in path:
-        found += (part,)
-        if found in names:
-            found += (len(names[found]) - 1,)
-    return found
+        numbered += (part,)
+        if numbered in names:
+            numbered += (len(names[numbered]) - 1,)
+    return numbered
 
 
 def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
     """Replace names of listed tables by their numbers, or by ANY where a path has none."""
-    found: tuple[Any, ...] = ()
+    numbered: tuple[Any, ...] = ()
     for part in path:
-        known = names.get(found)
+        known = names.get(numbered)
         if known is None:
-            found += (part,) if isinstance(part, str) else ()
+            numbered += (part,) if isinstance(part, str) else ()
         elif isinstance(part, int):
-            found += (part,)
+            numbered += (part,)
         elif part in known:
-            found += (known.index(part),)
+            numbered += (known.index(part),)
         else:
-            found += (ANY, part)
-    return found
+            numbered += (ANY, part)
+    return numbered
 
 
 def _parts_of(line: str, table: list[str]) -> list[str] | None:
@@ -207,8 +209,8 @@ def plain(tables: Any) -> dict[str, Any]:
     """
     if not isinstance(tables, Mapping) and not hasattr(tables, "model_dump"):
         raise StudyError(f"a study is made of tables, a dictionary, got a {type(tables).__name__}")
-    found: dict[str, Any] = _Plain().value(tables, ())
-    return found
+    converted: dict[str, Any] = _Plain().value(tables, ())
+    return converted
 
 
 def plain_changes(changes: Any) -> dict[str, Any]:

@@ -186,12 +186,12 @@ class NoAnswer(Exception):
 def _workers(client: Client) -> dict[str, int]:
     """Number of threads of each worker, by its address."""
     try:
-        found: dict[str, int] = client.sync(
+        threads: dict[str, int] = client.sync(
             client.scheduler.ncores, callback_timeout=CONNECT_SECONDS
         )
     except TimeoutError:
         raise NoAnswer from None
-    return found
+    return threads
 
 
 # ---- in a worker -------------------------------------------------------------------------------

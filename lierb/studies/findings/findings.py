@@ -43,7 +43,7 @@ NEGLIGIBLE = 1e-18  # error that counts as zero, relative to the problem's scale
 
 
 @dataclass(frozen=True)
-class Found:
+class SettingErrors:
     """Errors of the bodies in one setting of a study.
 
     bodies : finished ones.   failed : those of them whose status is not ok.
@@ -70,14 +70,16 @@ def study_of(dataset: Results) -> Study:
         raise StudyError(f"{dataset.folder} is of another version of lierb: {error}") from None
 
 
-def findings(dataset: Results) -> list[Found]:
+def findings(dataset: Results) -> list[SettingErrors]:
     """Evaluate the finished parts, setting by setting."""
     study = study_of(dataset)
     kinds = (*kinds_of(study.batch(0, 1).problem), "energy")
     return [_found(dataset, study, setting, kinds) for setting in study.settings]
 
 
-def _found(dataset: Results, study: Study, setting: Setting, kinds: tuple[str, ...]) -> Found:
+def _found(
+    dataset: Results, study: Study, setting: Setting, kinds: tuple[str, ...]
+) -> SettingErrors:
     names = ["status", *ERRORS.values()]
     rows: pa.Table = dataset.table().to_table(columns=names, filter=rows_of(setting))
     ok = ~has_failed(rows)
@@ -90,7 +92,7 @@ def _found(dataset: Results, study: Study, setting: Setting, kinds: tuple[str, .
         quantiles[kind] = np.array([*(q.value for q in each), largest])
         intervals[kind] = np.array([(q.low, q.high) for q in each])
     sizes = sizes_of(dataset, study, setting)
-    return Found(setting, len(ok), int((~ok).sum()), quantiles, sizes, intervals)
+    return SettingErrors(setting, len(ok), int((~ok).sum()), quantiles, sizes, intervals)
 
 
 def quantities(dataset: Results) -> list[Spread]:
@@ -113,10 +115,10 @@ def indices(dataset: Results) -> list[Sensitivity]:
     return list(sensitivities(dataset, study, columns))
 
 
-def orders(found: list[Found], of: Found) -> dict[str, Order | None]:
+def orders(findings: list[SettingErrors], of: SettingErrors) -> dict[str, Order | None]:
     """Observed orders of the medians over all dt of a c-space and method."""
     same = [
-        f for f in found
+        f for f in findings
         if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)
     ]  # fmt: skip
     dts = [f.setting.dt for f in same if f.setting.dt is not None]

@@ -42,15 +42,15 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
     lengths, energies = magnitudes(batch.problem, batch.pose0, batch.twist0)
     if rows.num_rows:
         seen = ended < first + count
-        found = {}
+        ends_of_links = {}
         for prefix in _prefixes(links):
             state = {name: np.full((count, width), np.nan) for name, width in STATE.items()}
             for name, values in state.items():
                 values[ended[seen] - first] = as_array(rows[f"{prefix}{name}"])[seen]
             pose = pose_matrix((components(state["rotation"]), components(state["position"])))
-            found[prefix.removesuffix(".")] = pose, np.hstack((state["omega"], state["v"]))
-        poses: Any = {name: pose for name, (pose, _) in found.items()}
-        twists: Any = {name: twist for name, (_, twist) in found.items()}
+            ends_of_links[prefix.removesuffix(".")] = pose, np.hstack((state["omega"], state["v"]))
+        poses: Any = {name: pose for name, (pose, _) in ends_of_links.items()}
+        twists: Any = {name: twist for name, (_, twist) in ends_of_links.items()}
         ends = magnitudes(batch.problem, *((poses, twists) if links else (poses[""], twists[""])))
         lengths, energies = np.fmax(lengths, ends[0]), np.fmax(energies, ends[1])
     return {

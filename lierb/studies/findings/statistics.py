@@ -61,8 +61,8 @@ def spreads(
         for name, unit in columns.items():
             values = ok_columns(dataset, setting, [name])[name]
             ordered = np.sort(values[~np.isnan(values)])
-            found = tuple(quantile_of(ordered, p) for p in probabilities)
-            yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), found)
+            quantiles = tuple(quantile_of(ordered, p) for p in probabilities)
+            yield Spread(setting, name, unit, len(ordered), len(values) - len(ordered), quantiles)
 
 
 # ---- over time ---------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ def percentiles_over_time(
     rows = rows_of(setting)
     times = _times(dataset, setting)
     most = max(1, MOST_NUMBERS // max(1, history.count_rows(filter=rows) // max(1, len(times))))
-    steps, found, counts = list(times), [], []
+    steps, quantiles, counts = list(times), [], []
     for first in range(0, len(steps), most):
         some = steps[first : first + most]
         inside = (pc.field("step") >= some[0]) & (pc.field("step") <= some[-1])
@@ -106,11 +106,11 @@ def percentiles_over_time(
             counts.append(len(alive))
             none = np.full(len(probabilities), np.nan)
             is_any = len(alive) > 0
-            found.append(
+            quantiles.append(
                 np.quantile(alive, probabilities, method="inverted_cdf") if is_any else none
             )
     unit = schema.field(name).metadata
-    columns = np.array(found).reshape(-1, len(probabilities)).T
+    columns = np.array(quantiles).reshape(-1, len(probabilities)).T
     fields = [
         pa.field("step", pa.int64()),
         pa.field("t", pa.float64(), metadata={"unit": "s"}),
@@ -182,9 +182,9 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)
             count = len(whole) if whole.all() else int(whole.argmin())
             rows = 1 << count.bit_length() - 1 if count else 0
-            found = _indices(values[: rows * each].reshape(-1, each))
+            indices = _indices(values[: rows * each].reshape(-1, each))
             for j, name in enumerate(design.drawn):
-                first, total = (_Index(*map(float, part[:, j])) for part in found)
+                first, total = (_Index(*map(float, part[:, j])) for part in indices)
                 yield Sensitivity(setting, column, name, first, total, rows)
 
 
@@ -194,10 +194,10 @@ def _indices(values: Array) -> tuple[Array, Array]:
     if rows < LEAST_ROWS or np.ptp(values) == 0.0:
         nothing = np.full((3, width - 2), np.nan)
         return nothing, nothing
-    random, found = np.random.default_rng(0), [_estimated(values)]
-    found += [_estimated(values[random.integers(rows, size=rows)]) for _ in range(RESAMPLED)]
-    low, high = np.quantile(found[1:], ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0)
-    first, total = np.stack((found[0], low, high), axis=1)
+    random, estimates = np.random.default_rng(0), [_estimated(values)]
+    estimates += [_estimated(values[random.integers(rows, size=rows)]) for _ in range(RESAMPLED)]
+    low, high = np.quantile(estimates[1:], ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2), axis=0)
+    first, total = np.stack((estimates[0], low, high), axis=1)
     return first, total
 
 
@@ -208,6 +208,6 @@ def _estimated(values: Array) -> Array:
 
     # The output is repeated, since SciPy squeezes the axis of a single quantity.
     f = np.repeat(values.T[:, None], 2, axis=1)
-    found = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=len(values))
+    indices = sobol_indices(func={"f_A": f[0], "f_B": f[1], "f_AB": f[2:]}, n=len(values))
     shape = (2, values.shape[1] - 2)
-    return np.stack((found.first_order.reshape(shape)[0], found.total_order.reshape(shape)[0]))
+    return np.stack((indices.first_order.reshape(shape)[0], indices.total_order.reshape(shape)[0]))

@@ -77,9 +77,9 @@ def _of_coordinates(quantity: str, width: int, study: Study) -> list[str]:
     if len(names) != width:
         return [f"{quantity} {i + 1}" for i in range(width)]
     rate = "\N{COMBINING DOT ABOVE}" if quantity.endswith("velocities") else ""
-    found = []
+    symbols = []
     for name in names:
         letter, number = name.rstrip("0123456789"), name.lstrip("abcdefghijklmnopqrstuvwxyz")
         symbol = GREEK.get(letter, letter) + rate + number.translate(SUBSCRIPTS)
-        found.append(normalize("NFC", symbol))  # fonts have ḋ, but few combine d with a dot
-    return found
+        symbols.append(normalize("NFC", symbol))  # fonts have ḋ, but few combine d with a dot
+    return symbols

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile
-from lierb.studies.findings.findings import LABELS, QUANTILES, Found, orders
+from lierb.studies.findings.findings import LABELS, QUANTILES, SettingErrors, orders
 from lierb.studies.findings.occurrences import Occurred
 from lierb.studies.findings.statistics import PROBABILITIES, Sensitivity, Spread
 from lierb.support.shown import rounded
@@ -32,13 +32,13 @@ def empty_table(words: Sequence[str], numbers: Sequence[str]) -> Table:
     return table
 
 
-def table_of(found: list[Found]) -> Table:
+def table_of(findings: list[SettingErrors]) -> Table:
     """Make the table of the errors."""
-    step = "dt/s" if all(each.setting.rtol is None for each in found) else "rtol"
+    step = "dt/s" if all(each.setting.rtol is None for each in findings) else "rtol"
     words = ("c-space", "method", step, "bodies", "failed", "largest error of")
     table = empty_table(words, (*(f"{q:.0%}" for q in QUANTILES[:-1]), "all", "order"))
-    for each in found:
-        seen, setting = orders(found, each), each.setting
+    for each in findings:
+        seen, setting = orders(findings, each), each.setting
         heads = [
             setting.cspace,
             setting.method,
@@ -81,12 +81,12 @@ def with_unit(spread: Spread) -> str:
 
 def _in_sections(
     table: Table,
-    found: Iterable[Row],
+    rows: Iterable[Row],
     title: Callable[[Row], str] = lambda each: each.setting.label,
 ) -> Iterator[Row]:
     """Yield the items; each new title is first added as a row of its own."""
     before = None
-    for each in found:
+    for each in rows:
         section = each.setting, title(each)
         if section != before:
             table.add_section()
@@ -95,22 +95,22 @@ def _in_sections(
         yield each
 
 
-def table_of_quantities(found: list[Spread]) -> Table:
+def table_of_quantities(rows: list[Spread]) -> Table:
     """Make the table of the quantiles."""
     words = (f"quantiles, their {CONFIDENCE:.0%} intervals",)
     table = empty_table(words, [f"{p:.0%}" for p in PROBABILITIES])
-    for each in _in_sections(table, found):
+    for each in _in_sections(table, rows):
         values, intervals = zip(*(with_interval(q[1:]) for q in each.quantiles), strict=True)
         table.add_row(f"  {with_unit(each)}", *values)
         table.add_row("", *intervals)
     return table
 
 
-def table_of_events(found: list[Occurred], t_end: float) -> Table:
+def table_of_events(rows: list[Occurred], t_end: float) -> Table:
     """Make the table of the events."""
     words = (f"events; first time, s, its {CONFIDENCE:.0%} interval",)
     table = empty_table(words, ("in all", "bodies", *(f"{p:.0%}" for p in PROBABILITIES)))
-    for each in _in_sections(table, found):
+    for each in _in_sections(table, rows):
         values, intervals = zip(*(first_time(q, t_end) for q in each.first), strict=True)
         bodies = f"{each.bodies} of {each.of}"
         table.add_row(f"  {each.name}", str(each.crossings), bodies, *values)
@@ -118,13 +118,13 @@ def table_of_events(found: list[Occurred], t_end: float) -> Table:
     return table
 
 
-def table_of_indices(found: list[Sensitivity]) -> Table:
+def table_of_indices(rows: list[Sensitivity]) -> Table:
     """Make the table of the sensitivity indices."""
     interval = f"{CONFIDENCE:.0%} interval"
     words = ("share of the variance due to",)
     table = empty_table(words, ("alone", interval, "in all", interval))
     title = lambda each: f"{each.column}, {each.setting.label}"
-    for each in _in_sections(table, found, title):
+    for each in _in_sections(table, rows, title):
         table.add_row(
             f"  {each.quantity}",
             *with_interval(each.first, ".3f"),

@@ -83,11 +83,11 @@ def figures(dataset: Results) -> Iterator[tuple[str, Figure]]:
 
 def figure(dataset: Results, name: str | None = None) -> Figure:
     """Draw one figure; see `Dataset.plot`."""
-    found = dict(sheets(dataset))
+    drawable = dict(sheets(dataset))
     if name is None:
-        name = "time" if "time" in found else "distribution"
-    require_name("name", name, found)
-    return figure_of(found[name], study_of(dataset))
+        name = "time" if "time" in drawable else "distribution"
+    require_name("name", name, drawable)
+    return figure_of(drawable[name], study_of(dataset))
 
 
 def draw_all(dataset: Results, folder: Path) -> list[Path]:

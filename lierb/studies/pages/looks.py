@@ -36,7 +36,7 @@ def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]
     colours = dict(zip(spaces, colours_of([cspace for cspace, _ in spaces])))
     several = len({method for _, method in spaces}) > 1
     shown = list(settings or study.settings)[:MOST_SETTINGS]
-    found = []
+    styles = []
     for n, setting in enumerate(shown):
         colour = colours[setting.cspace, setting.method]
         parts = [MATH_NAMES.get(setting.cspace, setting.cspace)]
@@ -44,5 +44,5 @@ def looks(study: Study, settings: Sequence[Setting] | None = None) -> list[Look]
         step = f"Δt = {setting.dt:g} s" if setting.rtol is None else setting.step_label
         parts += [step] if len(sizes) > 1 else []
         key = Key(", ".join(parts), colour, DASHES[sizes.index(setting.step) % len(DASHES)])
-        found.append(Look(setting, key, 1.2 + 1.6 * (len(shown) - 1 - n) / len(shown)))
-    return found
+        styles.append(Look(setting, key, 1.2 + 1.6 * (len(shown) - 1 - n) / len(shown)))
+    return styles

@@ -66,8 +66,8 @@ def quantity_sheet(dataset: Results, study: Study) -> Sheet:
 
 def _ridge(dataset: Results, look: Look, name: str, outline: str | None) -> Ridge:
     names = [name] if outline is None else [name, outline]
-    found = ok_columns(dataset, look.setting, names)
-    return Ridge(look.key, found[name], found[outline] if outline else np.empty(0))
+    columns = ok_columns(dataset, look.setting, names)
+    return Ridge(look.key, columns[name], columns[outline] if outline else np.empty(0))
 
 
 def _draw_shares(
@@ -105,15 +105,15 @@ def parameter_sheet(dataset: Results, study: Study) -> Sheet:
     kind, least = next(iter(errors_seen(dataset, study))), least_drawn(dataset, study)
     largest = [s for s in study.settings if s.step == step_sizes(study)[0]]
     shown = looks(study, largest)
-    found = []
+    dots = []
     for look in shown:
         rows = ok_columns(dataset, look.setting, [ERRORS[kind], *drawn])
         some = some_rows(len(rows[ERRORS[kind]]), POINTS)
         columns = {label: values[some] for label, values in labelled(drawn, rows, study)}
-        found.append((look, rows[ERRORS[kind]][some], columns))
+        dots.append((look, rows[ERRORS[kind]][some], columns))
     panels = [
-        partial(_draw_dots, found, label, least[kind], f"largest {AXES[kind]}")
-        for label in found[0][2]
+        partial(_draw_dots, dots, label, least[kind], f"largest {AXES[kind]}")
+        for label in dots[0][2]
     ]
     keys = [Key(look.key.label, look.key.colour, is_dot=True) for look in shown]
     return Sheet("the largest error against what was sampled", panels, keys, across=3,
@@ -121,15 +121,15 @@ def parameter_sheet(dataset: Results, study: Study) -> Sheet:
 
 
 def _draw_dots(
-    found: list[tuple[Look, Array, dict[str, Array]]],
+    dots: list[tuple[Look, Array, dict[str, Array]]],
     label: str,
     least: float,
     error: str,
     panel: Axes,
 ) -> None:
     zeros, on_edge = [], []
-    for n, (look, errors, columns) in enumerate(found):
-        size = 2.0 + 2.4 * (len(found) - 1 - n) / len(found)  # so that a covered dot keeps its rim
+    for n, (look, errors, columns) in enumerate(dots):
+        size = 2.0 + 2.4 * (len(dots) - 1 - n) / len(dots)  # so that a covered dot keeps its rim
         heights = positive(errors, least)
         if errors.size and not np.isfinite(heights).any():
             zeros.append(look.key.label)

@@ -12,7 +12,7 @@ from lierb.methods import tableau_of
 from lierb.results.panels import MOST_KEYS, Key, Sheet, label_lines, log_axes, order_lines, positive
 from lierb.results.plots import MATH_NAMES
 from lierb.studies.description.study import Study
-from lierb.studies.findings.findings import Found, errors_seen, findings, least_drawn
+from lierb.studies.findings.findings import SettingErrors, errors_seen, findings, least_drawn
 from lierb.studies.pages.columns import AXES
 from lierb.studies.pages.looks import looks
 from lierb.studies.storage.results import Results
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 def order_sheet(dataset: Results, study: Study) -> Sheet:
     """Quantiles of the errors over dt, with a line of the method's order."""
-    seen, least, found = errors_seen(dataset, study), least_drawn(dataset, study), findings(dataset)
+    seen, least = errors_seen(dataset, study), least_drawn(dataset, study)
+    summaries = findings(dataset)
     spaces = list(dict.fromkeys((s.cspace, s.method) for s in study.settings))
     first = [next(s for s in study.settings if (s.cspace, s.method) == own) for own in spaces]
     keys = []
@@ -31,19 +32,23 @@ def order_sheet(dataset: Results, study: Study) -> Sheet:
         name = MATH_NAMES.get(look.setting.cspace, look.setting.cspace)
         keys.append(Key(f"{name}, {look.setting.method}", look.key.colour))
     panels = [
-        partial(_draw_orders, found, list(zip(spaces, keys)), kind, least[kind]) for kind in seen
+        partial(_draw_orders, summaries, list(zip(spaces, keys)), kind, least[kind])
+        for kind in seen
     ]
     return Sheet("errors over the step: median, 95 % and largest", panels, keys)
 
 
 def _draw_orders(
-    found: list[Found], spaces: list[tuple[tuple[str, str], Key]], kind: str, least: float,
+    summaries: list[SettingErrors],
+    spaces: list[tuple[tuple[str, str], Key]],
+    kind: str,
+    least: float,
     panel: Axes,
-) -> None:  # fmt: skip
+) -> None:
     zeros, ends = [], []
     lines: dict[int, float] = {}  # ordinate at which each order's line begins
     for n, ((cspace, method), key) in enumerate(spaces):
-        of = [f for f in found if (f.setting.cspace, f.setting.method) == (cspace, method)]
+        of = [f for f in summaries if (f.setting.cspace, f.setting.method) == (cspace, method)]
         of.sort(key=lambda f: f.setting.step)
         dts = np.array([f.setting.step for f in of])
         drawn = positive([f.quantiles[kind] for f in of], least)

@@ -113,7 +113,7 @@ def _with_states(study: Study, setting: Setting) -> Study:
     return study.model_copy(update={"integrate": changed})
 
 
-def told(picked: Chosen) -> str:
+def description_of(picked: Chosen) -> str:
     """Describe the chosen trajectories in a sentence."""
     if picked.kind is None:
         return "No body got to its end: the first that failed, until it did."

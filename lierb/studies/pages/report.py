@@ -20,7 +20,7 @@ from lierb.studies.findings.columns import drawn_columns, ok_columns
 from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
-    Found,
+    SettingErrors,
     errors_seen,
     findings,
     happened,
@@ -31,7 +31,7 @@ from lierb.studies.findings.findings import (
 )
 from lierb.studies.findings.statistics import PROBABILITIES
 from lierb.studies.findings.tables import first_time, with_interval, with_unit
-from lierb.studies.pages.replays import chosen, replayed, told
+from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import IS_FINE, Results, setting_columns
 from lierb.support.extras import require
@@ -105,14 +105,14 @@ def _values_of_run(dataset: Results, study: Study) -> dict[str, Any]:
 
 def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
     """Values of the template about the results."""
-    found, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
+    summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "failed": dataset.failures(),
         "failures": _failures(dataset),
         "quantiles": [*(f"{q:.0%}" for q in QUANTILES[:-1]), "all"],
         "probabilities": [f"{p:.0%}" for p in PROBABILITIES],
         "confidence": f"{CONFIDENCE:.0%}",
-        "errors": [_error_rows(found, each) for each in found],
+        "errors": [_error_rows(summaries, each) for each in summaries],
         "quantities": [
             (each.setting, with_unit(each), [with_interval(q[1:]) for q in each.quantiles])
             for each in quantities(dataset)
@@ -147,9 +147,11 @@ def _predictions(study: Study) -> list[tuple[str, Prediction]]:
         return []
 
 
-def _error_rows(found: list[Found], each: Found) -> tuple[Found, dict[str, list[str]]]:
+def _error_rows(
+    summaries: list[SettingErrors], each: SettingErrors
+) -> tuple[SettingErrors, dict[str, list[str]]]:
     """Return a setting, and for each error its quantiles and its observed order."""
-    seen = orders(found, each)
+    seen = orders(summaries, each)
     return each, {
         label: [*map(rounded, each.quantiles[kind]), str(seen[kind] or "–")]
         for kind, label in LABELS.items()
@@ -168,7 +170,7 @@ def _motion(dataset: Results, study: Study) -> tuple[str, str] | None:
     if picked is None:
         return None
     animation = replayed(study, picked)
-    return animation.frame(HEIGHT[len(animation.scene["views"])]), told(picked)
+    return animation.frame(HEIGHT[len(animation.scene["views"])]), description_of(picked)
 
 
 def _data_url(figure: Figure) -> str:
