@@ -7,7 +7,7 @@ from math import cos, sqrt
 
 import numpy as np
 import pytest
-from lierb.forces import FORCE_UNITS
+from lierb.model.forces import FORCE_UNITS
 from scipy.integrate import solve_ivp
 
 import lierb

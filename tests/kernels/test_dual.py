@@ -12,7 +12,8 @@ from numba import config
 from oracle import mp
 
 from kernels.packs import FORMULAS, on_lanes
-from lierb.kernels.functions import user_number as module
+from lierb.kernels.functions.elementary import erf, erfc
+from lierb.kernels.functions.math_functions import ON_TRACED
 from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.user_number import Condition, UserNumber, raw, where
 from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
@@ -128,8 +129,8 @@ FUNCTIONS = {
     "arctanh": (np.arctanh, mp.atanh, (-0.9, 1e-9, 0.7)),
     "cbrt": (np.cbrt, mp.cbrt, (0.3, 9.0)),
     "exp2": (np.exp2, lambda x: mp.mpf(2) ** x, (-3.0, 0.3)),
-    "erf": (module.erf, mp.erf, (-1.5, 0.3)),
-    "erfc": (module.erfc, mp.erfc, (-1.5, 0.3)),
+    "erf": (erf, mp.erf, (-1.5, 0.3)),
+    "erfc": (erfc, mp.erfc, (-1.5, 0.3)),
     "square": (np.square, lambda x: x * x, (-1.5, 0.3)),
     "degrees": (np.degrees, lambda x: x * 180 / mp.pi, (-1.5, 0.3)),
     "floor": (lambda x: np.floor(x) * x, lambda x: mp.floor(x) * x, (-1.5, 0.3)),
@@ -274,10 +275,10 @@ def test_comparison_is_that_of_values(compare):
         assert (~found).mask == (not found.mask)
 
 
-@pytest.mark.parametrize("function", [f for f in module.REPLACEMENTS if f not in OF_MANY])
+@pytest.mark.parametrize("function", [f for f in ON_TRACED if f not in OF_MANY])
 def test_replacement_stands_for_its_function(function):
     numbers = (1.4 if function is math.acosh else 0.4, 1.5)[: 2 if function in TWO_NUMBERS else 1]
-    found = module.REPLACEMENTS[function](*map(UserNumber, numbers))
+    found = ON_TRACED[function](*map(UserNumber, numbers))
     value = found.mask if isinstance(found, Condition) else found.value
     assert value == pytest.approx(function(*numbers), rel=1e-15)
 
@@ -285,7 +286,7 @@ def test_replacement_stands_for_its_function(function):
 @pytest.mark.parametrize("function", OF_MANY)
 @pytest.mark.parametrize("members", [(True, True), (True, False), (False, False)])
 def test_replacement_folds_conditions(function, members):
-    folded = module.REPLACEMENTS[function]([Condition(x) for x in members])
+    folded = ON_TRACED[function]([Condition(x) for x in members])
     assert folded.mask == function(members)
 
 

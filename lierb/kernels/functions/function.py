@@ -35,17 +35,13 @@ from lierb.kernels.functions.fingerprint import (
     members,
     references,
 )
+from lierb.kernels.functions.math_functions import for_traces_of
 from lierb.kernels.functions.noise import drawing
-from lierb.kernels.functions.object_arrays import (
-    UntraceableError,
-    for_traces,
-    has_traced,
-    is_numpy,
-    numbers,
-)
+from lierb.kernels.functions.numpy_library import for_traces, is_numpy
+from lierb.kernels.functions.object_arrays import has_traced, numbers
 from lierb.kernels.functions.purity import MARK, require_pure_code, require_repeatable
 from lierb.kernels.functions.signals import NAMES, NO_SIGNALS, Noise, Signals
-from lierb.kernels.functions.user_number import REPLACEMENTS, Condition, UserNumber
+from lierb.kernels.functions.user_number import Condition, UserNumber
 from lierb.kernels.numbers.arithmetic import flatten, plain
 from lierb.kernels.tracing import calls, trace
 from lierb.kernels.tracing.lanes import Lane
@@ -464,7 +460,7 @@ def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
 
     What it refers to is copied: what becomes of it later changes nothing here.
     """
-    return _Rebuilt(lambda helper: helper, _for_duals, _frozen).function(function)
+    return _Rebuilt(lambda helper: helper, _for_traces, _frozen).function(function)
 
 
 def compilable(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -474,13 +470,8 @@ def compilable(function: Callable[..., Any]) -> Callable[..., Any]:
     )
 
 
-def _for_duals(known: Any) -> Any:
-    if known is math:
-        return _MATH
-    if is_numpy(known):
-        return for_traces(known)
-    is_function = isinstance(known, (types.BuiltinFunctionType, types.FunctionType, type))
-    return _REPLACED.get(known, known) if is_function else known
+def _for_traces(value: Any) -> Any:
+    return for_traces(value) if is_numpy(value) else for_traces_of(value)
 
 
 class _Rebuilt:
@@ -603,39 +594,3 @@ class _Set:
     __hash__ = None  # type: ignore[assignment]
     __iter__ = __getattr__ = __eq__ = __lt__ = __le__ = __gt__ = __ge__ = _refuses_more
     __or__ = __and__ = __sub__ = __xor__ = __ror__ = __rand__ = __rsub__ = __rxor__ = _refuses_more
-
-
-def _where_traced(function: Any, replacement: Any) -> Any:
-    """The function itself on constants, and what stands for it on traced numbers."""
-    if isinstance(replacement, type):
-        return replacement
-
-    def either(*given: Any, **options: Any) -> Any:
-        is_traced = any(map(has_traced, given))
-        if not is_traced and len(given) == 1 and isinstance(given[0], Iterator):
-            given = (list(given[0]),)
-            is_traced = has_traced(given[0])
-        return (replacement if is_traced else function)(*given, **options)
-
-    either.__name__ = function.__name__
-    return either
-
-
-def _refusing(function: Any) -> Any:
-    def refuse(*_: Any, **__: Any) -> Any:
-        raise UntraceableError(
-            f"math.{function.__name__} does not take numbers of many bodies; write it with "
-            "operators and what docs/forces.md lists"
-        )
-
-    return refuse
-
-
-_REPLACED = {
-    f: _where_traced(f, REPLACEMENTS.get(f, _refusing(f)))
-    for f in (*REPLACEMENTS, *vars(math).values())
-    if callable(f)
-}
-_MATH = types.SimpleNamespace(
-    **vars(math) | {f.__name__: new for f, new in _REPLACED.items() if f.__module__ == "math"}
-)

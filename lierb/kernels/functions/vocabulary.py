@@ -14,10 +14,11 @@ from numba import types
 from numba.extending import overload
 from numpy.typing import ArrayLike
 
-from lierb.kernels.functions import user_number as user
+from lierb.kernels.functions.elementary import arctan2, sqrt
 from lierb.kernels.functions.fingerprint import UnfitFunctionError
-from lierb.kernels.functions.object_arrays import Spoken, has_traced, numbers
-from lierb.kernels.functions.user_number import UserNumber, choice, raw, where
+from lierb.kernels.functions.numpy_library import Spoken
+from lierb.kernels.functions.object_arrays import has_traced, numbers
+from lierb.kernels.functions.user_number import UserNumber, choice, raw, value_of, where
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.dual import parts_of
@@ -176,7 +177,7 @@ def unit_quaternion(r: Mat) -> Vec:
     if not _has_parts(r):
         q = so3.quaternion(tuple(map(raw, r)))
         return _as_traced(r, scale(1.0 / norm(q), q))
-    values = tuple(user.value_of(x) for x in r)
+    values = tuple(value_of(x) for x in r)
     q = unit_quaternion(values)
     rates = [_rate(q, values, rate) for rate in _along_each(r)]
     return tuple(UserNumber(x, parts) for x, parts in zip(q, zip(*rates, strict=True), strict=True))
@@ -209,8 +210,8 @@ def rotation_vector(r: Mat) -> Vec:
     series: Any = 0.0
     for k in reversed(range(TERMS)):
         series = 1.0 / (2 * k + 1) - ratio * series
-    size = user.sqrt(choice(near, 1.0, square))
-    factor = choice(near, 2.0 * series / choice(near, w, 1.0), 2.0 * user.arctan2(size, w) / size)
+    size = sqrt(choice(near, 1.0, square))
+    factor = choice(near, 2.0 * series / choice(near, w, 1.0), 2.0 * arctan2(size, w) / size)
     return tuple(factor * x for x in v)
 
 

@@ -1,0 +1,202 @@
+"""NumPy functions of traced numbers that are written out: choices, norms, small matrices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from lierb.kernels.functions import elementary, steps
+from lierb.kernels.functions.fingerprint import UnfitFunctionError
+from lierb.kernels.functions.object_arrays import (
+    UntraceableError,
+    filled,
+    numbers,
+    objects,
+)
+from lierb.kernels.functions.user_number import choice, raw
+
+MOST_ROWS = 4  # of matrices that are inverted: by cofactors, of which there are n!
+
+
+def _where(condition: Any, a: Any = None, b: Any = None) -> Any:
+    if a is None or b is None:
+        raise UntraceableError(
+            "np.where with a condition alone asks which bodies meet it; write "
+            "np.where(condition, a, b)"
+        )
+    return np.frompyfunc(choice, 3, 1)(*map(objects, (condition, a, b)))
+
+
+def _clip(x: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **given: Any) -> Any:
+    lower, upper = given.get("min", a_min), given.get("max", a_max)
+    return np.frompyfunc(steps.clipped, 3, 1)(*map(objects, (x, lower, upper)))
+
+
+def _interp(
+    x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None, period: Any = None
+) -> Any:
+    if period is not None:
+        raise UntraceableError("np.interp with a period: write np.interp(x % period, xp, fp)")
+    return np.frompyfunc(
+        lambda one: steps.interpolated(one, list(xp), list(fp), left, right), 1, 1
+    )(objects(x))
+
+
+def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
+    found = default
+    for condition, chosen in reversed(list(zip(conditions, choices, strict=True))):
+        found = _where(condition, chosen, found)
+    return found
+
+
+def _piecewise(x: Any, conditions: Any, functions: Any, *given: Any) -> Any:
+    conditions, functions = list(conditions), list(functions)
+    default: Any = functions.pop() if len(functions) > len(conditions) else 0.0
+    choices = [f(x, *given) if callable(f) else f for f in (*functions, default)]
+    return _select(conditions, choices[: len(conditions)], choices[-1] if default else 0.0)
+
+
+def _einsum(subscripts: Any, *operands: Any, **options: Any) -> Any:
+    arrays = [np.asarray(objects(x)) for x in operands]
+    return np.einsum(subscripts, *arrays)
+
+
+def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
+    x = numbers(x)
+    is_vector = isinstance(axis, int) or (axis is None and x.ndim == 1)
+    if ord in (None, "fro") or (ord == 2 and is_vector):
+        square = (x.ravel() @ x.ravel()) if axis is None else None
+        return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims) if square is None else square)
+    if is_vector and ord in (1, np.inf, -np.inf):
+        of: Any = {1: np.add, np.inf: np.maximum, -np.inf: np.minimum}[ord]
+        return of.reduce(abs(x), axis=-1 if axis is None else axis, keepdims=keepdims)
+    raise UntraceableError(f"np.linalg.norm has ord {ord!r} for constants only; write it out")
+
+
+def _matrix(given: Any) -> Any:
+    a = np.asarray(objects(given))
+    if a.ndim != 2 or a.shape[0] != a.shape[1]:
+        raise UnfitFunctionError(f"a square matrix is needed, not an array of shape {a.shape}")
+    if len(a) > MOST_ROWS:
+        raise UntraceableError(
+            f"a {len(a)}×{len(a)} matrix of numbers of many bodies: at most {MOST_ROWS}×{MOST_ROWS}"
+        )
+    return a
+
+
+def _det(given: Any) -> Any:
+    return _determinant(_matrix(given))
+
+
+def _determinant(a: Any) -> Any:
+    if len(a) < 2:
+        return a[0, 0] if len(a) else 1.0
+    rest = np.arange(len(a))
+    terms = (a[0, j] * _determinant(a[1:][:, rest != j]) * (-1.0) ** j for j in rest.tolist())
+    return reduce(lambda x, y: x + y, terms)
+
+
+def _inv(given: Any) -> Any:
+    a = _matrix(given)
+    rest = np.arange(len(a))
+    adjugate = np.empty_like(a)
+    for i in rest.tolist():
+        for j in rest.tolist():
+            adjugate[j, i] = _determinant(a[rest != i][:, rest != j]) * (-1.0) ** (i + j)
+    return adjugate * (1.0 / (a[0] @ adjugate[:, 0]))
+
+
+def _solve(a: Any, b: Any) -> Any:
+    return _inv(a) @ np.asarray(objects(b))
+
+
+def _cross(
+    a: Any, b: Any, axisa: int = -1, axisb: int = -1, axisc: int = -1, axis: int | None = None
+) -> Any:
+    # NumPy's own, of rows: before 2.3 it makes a buffer of a single product, a float if it is of
+    # constants, and then writes numbers into it.
+    if axis is not None:
+        axisa = axisb = axisc = axis
+    a, b = (np.moveaxis(np.asarray(objects(x)), i, -1)[None] for x, i in ((a, axisa), (b, axisb)))
+    found = np.cross(a, b)[0]
+    return found if a.shape[-1] == b.shape[-1] == 2 else np.moveaxis(found, -1, axisc)
+
+
+def _all(x: Any, axis: Any = None, **options: Any) -> Any:
+    return np.logical_and.reduce(numbers(x), axis=axis, **options)
+
+
+def _any(x: Any, axis: Any = None, **options: Any) -> Any:
+    return np.logical_or.reduce(numbers(x), axis=axis, **options)
+
+
+def _largest(of: Any) -> Callable[..., Any]:
+    return lambda x, axis=None, **options: of.reduce(numbers(x), axis=axis, **options)
+
+
+def _sinc(x: Any) -> Any:
+    def one(x: Any) -> Any:
+        y = math.pi * choice(raw(x) == 0.0, 1e-20, x)
+        return elementary.sin(y) / y
+
+    return np.frompyfunc(one, 1, 1)(objects(x))
+
+
+def _round(x: Any, decimals: int = 0, out: Any = None) -> Any:
+    return np.frompyfunc(lambda one: steps.rounded(one, decimals), 1, 1)(objects(x))
+
+
+def _fix(x: Any, out: Any = None) -> Any:
+    return np.trunc(numbers(x))
+
+
+def _isclose(
+    a: Any, b: Any, rtol: float = 1e-5, atol: float = 1e-8, equal_nan: bool = False
+) -> Any:
+    return abs(numbers(a) - numbers(b)) <= atol + rtol * abs(numbers(b))
+
+
+def _allclose(a: Any, b: Any, *given: Any, **options: Any) -> Any:
+    return np.all(_isclose(a, b, *given, **options))
+
+
+def _linspace(start: Any, stop: Any, num: int = 50) -> Any:
+    return start + np.arange(num) * ((stop - start) / (num - 1))
+
+
+def _nan_to_num(x: Any, copy: bool = True, nan: float = 0.0, **_: Any) -> Any:
+    return np.frompyfunc(
+        lambda one: choice(steps.isnan(one), nan, steps.clipped(one, *_FINITE)), 1, 1
+    )(objects(x))
+
+
+_FINITE = (-np.finfo(float).max, np.finfo(float).max)
+
+
+def _filled_like(value: Any) -> Callable[..., Any]:
+    return lambda x, *_, **__: filled(np.shape(x), value)
+
+
+def _full_like(x: Any, value: Any, *_: Any, **__: Any) -> Any:
+    return filled(np.shape(x), value)
+
+
+SPELLED_OUT: dict[Any, Callable[..., Any]] = {
+    np.where: _where, np.clip: _clip, np.interp: _interp, np.select: _select,
+    np.piecewise: _piecewise, np.einsum: _einsum, np.linalg.norm: _norm, np.linalg.inv: _inv,
+    np.linalg.det: _det, np.linalg.solve: _solve, np.cross: _cross, np.all: _all, np.any: _any,
+    np.max: _largest(np.maximum), np.min: _largest(np.minimum), np.amax: _largest(np.maximum),
+    np.amin: _largest(np.minimum), np.sinc: _sinc, np.round: _round, np.around: _round,
+    np.fix: _fix, np.isclose: _isclose, np.allclose: _allclose, np.linspace: _linspace,
+    np.nan_to_num: _nan_to_num,
+    np.zeros_like: _filled_like(0.0), np.ones_like: _filled_like(1.0),
+    np.empty_like: _filled_like(None), np.full_like: _full_like,  # for NumPy's own functions
+    np.real: lambda x: x, np.imag: lambda x: 0.0 * x,
+    np.dot: lambda a, b, out=None: np.dot(np.asarray(objects(a)), np.asarray(objects(b))),
+}  # fmt: skip
+for _function, _spelled in list(SPELLED_OUT.items()):
+    SPELLED_OUT.setdefault(getattr(_function, "_implementation", _function), _spelled)
