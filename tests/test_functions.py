@@ -32,7 +32,8 @@ from lierb.errors import (
     ScalarFunctionWarning,
     UnknownNameError,
 )
-from lierb.kernels.functions.fingerprint import UnfitFunctionError, fingerprint
+from lierb.kernels.functions.fingerprint import fingerprint
+from lierb.kernels.functions.references import UnfitFunctionError
 
 CSPACES = ("SE3", "SO3xR3")
 FALL = {"dt": 0.125, "t_end": 1.0, "method": "Euler"}  # the least to compile, exact in binary

@@ -23,8 +23,8 @@ from cases import column
 import lierb
 from lierb.errors import FailedTrajectoryWarning, ForceError
 from lierb.kernels.functions.fingerprint import fingerprint
-from lierb.kernels.functions.function import trial
 from lierb.kernels.functions.purity import require_repeatable
+from lierb.kernels.functions.trials import trial
 
 NOISE = np.random.default_rng(7)
 HEAD = "def pushed(t, R, r, omega, v, params):\n"

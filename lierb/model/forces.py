@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, body_label, require_name, told
-from lierb.kernels.functions.function import Function, Shape
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.shapes import Shape
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Bound, Element, Tangent, Wrench, travel_to_kink
 from lierb.kernels.mechanics.newton_euler import Frames, Kinematics, Motion

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.kernels.functions.function import line_that_raised
+from lierb.kernels.functions.source_lines import line_that_raised
 from lierb.kernels.loops.record import (
     end_columns,
     history_columns,
@@ -202,5 +202,5 @@ def exception_told(plan: AnyPlan, error: Exception) -> str:
     names = " or ".join(dict.fromkeys(f.name for f in functions))
     message = shorten(str(error), MESSAGE_LENGTH)
     what = f"{type(error).__name__}: {message}" if message else type(error).__name__
-    line = line_that_raised(error, functions)
+    line = line_that_raised(error, [f.python for f in functions])
     return f"{names} raised {what}{f' ({line})' if line else ''}"

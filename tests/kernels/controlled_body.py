@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.fingerprint import fingerprint
-from lierb.kernels.functions.function import Function, traceable
+from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.noise import normal
 from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.mechanics import elements as kinds

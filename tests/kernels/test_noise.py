@@ -9,7 +9,6 @@ from scipy import special, stats
 import lierb
 from kernels.packs import FORMULAS, on_lanes
 from lierb.errors import ArgumentError
-from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.noise import (
     BLOCK_BITS,
     MOST,
@@ -21,6 +20,7 @@ from lierb.kernels.functions.noise import (
     philox,
     uniform,
 )
+from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.kernels.tracing.words import LOW

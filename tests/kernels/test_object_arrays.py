@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lierb
-from lierb.kernels.functions.function import traceable
+from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.object_arrays import UntraceableError, has_traced, numbers
 from lierb.kernels.functions.user_number import UserNumber, raw
 from lierb.kernels.tracing.trace import trial

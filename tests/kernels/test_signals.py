@@ -34,10 +34,10 @@ from kernels.controlled_body import (
     seen,
 )
 from kernels.packs import FORMULAS, on_lanes
-from lierb.kernels.functions.fingerprint import UnfitFunctionError
-from lierb.kernels.functions.function import outputs_of, trial
 from lierb.kernels.functions.noise import normals
+from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.signals import Noise, Signals
+from lierb.kernels.functions.trials import outputs_of, trial
 from lierb.kernels.systems import signals as sides
 from lierb.kernels.systems.formulations import accelerate
 from lierb.kernels.systems.one_body import Seen

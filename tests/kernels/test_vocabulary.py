@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import lierb
 from kernels.packs import FORMULAS, on_lanes
+from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.elementwise import BY_NAME
-from lierb.kernels.functions.function import COMPILED, traceable
+from lierb.kernels.functions.function import COMPILED
 from lierb.kernels.functions.user_number import Condition, UserNumber
 from lierb.kernels.numbers.dual import Dual
 

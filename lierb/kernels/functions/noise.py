@@ -16,8 +16,8 @@ from contextvars import ContextVar
 from functools import cache
 from typing import Any
 
-from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.object_arrays import numbers
+from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, minimum, sqrt, where

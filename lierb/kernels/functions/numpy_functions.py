@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels.functions import elementary, steps
-from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.object_arrays import (
     UntraceableError,
     filled,
     numbers,
     objects,
 )
+from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import choice, raw
 
 MOST_ROWS = 4  # of matrices that are inverted: by cofactors, of which there are n!

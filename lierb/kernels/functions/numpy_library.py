@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels.functions import numpy_functions
-from lierb.kernels.functions.fingerprint import UNINITIALISED, UnfitFunctionError, refusal
 from lierb.kernels.functions.object_arrays import (
     SPELLED_OUT,
     Numbers,
@@ -21,6 +20,8 @@ from lierb.kernels.functions.object_arrays import (
     is_real,
     numbers,
 )
+from lierb.kernels.functions.references import UnfitFunctionError
+from lierb.kernels.functions.refusals import UNINITIALISED, refusal
 from lierb.kernels.functions.user_number import Float
 
 SPELLED_OUT.update(numpy_functions.SPELLED_OUT)

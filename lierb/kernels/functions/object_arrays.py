@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels.functions.elementwise import BY_NAME
-from lierb.kernels.functions.fingerprint import UnfitFunctionError, refusal
+from lierb.kernels.functions.references import UnfitFunctionError
+from lierb.kernels.functions.refusals import refusal
 from lierb.kernels.functions.user_number import Condition, UserNumber
 
 TRACED = (UserNumber, Condition)

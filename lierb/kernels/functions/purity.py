@@ -17,21 +17,12 @@ from typing import Any
 import numpy as np
 
 from lierb.compiler.internals import names_in, runs_python
-from lierb.kernels.functions.fingerprint import (
-    ALONE,
-    CLOCKS,
-    RANDOM,
-    TEXT,
-    UnfitFunctionError,
-    at,
-    attributes_of,
-    refusal,
-    refusal_of_call,
-)
+from lierb.kernels.functions.references import UnfitFunctionError, attributes_of
+from lierb.kernels.functions.refusals import ALONE, CLOCKS, RANDOM, TEXT, refusal, refusal_of_call
+from lierb.kernels.functions.source_lines import MARK, at
 
 # Traces of which one leaves the random generators as they are: other threads may draw meanwhile.
 TRIES = 20
-MARK = "__lierb_traced__"  # among the globals of functions that are traced
 # They may do what they like on a user's behalf: look a warning's line up in its file, say.
 TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "importlib")
 

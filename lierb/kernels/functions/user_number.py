@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lierb.kernels.functions.fingerprint import TEXT, UnfitFunctionError
+from lierb.kernels.functions.references import UnfitFunctionError
+from lierb.kernels.functions.refusals import TEXT
 from lierb.kernels.numbers.arithmetic import (
     absolute,
     fma,

@@ -15,9 +15,9 @@ from numba.extending import overload
 from numpy.typing import ArrayLike
 
 from lierb.kernels.functions.elementary import arctan2, sqrt
-from lierb.kernels.functions.fingerprint import UnfitFunctionError
 from lierb.kernels.functions.numpy_library import Spoken
 from lierb.kernels.functions.object_arrays import has_traced, numbers
+from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import UserNumber, choice, raw, value_of, where
 from lierb.kernels.groups import so3
 from lierb.kernels.numbers.arithmetic import plain

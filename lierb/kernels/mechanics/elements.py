@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar, NamedTuple
 
-from lierb.kernels.functions.function import BODY, Function, Shapes
+from lierb.kernels.functions.function import BODY, Function
+from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.newton_euler import (

@@ -11,7 +11,9 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from lierb.errors import ArgumentError, ForceError
-from lierb.kernels.functions.function import Function, Shape, Shapes, gives_condition, outputs_of
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.shapes import Shape, Shapes
+from lierb.kernels.functions.trials import gives_condition, outputs_of
 from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.in_time import Controller, Event, ExtraStates, untraceable
 from lierb.model.functions.tracing import why_untraced

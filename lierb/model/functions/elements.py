@@ -16,8 +16,11 @@ from typing import Any, ClassVar, Self, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, require_name, told, unknown_name
+from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.fingerprint import Reference
-from lierb.kernels.functions.function import ANY, Function, Shape, Shapes, traceable, trial
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.shapes import ANY, Shape, Shapes
+from lierb.kernels.functions.trials import trial
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.tracing import (
     ARGUMENTS,

@@ -16,7 +16,9 @@ from typing import Any, ClassVar, Self, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, told, unknown_name
-from lierb.kernels.functions.function import Function, Shapes, outputs_of
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.trials import outputs_of
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.elements import (
     Decorated,

@@ -10,22 +10,14 @@ from functools import partial
 from typing import Any
 
 from lierb.errors import ForceError, ScalarFunctionWarning
-from lierb.kernels.functions.fingerprint import (
-    TEXT,
-    UnfitFunctionError,
-    fingerprint,
-    modules_named,
-    watched,
-)
-from lierb.kernels.functions.function import (
-    Function,
-    Shape,
-    compilable,
-    compile_alone,
-    traceable,
-    trial,
-    where_it_was,
-)
+from lierb.kernels.functions.copies import compilable, traceable
+from lierb.kernels.functions.fingerprint import fingerprint, modules_named, watched
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.references import UnfitFunctionError
+from lierb.kernels.functions.refusals import TEXT
+from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.functions.source_lines import where_it_was
+from lierb.kernels.functions.trials import compile_alone, trial
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
 SIGNALS = ("states", "controls")

@@ -20,7 +20,8 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from lierb.errors import StudyError, told
-from lierb.kernels.functions.fingerprint import KNOWN, at
+from lierb.kernels.functions.references import KNOWN
+from lierb.kernels.functions.source_lines import at
 from lierb.model.functions.elements import ConstraintFunction, Decorated, ObservableFunction, Wrench
 from lierb.model.functions.in_time import ControllerFunction, EventFunction, StatesFunction
 from lierb.studies.description.sources import LONGEST_STUDY

@@ -1,0 +1,199 @@
+"""Refusals of what a function of its arguments alone does not do, by names and by bytecode."""
+
+from __future__ import annotations
+
+import builtins
+import dis
+import sys
+import types
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from lierb.kernels.functions.references import (
+    UnfitFunctionError,
+    cells,
+    is_users,
+    references,
+    undecorated,
+)
+from lierb.kernels.functions.source_lines import at
+
+# Of the standard library, what does nothing but compute.
+COMPUTING = {
+    "builtins", "math", "cmath", "operator", "_operator", "functools", "_functools", "itertools",
+    "numbers", "fractions", "collections", "_collections", "_collections_abc", "typing", "types",
+    "enum", "abc", "dataclasses", "copy", "__future__",
+}  # fmt: skip
+RANDOM = ("random", "_random", "secrets", "uuid", "numpy.random")
+CLOCKS = ("time", "datetime", "_datetime", "zoneinfo")
+# With these a function gets at what nobody can see from outside.
+HIDDEN = ("getattr", "setattr", "delattr", "eval", "exec", "compile", "globals", "locals", "vars",
+          "__import__", "breakpoint")  # fmt: skip
+OUTSIDE = ("print", "input", "open", "id", "hash")
+OUTSIDE_NUMPY = (
+    "load", "loadtxt", "genfromtxt", "fromfile", "memmap", "save", "savez", "savez_compressed",
+    "savetxt", "seterr", "geterr", "set_printoptions", "get_printoptions", "setbufsize",
+)  # fmt: skip
+TEXT_NUMPY = ("array2string", "array_str", "array_repr", "format_float_positional",
+              "format_float_scientific")  # fmt: skip
+UNINITIALISED = (np.empty, np.empty_like)
+TEXT = (
+    "it makes text of numbers (str, repr, format, an f-string), which have no digits before they "
+    "run: compute with the numbers themselves"
+)
+NO_ORDER = (
+    "it uses a set, whose order may be another one in every process, for more than `in`: write a "
+    "tuple or a list"
+)
+ALONE = "a function of the user's is one of its arguments alone"
+NO_CHANGE = (
+    "it changes .{}: parameters cannot be changed, nor what else it is given; use a variable of "
+    "your own"
+)
+
+
+# ---- what no function of its arguments does ----------------------------------------------------
+
+
+def refusal(value: Any, name: str) -> str | None:
+    """Why a function may not name this, known to it as `name`; None if it may."""
+    if any(value is known for known in UNINITIALISED):  # which NumPy's own functions call
+        return (
+            f"it uses {name}, whose numbers are whatever was in memory before; write "
+            f"{name.replace('empty', 'zeros')}"
+        )
+    if value is set or value is frozenset:
+        return NO_ORDER
+    return refusal_of_call(value, name)
+
+
+def refusal_of_call(value: Any, name: str) -> str | None:
+    """Why neither a function nor what it calls may use this; None if they may."""
+    if is_users(value):
+        return None
+    module = _origin(value)
+    top = module.split(".")[0]
+    if any(module == known or module.startswith(known + ".") for known in RANDOM):
+        return (
+            f"it draws random numbers, {name}: they would be the same constants for every body and "
+            f"in every step; {ALONE}: sample a parameter instead, or draw "
+            "lierb.noise.normal in a controller"
+        )
+    if top in CLOCKS or value is np.datetime64:  # of "now"
+        return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
+    bare = getattr(value, "__name__", "")
+    if top == "numpy" and bare in TEXT_NUMPY and value is getattr(np, bare, None):
+        return TEXT
+    outside = (
+        (top == "builtins" and value is getattr(builtins, bare, None) and bare in OUTSIDE)
+        or (module in ("io", "_io"))
+        or (top == "numpy" and bare in OUTSIDE_NUMPY and value is getattr(np, bare, None))
+        or (top == "numba" and bare == "objmode")
+        or (top in sys.stdlib_module_names and top not in COMPUTING)
+    )
+    if outside:
+        return f"it uses {name}; {ALONE}: make what it reads a parameter"
+    if top == "builtins" and bare in HIDDEN and value is getattr(builtins, bare):
+        return f"it uses {name}, behind which lierb cannot look"
+    return None
+
+
+def _origin(value: Any) -> str:
+    """The module that something comes from: for methods, that of what they belong to."""
+    if isinstance(value, types.ModuleType):
+        return value.__name__
+    owner = getattr(value, "__self__", None)
+    if callable(value) and owner is not None and not isinstance(owner, types.ModuleType):
+        value = owner
+    if not (isinstance(value, type) or callable(value)):
+        value = type(value)
+    if not isinstance(value, type) and not isinstance(getattr(value, "__module__", None), str):
+        value = type(value)
+    return str(getattr(value, "__module__", ""))
+
+
+def require_pure(function: Any, seen: list[Any]) -> None:
+    """Raise for what a function's code names and may not, line by line."""
+    if function in seen:
+        return
+    seen.append(function)
+    own, outer = function.__code__, dict(cells(function))
+    known = dict(references(function)) | outer
+    for code, free in _scopes(own, frozenset(own.co_freevars)):
+        for chain in _chains(code, known):
+            for _, value, line in chain:
+                why = refusal(value, chain[-1][0])
+                if why is not None:
+                    raise UnfitFunctionError(f"{at(code, line)}: {why}")
+                if is_users(value):
+                    require_pure(undecorated(value), seen)
+        steps: list[Any] = [None, *dis.get_instructions(code), None]
+        for before, step, after in zip(steps, steps[1:], steps[2:], strict=False):
+            why = _refusal_of_step(before, step, after, free)
+            if why:
+                line = step.positions.lineno if step.positions else None
+                raise UnfitFunctionError(f"{at(code, line)}: {why}")
+
+
+_CHANGES_GLOBAL = ("STORE_GLOBAL", "DELETE_GLOBAL")
+_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # attributes that can be set
+
+
+def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -> str | None:
+    """What is wrong with one instruction between two others."""
+    if step.opname == "IMPORT_NAME":
+        return "it imports something itself; import that outside"
+    if _makes_set(step) and getattr(after, "opname", "") != "CONTAINS_OP":
+        return NO_ORDER
+    is_outer = step.opname in ("STORE_DEREF", "DELETE_DEREF") and step.argval in free
+    changed = step.argval if is_outer or step.opname in _CHANGES_GLOBAL else None
+    if step.opname in ("STORE_ATTR", "DELETE_ATTR"):
+        if _is_outside(before, free):
+            changed = f"{before.argval}.{step.argval}"
+        elif step.argval not in _OF_ARRAYS:
+            return NO_CHANGE.format(step.argval)
+    return None if changed is None else f"it changes {changed}, which is not its own; {ALONE}"
+
+
+def _is_outside(step: Any, free: frozenset[str]) -> bool:
+    """Whether an instruction reads a variable that is not the function's own."""
+    return getattr(step, "opname", "") == "LOAD_GLOBAL" or (
+        getattr(step, "opname", "") == "LOAD_DEREF" and step.argval in free
+    )
+
+
+def _makes_set(step: Any) -> bool:
+    return step.opname == "BUILD_SET" or (
+        step.opname == "LOAD_CONST" and isinstance(step.argval, frozenset)
+    )
+
+
+def _scopes(code: types.CodeType, free: frozenset[str]) -> Iterator[tuple[Any, frozenset[str]]]:
+    """The code and what is inside, each with the variables that are not the function's own."""
+    yield code, free
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _scopes(constant, free & frozenset(constant.co_freevars))
+
+
+Chain = list[tuple[str, Any, int | None]]
+
+
+def _chains(code: types.CodeType, known: dict[str, Any]) -> Iterator[Chain]:
+    """Names with what follows them dot by dot: (dotted name, value in its module, line) each."""
+    chain: Chain = []
+    for step in dis.get_instructions(code):
+        line = step.positions.lineno if step.positions else None
+        if step.opname in ("LOAD_ATTR", "LOAD_METHOD") and chain:
+            name, value, _ = chain[-1]
+            inner = (
+                getattr(value, step.argval, None) if isinstance(value, types.ModuleType) else None
+            )
+            chain.append((f"{name}.{step.argval}", inner, line))
+            continue
+        if chain:
+            yield chain
+        named = step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF")
+        chain = [(step.argval, known.get(step.argval), line)] if named else []

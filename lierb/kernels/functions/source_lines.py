@@ -1,0 +1,34 @@
+"""Lines of users' source, for messages."""
+
+from __future__ import annotations
+
+import linecache
+import types
+from collections.abc import Callable, Iterable
+from traceback import walk_tb
+from typing import Any
+
+MARK = "__lierb_traced__"  # global name in the copies of users' functions
+
+
+def at(code: types.CodeType, line: int | None) -> str:
+    """Describe a line by its number and text."""
+    source = linecache.getline(code.co_filename, line or 0).strip()
+    return f'line {line}, "{source}"' if source else f"line {line} of {code.co_name}"
+
+
+def where_it_was(error: BaseException) -> str | None:
+    """Describe the innermost line of users' functions that an exception passed; None for none."""
+    frames = walk_tb(error.__traceback__)
+    lines = [at(frame.f_code, line) for frame, line in frames if MARK in frame.f_globals]
+    return lines[-1] if lines else None
+
+
+def line_that_raised(error: Exception, functions: Iterable[Callable[..., Any]]) -> str | None:
+    """Describe the line of users' functions at which compiled code raised, if Numba reports it.
+
+    Numba adds a frame with the file and the line of the function, and nothing else of it.
+    """
+    *_, (frame, line) = walk_tb(error.__traceback__)
+    files = {function.__code__.co_filename for function in functions}
+    return at(frame.f_code, line) if frame.f_code.co_filename in files else None
