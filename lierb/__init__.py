@@ -15,8 +15,12 @@ from lierb.methods import TABLEAUS, ButcherTableau
 from lierb.model import bodies, forces, joints
 from lierb.model.bodies.body import Body
 from lierb.model.functions import noise
-from lierb.model.functions.elements import constraint, observable, wrench
-from lierb.model.functions.in_time import controller, event, states
+from lierb.model.functions.constraints import constraint
+from lierb.model.functions.controllers import controller
+from lierb.model.functions.events import event
+from lierb.model.functions.observables import observable
+from lierb.model.functions.states import states
+from lierb.model.functions.wrenches import wrench
 from lierb.model.mechanism.links import Link, Loop
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem

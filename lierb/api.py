@@ -18,7 +18,7 @@ from lierb.errors import (
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.methods import ButcherTableau
-from lierb.model.functions.in_time import Event
+from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import STATUS_NAMES, Failures, warn_of

@@ -36,8 +36,9 @@ from lierb.sampling import (
     Values,
     distributions,
     inertia_of,
+    sobol,
+    streams,
 )
-from lierb.sampling import design as designs
 from lierb.support.arrays import SLICE
 from lierb.support.extras import MissingExtraError
 
@@ -475,19 +476,19 @@ def test_words_are_those_of_philox():
     start = 3 * body  # word 0 of this body; NumPy's first counter is 1
     stream = [w for c in (start // 4, start // 4 + 1) for w in philox(c + 1, key)]
     expected = stream[start % 4 : start % 4 + 3]
-    assert designs._words(2024, "omega0", body, 1, 3).tolist() == [expected]
+    assert streams.words(2024, "omega0", body, 1, 3).tolist() == [expected]
     assert expected[0] == 0x87BF06A139C14AE
 
 
 @pytest.mark.parametrize("each", [1, 2, 3, 4, 5, 8])
 def test_words_are_a_slice_of_one_stream(each):
-    whole = designs._words(5, "x", 0, 61, each)
+    whole = streams.words(5, "x", 0, 61, each)
     for first in range(0, 60, 7):
-        np.testing.assert_array_equal(designs._words(5, "x", first, 5, each), whole[first:][:5])
+        np.testing.assert_array_equal(streams.words(5, "x", first, 5, each), whole[first:][:5])
 
 
 def test_uniforms_are_inside_the_interval():
-    ends = designs._between_0_and_1(np.array([0, 2**51, 2**52 - 1], dtype=np.uint64))
+    ends = streams.uniforms_of(np.array([0, 2**51, 2**52 - 1], dtype=np.uint64))
     assert ends.tolist() == [LEAST, 0.5 + LEAST, MOST]
     np.testing.assert_array_equal(1.0 - (1.0 - ends), ends)
 
@@ -504,7 +505,7 @@ def cube(n: int, seed: int, method: str):
 def test_the_last_sobol_point_takes_no_walk():
     """SciPy would be half a minute on its way; its table is that of its points."""
     design = Design(CUBE, 2**32, 7, "sobol")
-    directions = design._sobol[1]
+    directions = design._sobol._directions[1]
     assert directions.shape == (32, design.dimension)
     last = design.draw(2**32 - 2)
     part = design.draw(2**32 - 3, 3)
@@ -514,9 +515,9 @@ def test_the_last_sobol_point_takes_no_walk():
 
 
 def test_sobol_points_are_walked_to_where_scipy_has_no_such_table(monkeypatch):
-    n = 2 ** (designs.WALKED_BITS + 3)
+    n = 2 ** (sobol.WALKED_BITS + 3)
     own = Design(CUBE, n, 7, "sobol").draw(n - 5)
-    monkeypatch.setattr(designs, "WALKED_BITS", 64)
+    monkeypatch.setattr(sobol, "WALKED_BITS", 64)
     walked = Design(CUBE, n, 7, "sobol").draw(n - 5)
     for name, values in own.items():
         np.testing.assert_array_equal(walked[name], values)

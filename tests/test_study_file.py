@@ -23,7 +23,8 @@ from studies import TEXT, sorted_rows, study, tables
 import lierb
 from lierb.errors import StudyError
 from lierb.sampling import Constant, Direction, LogNormal, Normal, TruncatedNormal, Values
-from lierb.sampling.distributions import DISTRIBUTIONS, Distribution, Uniform
+from lierb.sampling.distribution import Distribution
+from lierb.sampling.distributions import DISTRIBUTIONS, Uniform
 from lierb.studies.dataset import Dataset
 from lierb.studies.description.study import Study
 from lierb.studies.description.study_file import DEEPEST, LONGEST_STUDY, plain

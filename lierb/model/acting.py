@@ -12,8 +12,14 @@ from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.binding import bound, columns_of, require_different_events
 from lierb.model.functions.column_names import require_free
-from lierb.model.functions.elements import Constraint, Element, Force, Observable, reject_functions
-from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.functions.constraints import Constraint
+from lierb.model.functions.controllers import Controller
+from lierb.model.functions.decorated import reject_functions
+from lierb.model.functions.elements import Element
+from lierb.model.functions.events import Event
+from lierb.model.functions.observables import Observable
+from lierb.model.functions.states import ExtraStates
+from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.shown import quantity
 

@@ -15,8 +15,13 @@ from lierb.kernels.numbers.vec import IDENTITY, ZERO3
 from lierb.model.acting import ELEMENTS, bind, shown_element
 from lierb.model.bodies.body import Body
 from lierb.model.functions.binding import Column, columns_of
-from lierb.model.functions.elements import Constraint, Element, Force, Observable
-from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.functions.constraints import Constraint
+from lierb.model.functions.controllers import Controller
+from lierb.model.functions.elements import Element
+from lierb.model.functions.events import Event
+from lierb.model.functions.observables import Observable
+from lierb.model.functions.states import ExtraStates
+from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import (
     Array,

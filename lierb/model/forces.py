@@ -53,8 +53,8 @@ from lierb.kernels.numbers.vec import (
     sub,
 )
 from lierb.kernels.numbers.zero import ZERO
-from lierb.model.functions.elements import Force
 from lierb.model.functions.tracing import DERIVATIVES, user_function
+from lierb.model.functions.wrenches import Force
 from lierb.support.arrays import as_numbers, as_positive, batch_size
 
 ORIGIN = (0.0, 0.0, 0.0)

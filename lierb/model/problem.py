@@ -34,8 +34,13 @@ from lierb.kernels.systems.layout import INPUTS
 from lierb.model.acting import _checked, require, unfit_rate
 from lierb.model.base import Model, numbers_of, parameters_of
 from lierb.model.bodies.body import Body
-from lierb.model.functions.elements import Constraint, Element, Force, Observable
-from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.functions.constraints import Constraint
+from lierb.model.functions.controllers import Controller
+from lierb.model.functions.elements import Element
+from lierb.model.functions.events import Event
+from lierb.model.functions.observables import Observable
+from lierb.model.functions.states import ExtraStates
+from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
 from lierb.support.arrays import (

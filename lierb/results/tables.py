@@ -21,7 +21,7 @@ from lierb.kernels.systems.observables import KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import outputs_of, signals_width, states_of
 from lierb.kernels.systems.system_of import system_of
-from lierb.model.functions.elements import Force
+from lierb.model.functions.wrenches import Force
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import each_row, numbers, numbers_of, texts, vectors

@@ -17,7 +17,8 @@ from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.plan import Embedded, Extension
 from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
-from lierb.model.functions.in_time import Controller, Event
+from lierb.model.functions.controllers import Controller
+from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.continuation import counted

@@ -23,17 +23,9 @@ True
 """
 
 from lierb.sampling.design import Design, inertia_of
-from lierb.sampling.distributions import (
-    Constant,
-    Direction,
-    Distribution,
-    LogNormal,
-    Normal,
-    Rotation,
-    TruncatedNormal,
-    Uniform,
-    Values,
-)
+from lierb.sampling.distribution import Distribution
+from lierb.sampling.distributions import Constant, Direction, Rotation, Uniform, Values
+from lierb.sampling.normal import LogNormal, Normal, TruncatedNormal
 
 __all__ = [
     "Constant",

@@ -5,29 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import blake2b
 from math import prod
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, unknown_name
-from lierb.sampling.distributions import (
-    Constant,
-    Distribution,
-    Values,
-    as_distribution,
+from lierb.sampling.distribution import Distribution
+from lierb.sampling.distributions import Constant, Values, as_distribution
+from lierb.sampling.sobol import SOBOL_BITS, Sobol
+from lierb.sampling.streams import (
+    SEED_BITS,
+    UNIFORM_BITS,
+    uniforms_of,
+    words,
 )
 from lierb.support.arrays import SLICE, Array, as_positive, components, is_whole
-from lierb.support.extras import require
 from lierb.support.memory import require_memory
 
 METHODS = ("random", "sobol", "saltelli", "grid")
-SEED_BITS = 64
-UNIFORM_BITS = 52  # with the half that is added, the 53 of a double
-SOBOL_BITS = 32  # SciPy's Sobol.fast_forward takes no more; the other digits are random
-WALKED_BITS = 12  # of a Sobol point's number, up to which SciPy's own points are looked at
+
+
 MOST_BODIES = 2**62  # body numbers are int64
 LONGEST = 10**40  # of a number in a message
 
@@ -187,7 +186,7 @@ class Design:
         if self.method == "grid":
             return self._grid_part(first, count)
         if self.method == "sobol":
-            points = self._sobol_points(first, count)
+            points = self._sobol.points(first, count)
         elif self.method == "saltelli":
             points = self._saltelli_points(first, count)
         drawn, column = {}, 0
@@ -196,7 +195,7 @@ class Design:
             if self.method in ("sobol", "saltelli"):
                 u = points[:, column : column + d]
             else:
-                u = _between_0_and_1(_words(self.seed, name, first, count, d) >> 64 - UNIFORM_BITS)
+                u = uniforms_of(words(self.seed, name, first, count, d) >> 64 - UNIFORM_BITS)
             drawn[name] = quantity.draw(u)
             column += d
         return drawn
@@ -218,60 +217,15 @@ class Design:
         bodies = np.arange(first, first + count)
         rows, kinds = bodies // each, bodies % each
         start = int(rows[0])
-        both = self._sobol_points(start, int(rows[-1]) - start + 1)[rows - start]
+        both = self._sobol.points(start, int(rows[-1]) - start + 1)[rows - start]
         widths = [self.quantities[name].dimension for name in self.drawn]
         owner = np.repeat(np.arange(len(widths)), widths)  # of each coordinate
         from_b = (kinds[:, None] == 1) | (kinds[:, None] == 2 + owner)
         return np.where(from_b, both[:, d:], both[:, :d])
 
-    def _sobol_points(self, first: int, count: int) -> Array:
-        """(count, coordinates): point i is point i − 1 with one direction added, bit by bit."""
-        origin, directions = self._sobol
-        gray = first ^ first >> 1
-        start = origin.copy()
-        for bit, direction in enumerate(directions):
-            if gray >> bit & 1:
-                start ^= direction
-        later = np.arange(first + 1, first + count, dtype=np.uint64)
-        trailing_zeros = np.bitwise_count(~later & (later - np.uint64(1)))
-        steps = np.concatenate((start[None], directions[trailing_zeros]))
-        leading = np.bitwise_xor.accumulate(steps, axis=0)
-        added = UNIFORM_BITS - SOBOL_BITS
-        trailing = _words(self.seed, "", first, count, self._coordinates) >> 64 - added
-        return _between_0_and_1(leading << added | trailing)
-
     @cached_property
-    def _sobol(self) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-        """The first point, (d,), and the directions, (bits of n − 1, d).
-
-        In the Gray code of 2ᵏ bits k and k − 1 are set, so point 2ᵏ is point 0 with directions k
-        and k − 1 added. To get there SciPy walks from point to point, 2 to 7 ns each: half a minute
-        to the last one. Its own table is taken where it is as its points say.
-        """
-        require("scipy")
-        from scipy.stats.qmc import Sobol
-
-        most = Sobol.MAXDIM
-        if self._coordinates > most:
-            raise ArgumentError(f"the draws take {self._coordinates} uniforms; Sobol has {most}")
-        engine = Sobol(self._coordinates, bits=SOBOL_BITS, rng=np.random.default_rng(self.seed))
-        points = [engine.random(1)]
-        bits = (self._points - 1).bit_length()
-        for bit in range(bits):
-            if bit == WALKED_BITS:
-                first, walked = _directions(points)
-                table = np.asarray(getattr(engine, "_sv", np.empty((0, 0)))).T.astype(np.uint64)
-                if len(table) >= bits and np.array_equal(table[:bit], walked):
-                    return first, table[:bits]
-            engine.fast_forward(2**bit - engine.num_generated)
-            points.append(engine.random(1))
-        return _directions(points)
-
-
-def _directions(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Point 0, and the directions that lead to points 1, 2, 4, 8, …"""
-    numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
-    return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)
+    def _sobol(self) -> Sobol:
+        return Sobol(self.seed, self._points, self._coordinates)
 
 
 def _whole(argument: str, value: Any, low: int, high: int) -> int:
@@ -314,24 +268,6 @@ def _size_of_grid(quantities: dict[str, Distribution], n: int | None) -> int:
         _whole("n", n, 1, MOST_BODIES)
         raise ArgumentError(f"n={n}, but {made} make a grid of {size} bodies; leave n out")
     return size
-
-
-def _words(seed: int, name: str, first: int, count: int, each: int) -> NDArray[np.uint64]:
-    """(count, each) random words of 64 bits: those of bodies `first` and on, of one stream.
-
-    Philox turns a counter into four words, by a bijection that its key chooses (J. K. Salmon et
-    al., Parallel random numbers: as easy as 1, 2, 3, SC11). Word w of body b is number b·each + w.
-    """
-    digest = blake2b(name.encode(), digest_size=16, key=seed.to_bytes(SEED_BITS // 8, "little"))
-    stream = np.random.Philox(key=int.from_bytes(digest.digest(), "little"))
-    counter, skipped = divmod(first * each, 4)
-    stream.advance(counter)
-    return stream.random_raw(skipped + count * each)[skipped:].reshape(count, each)
-
-
-def _between_0_and_1(numbers: NDArray[np.integer]) -> Array:
-    """(k + ½)/2⁵²: exact, never 0 or 1, and as far from one as from the other."""
-    return (numbers.astype(np.float64) + 0.5) * 2.0**-UNIFORM_BITS
 
 
 def inertia_of(second_moments: ArrayLike) -> Array:

@@ -193,7 +193,7 @@ def runs():
         problem, twist = tilted(name)
         added = (
             "constraints"
-            if isinstance(force, lierb.model.functions.elements.Constraint)
+            if isinstance(force, lierb.model.functions.constraints.Constraint)
             else "forces"
         )
         problem = lierb.Problem(problem.body, problem.joint, problem.gravity, **{added: [force]})

@@ -15,7 +15,6 @@ from numba.extending import is_jitted
 from lierb.kernels.functions.function import COMPILED
 from lierb.kernels.functions.math_functions import for_traces_of
 from lierb.kernels.functions.numpy_library import for_traces, is_numpy
-from lierb.kernels.functions.purity import MARK
 from lierb.kernels.functions.references import (
     UnfitFunctionError,
     attributes_of,
@@ -25,6 +24,7 @@ from lierb.kernels.functions.references import (
     references,
 )
 from lierb.kernels.functions.refusals import ALONE, NO_ORDER
+from lierb.kernels.functions.source_lines import MARK
 
 # ---- made fit for either way -------------------------------------------------------------------
 

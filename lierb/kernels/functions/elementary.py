@@ -14,6 +14,7 @@ from lierb.kernels.functions.user_number import (
     UserNumber,
     choice,
     combined,
+    define,
     kind_of,
     raw,
     value_of,
@@ -236,10 +237,9 @@ def log2(x: Any) -> Any:
     return log(x) / math.log(2.0)
 
 
-for _function in (  # called by NumPy on arrays of objects
+define(__pow__=power, __rpow__=lambda self, base: power(base, self))
+NAMED = (  # methods that NumPy calls on arrays of objects
     sin, cos, tan, exp, expm1, log, log1p, log10, log2, sqrt, sinh, cosh, tanh, arcsin, arccos,
     arctan, arctan2, hypot,
-):  # fmt: skip
-    setattr(UserNumber, _function.__name__, _function)
-UserNumber.__pow__ = power
-UserNumber.__rpow__ = lambda self, base: power(base, self)
+)  # fmt: skip
+define(**{function.__name__: function for function in NAMED})

@@ -16,6 +16,7 @@ from lierb.kernels.functions.user_number import (
     UserNumber,
     choice,
     combined,
+    define,
     inverted,
     raw,
     selected,
@@ -240,12 +241,13 @@ def divmod(x: Any, y: Any) -> Any:
     return floor_divide(x, y), remainder(x, y)
 
 
-for _name, _operator in (("mod", remainder), ("floordiv", floor_divide), ("divmod", divmod)):
-    setattr(UserNumber, f"__{_name}__", _operator)
-    setattr(UserNumber, f"__r{_name}__", _reflected(_operator))
-UserNumber.__round__ = lambda self, digits=None: rounded(self, digits or 0)
-UserNumber.__floor__, UserNumber.__ceil__ = floor, ceil
-UserNumber.__trunc__ = trunc
+define(
+    __mod__=remainder, __rmod__=_reflected(remainder),
+    __floordiv__=floor_divide, __rfloordiv__=_reflected(floor_divide),
+    __divmod__=divmod, __rdivmod__=_reflected(divmod),
+    __floor__=floor, __ceil__=ceil, __trunc__=trunc,
+    __round__=lambda self, digits=None: rounded(self, digits or 0),
+)  # fmt: skip
 
 
 def _of_number(name: str) -> Callable[..., Any]:

@@ -175,6 +175,12 @@ class Condition:
         return UserNumber(select(self.mask, 1.0, 0.0))
 
 
+def define(**methods: Callable[..., Any]) -> None:
+    """Add methods to users' numbers, by modules above this one."""
+    for name, method in methods.items():
+        setattr(UserNumber, name, method)
+
+
 def _joined(a: Condition, b: Any, combine: Callable[[Any, Any], Any]) -> Any:
     if not isinstance(b, (Condition, bool, np.bool_)):
         return NotImplemented

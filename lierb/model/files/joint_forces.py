@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lierb.model import forces
-from lierb.model.functions.elements import Force
+from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from lierb.model.bodies.body import Body
-from lierb.model.functions.elements import Force
+from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import Array
 

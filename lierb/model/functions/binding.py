@@ -14,8 +14,10 @@ from lierb.errors import ArgumentError, ForceError
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, Shapes
 from lierb.kernels.functions.trials import gives_condition, outputs_of
+from lierb.model.functions.controllers import Controller, untraceable
 from lierb.model.functions.elements import Element, seeing
-from lierb.model.functions.in_time import Controller, Event, ExtraStates, untraceable
+from lierb.model.functions.events import Event
+from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.tracing import why_untraced
 
 

@@ -10,7 +10,7 @@ from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, MEASURES
 from lierb.kernels.systems.observables import KEEPS
 from lierb.model.functions.binding import Column
-from lierb.model.functions.elements import Observable
+from lierb.model.functions.observables import Observable
 from lierb.model.joints.joint import MOST_ROWS
 
 AXES = ("x", "y", "z")

@@ -9,7 +9,7 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import require
 from lierb.model.bodies.body import Body
-from lierb.model.functions.elements import MOST_NAME
+from lierb.model.functions.decorated import MOST_NAME
 from lierb.model.joints.joint import Joint
 from lierb.support.shown import Lines, Shown
 

@@ -12,8 +12,14 @@ from numpy.typing import ArrayLike
 from lierb.errors import ArgumentError, items_of, unknown_name
 from lierb.model.acting import require, require_fit
 from lierb.model.base import Model
-from lierb.model.functions.elements import Constraint, Element, Force, Observable, reject_functions
-from lierb.model.functions.in_time import Controller, Event, ExtraStates
+from lierb.model.functions.constraints import Constraint
+from lierb.model.functions.controllers import Controller
+from lierb.model.functions.decorated import reject_functions
+from lierb.model.functions.elements import Element
+from lierb.model.functions.events import Event
+from lierb.model.functions.observables import Observable
+from lierb.model.functions.states import ExtraStates
+from lierb.model.functions.wrenches import Force
 from lierb.model.mechanism.links import GROUND, NOWHERE, Connection, Link, Loop
 from lierb.support.arrays import (
     Array,

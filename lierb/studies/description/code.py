@@ -22,8 +22,13 @@ from typing import Any, NamedTuple
 from lierb.errors import StudyError, told
 from lierb.kernels.functions.references import KNOWN
 from lierb.kernels.functions.source_lines import at
-from lierb.model.functions.elements import ConstraintFunction, Decorated, ObservableFunction, Wrench
-from lierb.model.functions.in_time import ControllerFunction, EventFunction, StatesFunction
+from lierb.model.functions.constraints import ConstraintFunction
+from lierb.model.functions.controllers import ControllerFunction
+from lierb.model.functions.decorated import Decorated
+from lierb.model.functions.events import EventFunction
+from lierb.model.functions.observables import ObservableFunction
+from lierb.model.functions.states import StatesFunction
+from lierb.model.functions.wrenches import Wrench
 from lierb.studies.description.sources import LONGEST_STUDY
 from lierb.support.files import reason
 

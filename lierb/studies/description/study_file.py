@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from lierb.errors import LierbError, StudyError, told
-from lierb.sampling.distributions import DISTRIBUTIONS, Constant, Distribution
+from lierb.sampling.distribution import Distribution
+from lierb.sampling.distributions import DISTRIBUTIONS, Constant
 from lierb.studies.description.sources import LONGEST_STUDY
 from lierb.support.arrays import as_floats, as_matrix, components, pose_matrix
 

@@ -1,0 +1,97 @@
+"""Constraints that are users' functions: `lierb.constraint`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, ClassVar, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.errors import require_name
+from lierb.kernels.functions.shapes import ANY
+from lierb.kernels.functions.trials import trial
+from lierb.kernels.mechanics import elements as kinds
+from lierb.model.functions.decorated import Decorated, decorated
+from lierb.model.functions.elements import Element
+from lierb.model.functions.tracing import (
+    DERIVATIVES,
+    user_function,
+)
+
+
+class Constraint(Element):
+    """Rows beside the joint's own; made by `lierb.constraint`."""
+
+    words: ClassVar = "a constraint", "constraints"
+
+
+# ---- functions of the user's -------------------------------------------------------------------
+
+POSE = ("R", "r")
+
+
+class ConstraintFunction(Decorated):
+    """What `lierb.constraint` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        unit = defaults.pop("unit", "m")
+        require_name("unit", unit, ("m", "1"))
+        super().__init__(function, defaults)
+        self.is_translational = unit == "m"
+
+    def __call__(self, **parameters: ArrayLike) -> Constraint:
+        """The constraint with these parameters; each is one for all bodies or one for each."""
+        shapes = self._shapes(parameters)
+        function = user_function(self.function, POSE, shapes, (ANY,), because=DERIVATIVES)
+        rows = trial(function)
+        function = replace(function, results=((rows,),))
+        kind = kinds.UserConstraint(function, rows, self.is_translational)
+        made = Constraint.of(function.name, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
+
+
+@overload
+def constraint(function: Callable[..., Any], /) -> ConstraintFunction: ...
+@overload
+def constraint(
+    *, unit: str = "m", **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], ConstraintFunction]: ...
+def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function a constraint: `@lierb.constraint`, or with defaults as `lierb.wrench`.
+
+    The function is called with (R, r, params), and `body` as in `lierb.wrench`, and returns h, one
+    number or several, which must stay zero; each becomes a row beside the joint's. Its Jacobian
+    and acceleration term come from the same function, differentiated exactly. It cannot branch on
+    numbers except by `lierb.where`.
+
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    unit : {"m", "1"}, optional
+        Unit of h: position error or rotation error.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
+
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes a constraint for
+        `Problem(constraints=…)`.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> @lierb.constraint(length=0.5)
+    ... def rod(R, r, params):
+    ...     return (r @ r / params.length - params.length) / 2
+    >>> rod(length=[0.4, 0.5])
+    <rod: length>
+    """
+    return decorated(ConstraintFunction, function, defaults)

@@ -1,0 +1,203 @@
+"""Sampled controllers that are users' functions: `lierb.controller`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, ClassVar, Self, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, ForceError, told, unknown_name
+from lierb.kernels.functions.function import Function
+from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.trials import outputs_of
+from lierb.kernels.mechanics import elements as kinds
+from lierb.model.functions.decorated import Decorated, decorated
+from lierb.model.functions.elements import Element, seeing
+from lierb.model.functions.named_values import (
+    checked_units,
+    initial_and_parameters,
+    initial_values,
+    parameter_defaults,
+    prefixed,
+    python_of,
+    require_attribute,
+    shapes_of,
+)
+from lierb.model.functions.tracing import (
+    ARGUMENTS,
+    SIGNALS,
+    described,
+    form_of_any,
+    runnable,
+    why_untraced,
+)
+from lierb.support.arrays import as_positive
+
+SAMPLED = "it is called for many at once, each at its own time"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Controller(Element):
+    """What is called once a period, and whose outputs are held; made by `lierb.controller`.
+
+    units : of the outputs, by name; "1" where there is none.
+    """
+
+    kind: kinds.UserController
+    units: Mapping[str, str] = field(default_factory=dict)
+    words: ClassVar = "a controller", "controllers"
+
+    @property
+    def columns(self) -> Shapes:
+        """Names and shapes of the outputs; known in a problem."""
+        return self.kind.outputs
+
+    def bound(self, states: Shapes, controls: Shapes) -> Self:
+        function = seeing(self.kind.function, states, controls)
+        made = runnable(function, python_of(self), SAMPLED)
+        return self.of_kind(function=made)
+
+    def putting_out(self, outputs: Shapes) -> Self:
+        """The same with these outputs."""
+        for name, shape in outputs:
+            require_attribute(f"{self.name}: an output", name)
+            if len(shape) > 1 or math.prod(shape) == 0:
+                raise ForceError(
+                    f"{self.name}: its output {name} has shape {shape}; expected a number or a "
+                    "vector"
+                )
+        if not outputs:
+            raise ForceError(
+                f"{self.name} puts nothing out; expected a dictionary of numbers and vectors, such "
+                'as {"torque": …}'
+            )
+        for name in self.units:
+            if name not in dict(outputs):
+                raise unknown_name(f"{self.name}: unit of", name, dict(outputs))
+        function = self.kind.function
+        function = replace(function, outputs=(outputs, *function.outputs[1:]))
+        return self.of_kind(function=function, outputs=outputs)
+
+
+class ControllerFunction(Decorated):
+    """What `lierb.controller` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        given = dict(defaults)
+        self.every = given.pop("every", None)
+        units, memory = given.pop("unit", {}), given.pop("memory", {})
+        if self.every is not None:
+            as_positive("every", self.every, "s")
+        if not isinstance(memory, Mapping):
+            raise ArgumentError(
+                f"memory={told(memory)}; expected initial values by name, such as "
+                '{"integral": 0.0}'
+            )
+        self.memory = initial_values("memory", memory)
+        self.units = checked_units(units, None)
+        self.own = ("every", *memory)
+        super().__init__(function, parameter_defaults(given, memory))
+
+    def __call__(self, **given: ArrayLike) -> Controller:
+        """The controller with this period, initial memory and parameters, of all or of each."""
+        every = given.pop("every", self.every)
+        name = self.function.__name__
+        if every is None:
+            raise ArgumentError(f"{name} has no period; give every=, s, such as {name}(every=0.1)")
+        initial, parameters = initial_and_parameters(given, self.memory)
+        shapes, memory = self._shapes(parameters), shapes_of(self.memory)
+        seen = (*SIGNALS, "memory") if memory else SIGNALS
+        function = described(
+            self.function, tuple(ARGUMENTS), shapes, (), partial(form_of_any, seen),
+            memory=memory, outputs=((), memory) if memory else ((),), draws=True,
+        )  # fmt: skip
+        kind = kinds.UserController(function, memory)
+        numbers = self.defaults | parameters | prefixed(self.memory | initial)
+        made = Controller.of(name, kind, every=as_positive("every", every, "s"), **numbers)
+        made = replace(made, units=self.units, made_by=self)
+        if function.sees_others:
+            return made
+        return made.putting_out(_outputs_of(function)).bound((), ())
+
+
+def _outputs_of(function: Function) -> Shapes:
+    """What a controller puts out. Raises ForceError where it cannot be traced."""
+    reason = why_untraced(function, outputs_of)
+    if reason is not None:
+        raise untraceable(function, reason)
+    return outputs_of(function)
+
+
+def untraceable(function: Function, reason: str) -> ForceError:
+    return ForceError(
+        f"{function.name} must run for many bodies at once, because {SAMPLED}; {reason}"
+    )
+
+
+@overload
+def controller(function: Callable[..., Any], /) -> ControllerFunction: ...
+@overload
+def controller(
+    *,
+    every: ArrayLike | None = None,
+    memory: Mapping[str, ArrayLike] = ...,
+    unit: Mapping[str, str] = ...,
+    **defaults: ArrayLike,
+) -> Callable[[Callable[..., Any]], ControllerFunction]: ...
+def controller(function: Callable[..., Any] | None = None, /, **given: Any) -> Any:
+    """Make a function a sampled controller: `@lierb.controller(every=0.1)`.
+
+    The function takes any of t, R, r, omega, v, params, body, states, controls and memory, by these
+    names and in any order, each as in `lierb.wrench`. It returns its outputs, a dictionary of
+    numbers and vectors by name; with memory (outputs, memory), two dictionaries.
+
+    It is called at the multiples of its period, 0, T, 2T, …, from the start of the run on. Outputs
+    are held until the next call, and are zero before the first one; wrenches, observables, events,
+    states and controllers have them as `controls.NAME`. They are columns of `history` and
+    `summary`. Tracing the function once gives the names and shapes of outputs. It cannot branch on
+    numbers except by `lierb.where`; `lierb.noise.normal` draws random numbers.
+
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    every : float or array_like, shape (n,), optional
+        Period T, s. It may be left to the call.
+    memory : dict of array_like, optional
+        Initial values of what it keeps from call to call, by name: a number or a vector each. In
+        the function they are `memory.NAME`.
+    unit : dict of str, optional
+        Unit of each output, by name, for the columns' metadata. Default: "1".
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
+
+    Returns
+    -------
+    callable
+        Function that makes a controller for `Problem(controllers=…)`. Its keyword `every` is the
+        period, one with a memory's name its initial value, any other one a parameter.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        Columns of that name exist already.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> @lierb.controller(
+    ...     every=0.1, memory={"integral": (0.0, 0.0, 0.0)}, unit={"torque": "N m"}, gain=0.5,
+    ... )
+    ... def attitude(omega, params, memory):
+    ...     integral = memory.integral + 0.1 * omega
+    ...     return {"torque": -params.gain * (omega + integral)}, {"integral": integral}
+    >>> attitude(gain=[0.5, 1.0], every=0.05)
+    <attitude: every, gain, initial.integral>
+    """
+    return decorated(ControllerFunction, function, given)

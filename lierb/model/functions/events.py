@@ -1,0 +1,148 @@
+"""Events that are users' functions: `lierb.event`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar, Self, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, told
+from lierb.kernels.mechanics import elements as kinds
+from lierb.model.functions.decorated import Decorated, column_name, decorated
+from lierb.model.functions.elements import Element
+from lierb.model.functions.tracing import (
+    ARGUMENTS,
+    SIGNALS,
+    form_of_any,
+    user_function,
+)
+
+# ---- elements ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Event(Element):
+    """A crossing of zero by a number, located along the motion; made by `lierb.event`.
+
+    Attributes
+    ----------
+    name : str
+        Name in the table of events.
+    parameters : dict of ndarray
+        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : callable or None
+        The user's function, as it was decorated.
+    at : tuple of str
+        Place in a mechanism: a link or two.
+    direction : {-1, 0, 1}
+        Crossings that count: 1 rising, −1 falling, 0 both.
+    terminal : bool
+        True if the trajectory ends there.
+    """
+
+    direction: int = 0
+    terminal: bool = False
+    words: ClassVar = "an event", "events"
+
+    def named(self, name: str) -> Self:
+        """Rename the event: a problem may have one function several times.
+
+        Parameters
+        ----------
+        name : str
+            Name in the table of events.
+
+        Returns
+        -------
+        Event
+            The event of that name.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> @lierb.event(height=0.0)
+        ... def crossing(r, params):
+        ...     return r[2] - params.height
+        >>> crossing(height=2.0).named("the_roof")
+        <the_roof: height>
+        """
+        return replace(self, name=column_name("name", name))
+
+
+# ---- decorators --------------------------------------------------------------------------------
+
+
+class EventFunction(Decorated):
+    """What `lierb.event` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)
+        if isinstance(direction, bool) or direction not in (-1, 0, 1):
+            raise ArgumentError(
+                f"direction={told(direction)}; expected -1 (falling), 1 (rising) or 0 (both)"
+            )
+        if not isinstance(terminal, bool):
+            raise ArgumentError(f"terminal={told(terminal)}; expected True or False")
+        super().__init__(function, defaults)
+        self.direction, self.terminal = int(direction), terminal
+
+    def __call__(self, **parameters: ArrayLike) -> Event:
+        """The event with these parameters; each is one for all bodies or one for each."""
+        shapes = self._shapes(parameters)
+        form = partial(form_of_any, SIGNALS)
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
+        name = column_name("the event's name", function.name)
+        made = Event.of(name, kinds.UserEvent(function), **self.defaults | parameters)
+        return replace(made, direction=self.direction, terminal=self.terminal, made_by=self)
+
+
+@overload
+def event(function: Callable[..., Any], /) -> EventFunction: ...
+@overload
+def event(
+    *, direction: int = 0, terminal: bool = False, **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], EventFunction]: ...
+def event(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function an event: `@lierb.event(terminal=True)`, with defaults as in `wrench`.
+
+    The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
+    and in any order, each as in `lierb.wrench`, and returns one number, which should be smooth. The
+    event is where that number crosses zero. The crossings are in `result.events`.
+
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    direction : {-1, 0, 1}, optional
+        Crossings that count: 1 rising, −1 falling, 0 both.
+    terminal : bool, optional
+        End the trajectory at the first crossing.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
+
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes an event for `Problem(events=…)` and
+        `lierb.integrate(events=…)`.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        The direction is another number.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> @lierb.event(direction=-1, terminal=True, ground=0.0)
+    ... def landing(r, params):
+    ...     return r[2] - params.ground
+    >>> landing(ground=[0.0, 0.5])
+    <landing: ground>
+    """
+    return decorated(EventFunction, function, defaults)

@@ -1,0 +1,140 @@
+"""Observables that are users' functions: `lierb.observable`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar, Self, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.kernels.mechanics import elements as kinds
+from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
+from lierb.model.functions.elements import Element
+from lierb.model.functions.tracing import (
+    ARGUMENTS,
+    SIGNALS,
+    form_of_any,
+    user_function,
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Observable(Element):
+    """A number that is recorded along the motion; made by `lierb.observable`.
+
+    Attributes
+    ----------
+    name : str
+        Name of its column in a history.
+    parameters : dict of ndarray
+        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+    made_by : callable or None
+        The user's function, as it was decorated.
+    at : tuple of str
+        Place in a mechanism: a link or two.
+    unit : str
+        Unit of its numbers.
+    """
+
+    unit: str = "1"
+    words: ClassVar = "an observable", "observables"
+
+    def named(self, name: str) -> Self:
+        """Rename the observable: a problem may have one function several times.
+
+        Parameters
+        ----------
+        name : str
+            Name of its columns.
+
+        Returns
+        -------
+        Observable
+            The observable of that name.
+
+        Examples
+        --------
+        >>> import lierb
+        >>> @lierb.observable(unit="m", height=0.0)
+        ... def above(r, params):
+        ...     return r[2] - params.height
+        >>> above(height=2.0).named("above_the_roof")
+        <above_the_roof: height>
+        """
+        return replace(self, name=column_name("name", name))
+
+
+class ObservableFunction(Decorated):
+    """What `lierb.observable` makes of a function."""
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        unit = require_unit("unit", defaults.pop("unit", "1"))
+        super().__init__(function, defaults)
+        self.unit = unit
+
+    def __call__(self, **parameters: ArrayLike) -> Observable:
+        """The observable with these parameters; each is one for all bodies or one for each."""
+        name = column_name("the observable's name", self.function.__name__)
+        shapes = self._shapes(parameters)
+        form = partial(form_of_any, SIGNALS)
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
+        kind = kinds.UserObservable(function)
+        made = Observable.of(name, kind, **self.defaults | parameters)
+        return replace(made, unit=self.unit, made_by=self)
+
+
+@overload
+def observable(function: Callable[..., Any], /) -> ObservableFunction: ...
+@overload
+def observable(
+    *, unit: str = "1", **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], ObservableFunction]: ...
+def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
+
+    The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
+    and in any order, each as in `lierb.wrench`, and returns one number. It is evaluated where
+    measures are taken (`measure_every`, `save_every`), and does not change the motion. Adaptive
+    steps are long: for a fine mean give `dt_max`, or integrate the number as a state
+    (`lierb.states`).
+
+    `history` has its values in a column of its name. `summary` has, under that name and over the
+    measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
+    `…_final`. After a failure the extremes are those up to it, and the others NaN. A value that is
+    NaN makes the extremes and the mean NaN, and is no failure.
+
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    unit : str, optional
+        Unit of the number, for the columns' metadata.
+    **defaults : array_like
+        Default of each parameter, as in `lierb.wrench`.
+
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes an observable for
+        `Problem(observables=…)`.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+    ArgumentError
+        Columns of that name exist already.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> import numpy as np
+    >>> @lierb.observable(unit="rad", axis=(0.0, 0.0, 1.0))
+    ... def pointing_error(R, params):
+    ...     return np.arccos(lierb.clip(R[2] @ params.axis, -1.0, 1.0))
+    >>> pointing_error()
+    <pointing_error: axis>
+    """
+    return decorated(ObservableFunction, function, defaults)

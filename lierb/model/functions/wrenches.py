@@ -1,0 +1,130 @@
+"""Forces, and wrenches that are users' functions: `lierb.wrench`."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from typing import Any, ClassVar, overload
+
+from numpy.typing import ArrayLike
+
+from lierb.errors import ForceError, told, unknown_name
+from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.mechanics import elements as kinds
+from lierb.model.functions.constraints import POSE
+from lierb.model.functions.decorated import Decorated, decorated
+from lierb.model.functions.elements import Element
+from lierb.model.functions.tracing import (
+    ARGUMENTS,
+    DERIVATIVES,
+    SIGNALS,
+    form_of,
+    user_function,
+)
+
+
+class Force(Element):
+    """A force on the body; made by the functions of `lierb.forces` and by `lierb.wrench`."""
+
+    words: ClassVar = "a force", "forces"
+
+
+WRENCH: tuple[Shape, ...] = ((3,), (3,))
+
+
+class Wrench(Decorated):
+    """What `lierb.wrench` makes of a function."""
+
+    _potential: Callable[..., Any] | None = None
+
+    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+        given = defaults.pop("discontinuities", ())
+        names = (given,) if isinstance(given, str) else tuple(given)
+        for name in names:
+            if name not in defaults:
+                raise unknown_name("discontinuities", name, defaults)
+        super().__init__(function, defaults)
+        self.discontinuities = names
+
+    def __call__(self, **parameters: ArrayLike) -> Force:
+        """The force with these parameters; each is one for all bodies or one for each."""
+        shapes = self._shapes(parameters)
+        form = partial(form_of, tuple(ARGUMENTS), others=("body", *SIGNALS))
+        function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH, form=form)
+        potential = self._potential and user_function(
+            self._potential, POSE, shapes, ((),), because=DERIVATIVES
+        )
+        kind = kinds.UserWrench(function, potential, self.discontinuities)
+        made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
+        return replace(made, made_by=self)
+
+    def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
+
+        It may be that of a part of the wrench: what the rest does counts as work. For that it is
+        differentiated, and so must run for many bodies at once, as a constraint does.
+        """
+        if not inspect.isfunction(function):
+            raise ForceError(f"expected a function to decorate, got {told(function)}")
+        self._potential = function
+        return function
+
+
+@overload
+def wrench(function: Callable[..., Any], /) -> Wrench: ...
+@overload
+def wrench(
+    *, discontinuities: str | Iterable[str] = (), **defaults: ArrayLike
+) -> Callable[[Callable[..., Any]], Wrench]: ...
+def wrench(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+    """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
+
+    The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
+    3×3 and r the pose in the ground frame, ω and v the body-fixed twist, all as arrays of numbers;
+    torque (N m) and force (N) are in body axes, about the body frame's origin.
+
+    An argument named `body`, after `params`, has the body: `body.mass`, `body.inertia` (3×3, about
+    the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
+    Arguments named `states` and `controls` have the problem's extra states (`lierb.states`) and the
+    last outputs of its controllers (`lierb.controller`), each by its name.
+
+    The function is written for one body and compiled for many at once: operators, `math`, NumPy,
+    and `lierb.where(condition, a, b)` in place of `if`. A function that branches on a number runs
+    body by body, 10 to 60 times slower; a warning says so once. It must be a function of its
+    arguments: other objects that it refers to are compiled as they were when the force was made,
+    and a force whose objects have changed cannot be used any more.
+
+    Parameters
+    ----------
+    function : callable, optional
+        The function; left out where there are defaults or settings.
+    discontinuities : str or iterable of str, optional
+        Names of parameters that are times, s, at which the function jumps or has a kink, such as
+        those at which a thruster is switched. Steps end there, as at the times of the argument of
+        that name of `lierb.integrate`.
+    **defaults : array_like
+        Default of each parameter, whose shape is that for one body. In the function they are
+        `params.name`. Without defaults all parameters are numbers.
+
+    Returns
+    -------
+    callable
+        Function of the parameters, by keyword, that makes a force for `Problem(forces=…)`.
+
+    Raises
+    ------
+    ForceError
+        The function has another form, or cannot be compiled.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> @lierb.wrench(stiffness=10.0, anchor=(0.0, 0.0, 1.0))
+    ... def tether(t, R, r, omega, v, params):
+    ...     return (0.0, 0.0, 0.0), -params.stiffness * R.T @ (r - params.anchor)
+    >>> tether(stiffness=[5.0, 10.0, 20.0])
+    <tether: stiffness, anchor>
+    """
+    return decorated(Wrench, function, defaults)

@@ -1,0 +1,144 @@
+"""Base of the distributions, and checks of their parameters."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lierb.errors import ArgumentError
+from lierb.support.arrays import Array, as_floats, as_matrix
+from lierb.support.extras import require
+
+LARGEST = 1e300  # of a parameter: sums of a few, and 39 of a normal's std, are numbers still
+
+
+SHAPES = {
+    1: "a number or (d,)",
+    2: "a number, (d,) or a matrix",
+    3: "k numbers, vectors or matrices",
+}
+
+
+class Distribution:
+    """Distribution that the value of one body is drawn from: the base of those below.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Shape of one draw: (), (d,) or (3, 3).
+    dimension : int
+        Number of uniforms that a draw takes.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        raise NotImplementedError
+
+    @property
+    def dimension(self) -> int:
+        return prod(self.shape)
+
+    def draw(self, u: ArrayLike) -> Array:
+        """Compute values at points of the unit cube.
+
+        Parameters
+        ----------
+        u : array_like, shape (n, dimension)
+            Points, in (0, 1).
+
+        Returns
+        -------
+        ndarray, shape (n, …)
+            Values of the distribution's shape; row i depends on u[i] alone.
+
+        Raises
+        ------
+        ArgumentError
+            u has another shape, or numbers outside (0, 1).
+        """
+        points = as_floats("u", u)
+        if points.ndim != 2 or points.shape[1] != self.dimension:
+            raise ArgumentError(
+                f"u has shape {points.shape}; {type(self).__name__} takes (n, {self.dimension})"
+            )
+        refuse("u", points, ~((points > 0.0) & (points < 1.0)), "numbers in (0, 1)")
+        # One contiguous row a component: for others NumPy's logarithm takes a path that rounds
+        # otherwise, and a body's bits would depend on how it came to be in an array.
+        parts = self._draw(np.ascontiguousarray(points.T))
+        return np.ascontiguousarray(parts.T).reshape(len(points), *self.shape)
+
+    def _draw(self, u: Array) -> Array:
+        """(dimension, n) → (components, n), by operations on one element at a time."""
+        raise NotImplementedError
+
+    def _column(self, parameter: Array) -> Array:
+        """One row a component, to go with (components, n)."""
+        return np.broadcast_to(parameter, self.shape).reshape(-1, 1)
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        given = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        shown = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in given.items()}
+        inside = ", ".join(f"{k}={v}" for k, v in shown.items() if v is not None)
+        return f"{type(self).__name__}({inside})"
+
+
+# ---- parameters ----------------------------------------------------------------------------------
+
+
+def _label(field: str, place: tuple[int, ...]) -> str:
+    return f"{field}[{', '.join(map(str, place))}]" if place else field
+
+
+def numbers_of(field: str, value: Any, axes: int = 1, infinite: bool = False) -> Array:
+    """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
+    array = as_floats(field, as_matrix(field, value), copy=True)
+    if array.ndim > axes or array.size == 0:
+        raise ArgumentError(f"{field} has shape {array.shape}; expected {SHAPES[axes]}")
+    if infinite:
+        refuse(field, array, np.isnan(array), "a number or ±inf")
+    else:
+        refuse(field, array, ~np.isfinite(array), "finite numbers")
+        refuse(field, array, np.abs(array) > LARGEST, f"numbers up to {LARGEST:g}")
+    array.setflags(write=False)
+    return array
+
+
+def refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> None:
+    """Raise for the first entry of `array` that is bad."""
+    for place in np.argwhere(bad)[:1]:
+        where = tuple(int(i) for i in place)
+        raise ArgumentError(f"{_label(field, where)} is {array[where]}; expected {expected}")
+
+
+def common_shape(**given: Array) -> tuple[int, ...]:
+    """() or (d,): numbers go with vectors, vectors with vectors of their length."""
+    sizes = {name: array.shape for name, array in given.items() if array.ndim}
+    if len(set(sizes.values())) > 1:
+        listed = ", ".join(f"{name} has {shape[0]}" for name, shape in sizes.items())
+        raise ArgumentError(f"parameters differ in their number of components: {listed}")
+    return next(iter(sizes.values()), ())
+
+
+def require_ordered(low: Array, high: Array, strict: bool) -> None:
+    low, high = np.broadcast_arrays(low, high)
+    for place in np.argwhere(low >= high if strict else low > high)[:1]:
+        where = tuple(int(i) for i in place)
+        raise ArgumentError(
+            f"{_label('low', where)} is {low[where]} and {_label('high', where)} is {high[where]}; "
+            f"expected low {'<' if strict else '≤'} high"
+        )
+
+
+def scipy_special() -> Any:
+    require("scipy")
+    import scipy.special
+
+    return scipy.special
