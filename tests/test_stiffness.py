@@ -7,13 +7,13 @@ from math import cos, sqrt
 
 import numpy as np
 import pytest
-from lierb.model.forces import FORCE_UNITS
 from scipy.integrate import solve_ivp
 
 import lierb
 from lierb.errors import StiffStepWarning
 from lierb.kernels.mechanics.newton_euler import Frames, Motion
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
+from lierb.model.forces import FORCE_UNITS
 from lierb.runs.options import check_options
 from lierb.runs.stiffness import amplification, stiff_steps
 

@@ -15,12 +15,7 @@ from lierb.errors import ArgumentError, unknown_name
 from lierb.sampling.distribution import Distribution
 from lierb.sampling.distributions import Constant, Values, as_distribution
 from lierb.sampling.sobol import SOBOL_BITS, Sobol
-from lierb.sampling.streams import (
-    SEED_BITS,
-    UNIFORM_BITS,
-    uniforms_of,
-    words,
-)
+from lierb.sampling.streams import SEED_BITS, UNIFORM_BITS, uniforms_of, words
 from lierb.support.arrays import SLICE, Array, as_positive, components, is_whole
 from lierb.support.memory import require_memory
 

@@ -19,13 +19,7 @@ from lierb.kernels.functions.user_number import (
     raw,
     value_of,
 )
-from lierb.kernels.numbers.arithmetic import (
-    PI,
-    absolute,
-    all_lanes,
-    branch,
-    plain,
-)
+from lierb.kernels.numbers.arithmetic import PI, absolute, all_lanes, branch, plain
 from lierb.kernels.numbers.arithmetic import sqrt as root
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of

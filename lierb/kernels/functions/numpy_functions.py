@@ -10,12 +10,7 @@ from typing import Any
 import numpy as np
 
 from lierb.kernels.functions import elementary, steps
-from lierb.kernels.functions.object_arrays import (
-    UntraceableError,
-    filled,
-    numbers,
-    objects,
-)
+from lierb.kernels.functions.object_arrays import UntraceableError, filled, numbers, objects
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import choice, raw
 

@@ -22,13 +22,7 @@ from lierb.kernels.functions.user_number import (
     selected,
     value_of,
 )
-from lierb.kernels.numbers.arithmetic import (
-    absolute,
-    all_lanes,
-    branch,
-    fma,
-    plain,
-)
+from lierb.kernels.numbers.arithmetic import absolute, all_lanes, branch, fma, plain
 from lierb.kernels.numbers.arithmetic import floor as whole
 from lierb.kernels.numbers.arithmetic import rint as nearest
 from lierb.kernels.numbers.arithmetic import where as select

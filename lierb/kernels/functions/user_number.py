@@ -13,11 +13,7 @@ import numpy as np
 
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.refusals import TEXT
-from lierb.kernels.numbers.arithmetic import (
-    absolute,
-    fma,
-    plain,
-)
+from lierb.kernels.numbers.arithmetic import absolute, fma, plain
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of, side_by_side
 from lierb.kernels.numbers.zero import ZERO, Zero, is_zero

@@ -14,10 +14,7 @@ from lierb.kernels.functions.trials import trial
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import (
-    DERIVATIVES,
-    user_function,
-)
+from lierb.model.functions.tracing import DERIVATIVES, user_function
 
 
 class Constraint(Element):

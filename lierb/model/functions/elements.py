@@ -20,9 +20,7 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated
-from lierb.model.functions.tracing import (
-    runnable,
-)
+from lierb.model.functions.tracing import runnable
 from lierb.support.arrays import Array, Which, as_numbers, batch_size, taken
 
 

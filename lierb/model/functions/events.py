@@ -13,12 +13,7 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import (
-    ARGUMENTS,
-    SIGNALS,
-    form_of_any,
-    user_function,
-)
+from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, form_of_any, user_function
 
 # ---- elements ----------------------------------------------------------------------------------
 

@@ -12,12 +12,7 @@ from numpy.typing import ArrayLike
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import (
-    ARGUMENTS,
-    SIGNALS,
-    form_of_any,
-    user_function,
-)
+from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, form_of_any, user_function
 
 
 @dataclass(frozen=True, eq=False, repr=False)

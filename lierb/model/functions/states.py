@@ -23,13 +23,7 @@ from lierb.model.functions.named_values import (
     python_of,
     shapes_of,
 )
-from lierb.model.functions.tracing import (
-    ARGUMENTS,
-    SIGNALS,
-    described,
-    form_of_any,
-    runnable,
-)
+from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, described, form_of_any, runnable
 
 INTEGRATED = "it is integrated with the motion, of many at once"
 

@@ -16,13 +16,7 @@ from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.constraints import POSE
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import (
-    ARGUMENTS,
-    DERIVATIVES,
-    SIGNALS,
-    form_of,
-    user_function,
-)
+from lierb.model.functions.tracing import ARGUMENTS, DERIVATIVES, SIGNALS, form_of, user_function
 
 
 class Force(Element):
