@@ -97,7 +97,7 @@ class BuiltIn(Element):
 
     def force(self, /, **given: ArrayLike) -> Force:
         """The force with these parameters."""
-        made = Force.of(self.name, self, **given)
+        made = Force.of(self.name, self, given)
         for name in (n for n, p in self.parameters.items() if not p.is_signed):
             array = np.atleast_1d(made.parameters[name])
             for body in np.flatnonzero(array < 0.0)[:1]:

@@ -1,7 +1,4 @@
-"""Functions of one problem that see its states and what its controllers put out.
-
-Only a problem knows what there is to see: here its elements are bound to each other, and tried.
-"""
+"""Binding of a problem's functions to its extra states and to the outputs of its controllers."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from lierb.model.functions.tracing import why_untraced
 
 
 class Column(NamedTuple):
-    """Of a state, or of an output of a controller."""
+    """Column of an extra state or of an output of a controller."""
 
     name: str
     shape: Shape
@@ -30,7 +27,7 @@ class Column(NamedTuple):
 
 
 def columns_of(elements: Iterable[Element]) -> tuple[Column, ...]:
-    """Of all states, then of all that controllers put out, as they stand side by side."""
+    """Columns of all extra states, then of all outputs, in the order of `Signals`."""
     elements = tuple(elements)
     return tuple(
         Column(name, shape, each.units.get(name, "1"))
@@ -47,26 +44,25 @@ Elements = tuple[Any, ...]
 def bound(
     states: tuple[ExtraStates, ...], controllers: tuple[Controller, ...], *others: Elements
 ) -> tuple[Elements, ...]:
-    """States, controllers and other elements of a problem, with all functions that see states or
-    controls tried on those of the problem.
+    """Bind states, controllers and other elements to the problem's states and outputs.
 
-    Raises ForceError for a function that sees others, or cannot run, or of an event says whether it
-    has happened; ArgumentError for names that there are twice.
+    Raises ForceError for a function that takes states or outputs that do not exist, that cannot
+    run, or that returns a condition for an event; ArgumentError for a name that occurs twice.
     """
     _require_different(states)
-    states_there = tuple(pair for each in states for pair in each.columns)
-    controllers = _with_outputs(controllers, states_there)
+    state_columns = tuple(pair for each in states for pair in each.columns)
+    controllers = _with_outputs(controllers, state_columns)
     _require_different((*states, *controllers))
-    controls = tuple(pair for each in controllers for pair in each.columns)
+    output_columns = tuple(pair for each in controllers for pair in each.columns)
     parts: tuple[Elements, ...] = (states, controllers, *others)
-    found = tuple(tuple(e.bound(states_there, controls) for e in part) for part in parts)
-    for each in (e for part in found for e in part if isinstance(e, Event)):
+    result = tuple(tuple(e.bound(state_columns, output_columns) for e in part) for part in parts)
+    for each in (e for part in result for e in part if isinstance(e, Event)):
         _require_number(each)
-    return found
+    return result
 
 
 def _require_number(event: Event) -> None:
-    """Raise ForceError for a condition, which crosses nothing: it jumps from 0 to 1."""
+    """Raise ForceError for an event that is a condition, which jumps and crosses no zero."""
     if any(f.is_traced and gives_condition(f) for f in event.kind.functions):
         raise ForceError(
             f"{event.name} returns whether something is so; an event is where a number crosses "
@@ -75,7 +71,7 @@ def _require_number(event: Event) -> None:
 
 
 def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
-    """Raise ArgumentError for a name that two have; SQL is blind to case, so are we."""
+    """Raise ArgumentError for a name that occurs twice, upper and lower case being equal in SQL."""
     owners: dict[str, str] = {}
     for each in elements:
         for name, _ in each.columns:
@@ -88,7 +84,7 @@ def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
 
 
 def require_different_events(events: Iterable[Event]) -> None:
-    """Raise ArgumentError for two of one name."""
+    """Raise ArgumentError for two events of one name."""
     seen: set[str] = set()
     for each in events:
         if each.name.lower() in seen:
@@ -100,95 +96,90 @@ def require_different_events(events: Iterable[Event]) -> None:
 
 
 def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[Controller, ...]:
-    """All of them with their outputs."""
+    """Controllers with the names and shapes of their outputs."""
     unbound = (
         replace(seeing(f, states, ()), outputs=((), *f.outputs[1:]))
         for f in (each.kind.function for each in controllers)
     )
-    found = _outputs_together(tuple(unbound))
-    return tuple(e.putting_out(outputs) for e, outputs in zip(controllers, found, strict=True))
+    outputs = _outputs_together(tuple(unbound))
+    return tuple(e.with_outputs(shapes) for e, shapes in zip(controllers, outputs, strict=True))
 
 
-@lru_cache(64)  # a batch is taken apart, and each part a problem
+@lru_cache(64)  # each part of a batch is a problem
 def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
-    """What controllers put out, by tracing each with what it sees of the others."""
-    found: dict[int, Shapes] = {}
-    while len(found) < len(functions):
-        known = tuple(pair for i in sorted(found) for pair in found[i])
-        waiting = {i: f for i, f in enumerate(functions) if i not in found}
+    """Outputs of controllers, each traced with those outputs of the others that are known."""
+    outputs: dict[int, Shapes] = {}
+    while len(outputs) < len(functions):
+        known = tuple(pair for i in sorted(outputs) for pair in outputs[i])
+        waiting = {i: f for i, f in enumerate(functions) if i not in outputs}
         for i, function in waiting.items():
-            outputs = _Lacking().outputs_of(_controlled(function, known))
-            if outputs is not None:
-                found[i] = outputs
-        if found.keys().isdisjoint(waiting):
-            found |= _outputs_in_a_ring(waiting, known)
-    return tuple(found[i] for i in range(len(functions)))
+            shapes, _ = _outputs_or_unknown(function, known)
+            if shapes is not None:
+                outputs[i] = shapes
+        if outputs.keys().isdisjoint(waiting):
+            outputs |= _outputs_in_a_ring(waiting, known)
+    return tuple(outputs[i] for i in range(len(functions)))
 
 
-def _controlled(function: Function, controls: Shapes) -> Function:
-    return seeing(function, function.states, controls)
+def _outputs_or_unknown(function: Function, known: Shapes) -> tuple[Shapes | None, str]:
+    """Outputs of a controller by tracing; None and the name of an unknown output that it takes.
+
+    known : outputs of controllers.
+    """
+    controlled = seeing(function, function.states, known)
+    unknown = ""
+
+    def attempt(traced: Function) -> None:
+        nonlocal unknown
+        try:
+            outputs_of(traced)
+        except AttributeError as error:
+            if type(error.obj).__name__ == "controls":
+                unknown = error.name or ""
+            raise
+
+    reason = why_untraced(controlled, attempt)
+    if reason is None:
+        return outputs_of(controlled), ""
+    if not unknown:
+        raise untraceable(controlled, reason)
+    return None, unknown
 
 
-class _Lacking:
-    """An attempt to find outputs, and which of the others' it has lacked."""
-
-    name: str | None = None
-    reason: str | None = None
-
-    def outputs_of(self, function: Function) -> Shapes | None:
-        """Those of the function; None where it sees outputs that are not known."""
-
-        def attempt(given: Function) -> None:
-            try:
-                outputs_of(given)
-            except AttributeError as error:
-                if type(error.obj).__name__ == "controls":
-                    self.name = error.name
-                raise
-
-        self.reason = why_untraced(function, attempt)
-        if self.reason is None:
-            return outputs_of(function)
-        if self.name is None:
-            raise untraceable(function, self.reason)
-        return None
-
-
-TRIES = 10  # of guesses at shapes that depend on each other
+TRIES = 10  # guesses at shapes that depend on each other
 
 
 def _outputs_in_a_ring(functions: dict[int, Function], known: Shapes) -> dict[int, Shapes]:
-    """Of controllers that see their own outputs, or each other's: shapes that come out as they went
-    in, from numbers on.
+    """Outputs of controllers that take their own outputs, or each other's.
+
+    Shapes are guessed, at first as numbers, until tracing returns those that were guessed.
     """
     guessed: dict[str, Shape] = {}
     names = ", ".join(function.name for function in functions.values())
     for _ in range(TRIES):
-        found: dict[int, Shapes] = {}
+        outputs: dict[int, Shapes] = {}
         for i, function in functions.items():
-            while i not in found:
-                lacking = _Lacking()
-                seen = (*known, *guessed.items())
+            while i not in outputs:
                 try:
-                    outputs = lacking.outputs_of(_controlled(function, seen))
+                    traced, unknown = _outputs_or_unknown(function, (*known, *guessed.items()))
                 except ForceError as error:
                     raise ForceError(
                         f"{error} (it sees {', '.join(guessed)}, which depends on it and was taken "
                         "for a number to find its shape; keep in memory what it has put out)"
                     ) from None
-                if outputs is not None:
-                    found[i] = outputs
-                elif lacking.name is not None:
-                    guessed[lacking.name] = ()
-        shapes = {name: shape for outputs in found.values() for name, shape in outputs}
+                if traced is None:
+                    guessed[unknown] = ()
+                else:
+                    outputs[i] = traced
+        shapes = {name: shape for pairs in outputs.values() for name, shape in pairs}
         for name in guessed:
             if name not in shapes:
-                there = ", ".join((*dict(known), *shapes)) or "nothing"
+                existing = ", ".join((*dict(known), *shapes)) or "nothing"
                 raise ForceError(
-                    f"no controller puts out {name}, which {names} sees; there is {there}"
+                    f"no controller puts out {name}, which {names} sees; there is {existing}"
                 )
         if all(shapes[name] == shape for name, shape in guessed.items()):
-            return found
+            return outputs
         guessed = {name: shapes[name] for name in guessed}
     raise ForceError(
         f"the shapes of what {names} put out depend on each other without end; keep in memory what "

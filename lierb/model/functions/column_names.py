@@ -1,4 +1,4 @@
-"""Names that columns of a run's tables have already, and so no observable, state or output."""
+"""Reserved names of a run's columns, which no observable, state or output may have."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.joints.joint import MOST_ROWS
 
 AXES = ("x", "y", "z")
-COMPONENTS = {  # of vectors, in data frames
+COMPONENTS = {  # suffixes of vectors' components in data frames
     "rotation": tuple(i + j for i in AXES for j in AXES),
     "position": AXES,
     "omega": AXES,
@@ -22,7 +22,7 @@ COMPONENTS = {  # of vectors, in data frames
     "reaction": tuple(f"{what}_{i}" for what in ("torque", "force") for i in AXES),
 }
 COUNTS = ("trajectory", "step", "t", "status")
-SETTING = ("cspace", "method", "dt")  # of a study
+SETTING = ("cspace", "method", "dt")  # columns of a study
 MULTIPLIERS = "lambda"
 
 
@@ -39,29 +39,29 @@ TAKEN = frozenset(_taken())
 
 
 def require_free(observables: Iterable[Observable], signals: Iterable[Column] = ()) -> None:
-    """Raise ArgumentError for a column that there is already; SQL is blind to case, so are we.
+    """Raise ArgumentError for a name of a column that exists, upper and lower case being equal.
 
-    signals : extra states and what controllers put out, of different names.
+    signals : columns of extra states and controllers' outputs, of different names.
     """
-    seen: dict[str, str] = {}
+    owners: dict[str, str] = {}
     for each in observables:
         columns = (each.name, *(f"{each.name}_{how}" for how in KEEPS))
         remedy = f'give it another name: {each.name}(…).named("…")'
-        _require_free("observables", each.name, columns, seen, remedy)
+        _require_free("observables", each.name, columns, owners, remedy)
     for signal in signals:
         parts = (f"{signal.name}_{i + 1}" for i in range(prod(signal.shape)) if signal.shape)
         columns = (signal.name, *parts)
-        _require_free("states and controllers", signal.name, columns, seen, "rename it")
+        _require_free("states and controllers", signal.name, columns, owners, "rename it")
 
 
 def _require_free(
-    what: str, name: str, columns: tuple[str, ...], seen: dict[str, str], remedy: str
+    what: str, name: str, columns: tuple[str, ...], owners: dict[str, str], remedy: str
 ) -> None:
-    """As `require_free`, and note the columns among those `seen`."""
+    """Raise ArgumentError for an owned column; enter the columns among the owned ones."""
     for column in columns:
-        owner = "lierb's own" if column.lower() in TAKEN else seen.get(column.lower())
+        owner = "lierb's own" if column.lower() in TAKEN else owners.get(column.lower())
         if owner:
             raise ArgumentError(
                 f"{what}: {name} would have the column {column}, which is {owner}; {remedy}"
             )
-    seen |= dict.fromkeys((column.lower() for column in columns), f"that of {name}")
+    owners |= dict.fromkeys((column.lower() for column in columns), f"that of {name}")

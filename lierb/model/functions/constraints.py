@@ -14,22 +14,17 @@ from lierb.kernels.functions.trials import trial
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import DERIVATIVES, user_function
+from lierb.model.functions.tracing import DERIVATIVES, POSE, user_function
 
 
 class Constraint(Element):
-    """Rows beside the joint's own; made by `lierb.constraint`."""
+    """Constraint rows beside those of the joint, made by `lierb.constraint`."""
 
     words: ClassVar = "a constraint", "constraints"
 
 
-# ---- functions of the user's -------------------------------------------------------------------
-
-POSE = ("R", "r")
-
-
 class ConstraintFunction(Decorated):
-    """What `lierb.constraint` makes of a function."""
+    """Function decorated by `lierb.constraint`: residuals of constraint rows."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         unit = defaults.pop("unit", "m")
@@ -38,14 +33,13 @@ class ConstraintFunction(Decorated):
         self.is_translational = unit == "m"
 
     def __call__(self, **parameters: ArrayLike) -> Constraint:
-        """The constraint with these parameters; each is one for all bodies or one for each."""
+        """Make the constraint with these parameters, each for all bodies or for each."""
         shapes = self._shapes(parameters)
         function = user_function(self.function, POSE, shapes, (ANY,), because=DERIVATIVES)
         rows = trial(function)
         function = replace(function, results=((rows,),))
         kind = kinds.UserConstraint(function, rows, self.is_translational)
-        made = Constraint.of(function.name, kind, **self.defaults | parameters)
-        return replace(made, made_by=self)
+        return Constraint.of(function.name, kind, self.defaults | parameters, made_by=self)
 
 
 @overload

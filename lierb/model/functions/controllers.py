@@ -4,65 +4,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, told, unknown_name
+from lierb.errors import ArgumentError, ForceError, unknown_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.trials import outputs_of
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
-from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.named_values import (
+    NamedValues,
     checked_units,
-    initial_and_parameters,
-    initial_values,
+    mapping_of,
     parameter_defaults,
-    prefixed,
-    python_of,
     require_attribute,
     shapes_of,
+    values_of,
 )
 from lierb.model.functions.tracing import (
-    ARGUMENTS,
+    MOTION,
     SIGNALS,
     described,
     form_of_any,
-    runnable,
     why_untraced,
 )
 from lierb.support.arrays import as_positive
 
-SAMPLED = "it is called for many at once, each at its own time"
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Controller(Element):
-    """What is called once a period, and whose outputs are held; made by `lierb.controller`.
+class Controller(NamedValues):
+    """Sampled controller, made by `lierb.controller`: its outputs are held for a period."""
 
-    units : of the outputs, by name; "1" where there is none.
-    """
-
-    kind: kinds.UserController
-    units: Mapping[str, str] = field(default_factory=dict)
     words: ClassVar = "a controller", "controllers"
+    because: ClassVar = "it is called for many at once, each at its own time"
 
     @property
     def columns(self) -> Shapes:
         """Names and shapes of the outputs; known in a problem."""
-        return self.kind.outputs
+        return tuple(self.kind.outputs)
 
-    def bound(self, states: Shapes, controls: Shapes) -> Self:
-        function = seeing(self.kind.function, states, controls)
-        made = runnable(function, python_of(self), SAMPLED)
-        return self.of_kind(function=made)
-
-    def putting_out(self, outputs: Shapes) -> Self:
-        """The same with these outputs."""
+    def with_outputs(self, outputs: Shapes) -> Self:
+        """Copy of the controller with outputs of these names and shapes."""
         for name, shape in outputs:
             require_attribute(f"{self.name}: an output", name)
             if len(shape) > 1 or math.prod(shape) == 0:
@@ -84,48 +70,45 @@ class Controller(Element):
 
 
 class ControllerFunction(Decorated):
-    """What `lierb.controller` makes of a function."""
+    """Function decorated by `lierb.controller`: outputs at sampled times."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
-        given = dict(defaults)
-        self.every = given.pop("every", None)
-        units, memory = given.pop("unit", {}), given.pop("memory", {})
+        parameters = dict(defaults)
+        self.every = parameters.pop("every", None)
         if self.every is not None:
             as_positive("every", self.every, "s")
-        if not isinstance(memory, Mapping):
-            raise ArgumentError(
-                f"memory={told(memory)}; expected initial values by name, such as "
-                '{"integral": 0.0}'
-            )
-        self.memory = initial_values("memory", memory)
-        self.units = checked_units(units, None)
-        self.own = ("every", *memory)
-        super().__init__(function, parameter_defaults(given, memory))
+        self.units = checked_units(parameters.pop("unit", {}), None)
+        expected = 'initial values by name, such as {"integral": 0.0}'
+        self.initial = mapping_of("memory", parameters.pop("memory", {}), expected)
+        self.memory = shapes_of("memory", self.initial)
+        self.own = ("every", *self.initial)
+        super().__init__(function, parameter_defaults(parameters, self.initial))
 
-    def __call__(self, **given: ArrayLike) -> Controller:
-        """The controller with this period, initial memory and parameters, of all or of each."""
-        every = given.pop("every", self.every)
+    def __call__(self, **arguments: ArrayLike) -> Controller:
+        """Make the controller with this period, initial memory and parameters.
+
+        Each is a value for all bodies or for each.
+        """
+        every = arguments.pop("every", self.every)
         name = self.function.__name__
         if every is None:
             raise ArgumentError(f"{name} has no period; give every=, s, such as {name}(every=0.1)")
-        initial, parameters = initial_and_parameters(given, self.memory)
-        shapes, memory = self._shapes(parameters), shapes_of(self.memory)
-        seen = (*SIGNALS, "memory") if memory else SIGNALS
+        parameters, values = values_of(arguments, self.initial, self.defaults)
         function = described(
-            self.function, tuple(ARGUMENTS), shapes, (), partial(form_of_any, seen),
-            memory=memory, outputs=((), memory) if memory else ((),), draws=True,
+            self.function, MOTION, self._shapes(parameters), (),
+            partial(form_of_any, (*SIGNALS, "memory") if self.memory else SIGNALS),
+            memory=self.memory, outputs=((), self.memory) if self.memory else ((),), draws=True,
         )  # fmt: skip
-        kind = kinds.UserController(function, memory)
-        numbers = self.defaults | parameters | prefixed(self.memory | initial)
-        made = Controller.of(name, kind, every=as_positive("every", every, "s"), **numbers)
-        made = replace(made, units=self.units, made_by=self)
+        kind = kinds.UserController(function, self.memory)
+        values = {"every": as_positive("every", every, "s"), **values}
+        controller = Controller.of(name, kind, values, units=self.units, made_by=self)
         if function.sees_others:
-            return made
-        return made.putting_out(_outputs_of(function)).bound((), ())
+            return controller
+        return controller.with_outputs(_outputs_of(function)).bound((), ())
 
 
 def _outputs_of(function: Function) -> Shapes:
-    """What a controller puts out. Raises ForceError where it cannot be traced."""
+    """Names and shapes of a controller's outputs; raises ForceError if it cannot be traced."""
     reason = why_untraced(function, outputs_of)
     if reason is not None:
         raise untraceable(function, reason)
@@ -134,7 +117,7 @@ def _outputs_of(function: Function) -> Shapes:
 
 def untraceable(function: Function, reason: str) -> ForceError:
     return ForceError(
-        f"{function.name} must run for many bodies at once, because {SAMPLED}; {reason}"
+        f"{function.name} must run for many bodies at once, because {Controller.because}; {reason}"
     )
 
 

@@ -13,11 +13,13 @@ from lierb.errors import ArgumentError, ForceError, told, unknown_name
 from lierb.kernels.functions.shapes import Shape
 from lierb.support.arrays import as_floats
 
+MOST_NAME, MOST_UNIT = 100, 40  # characters
+
 
 class Decorated:
-    """A function and its parameters' defaults; called with parameters, it is an element.
+    """User's function with defaults of its parameters; a call with parameters makes an element.
 
-    own : names of what it is called with that is no parameter.
+    own : keywords of the call that are no parameters.
     """
 
     own: tuple[str, ...] = ()
@@ -30,23 +32,47 @@ class Decorated:
         name, kind = self.function.__name__, type(self).__name__.lower()
         return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
 
-    def _shapes(self, given: dict[str, ArrayLike]) -> dict[str, Shape]:
-        """Of the parameters for one body: as in the defaults, or numbers.
+    def _shapes(self, parameters: dict[str, ArrayLike]) -> dict[str, Shape]:
+        """Shapes of the parameters of one body: those of the defaults, or numbers.
 
-        In an order that does not depend on who gives them: it is part of the kernel's name.
+        Their order, part of the kernel's name, does not depend on that of the call.
         """
         takes_any = not self.defaults and (
             not self.own or "params" in inspect.signature(self.function).parameters
         )
-        for name in given:
+        for name in parameters:
             if not takes_any and name not in self.defaults:
                 raise unknown_name("parameter", name, (*self.own, *self.defaults))
-        shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(given), ())
-        return shapes | {n: as_floats(n, given).shape for n, given in self.defaults.items()}
+        shapes: dict[str, Shape] = {} if self.defaults else dict.fromkeys(sorted(parameters), ())
+        return shapes | {name: as_floats(name, x).shape for name, x in self.defaults.items()}
+
+
+def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
+    """Decorate a function; without one, return the decorator."""
+    if function is None:
+        return lambda function: kind(require_function(function), defaults)
+    return kind(require_function(function), defaults)
+
+
+def require_function(function: Any) -> Callable[..., Any]:
+    """Return the function; raise ForceError for another object."""
+    if not inspect.isfunction(function):
+        raise ForceError(f"expected a function to decorate, got {told(function)}")
+    return function
+
+
+def reject_functions(argument: str, element: Any) -> None:
+    """Raise ArgumentError for a decorated function that was not called with its parameters."""
+    if isinstance(element, Decorated):
+        name = element.function.__name__
+        raise ArgumentError(
+            f"{argument} is the function {name}; call it, with its parameters if it has any: "
+            f"{name}(…)"
+        )
 
 
 def column_name(argument: str, name: Any) -> str:
-    """A name that a column may have. Raises ArgumentError."""
+    """Return the name of a column; raise ArgumentError unless columns may have it."""
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
             f"{argument} is {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
@@ -55,31 +81,10 @@ def column_name(argument: str, name: Any) -> str:
     return name
 
 
-MOST_NAME, MOST_UNIT = 100, 40  # characters
-
-
 def require_unit(argument: str, unit: Any) -> str:
-    """A unit. Raises ArgumentError for what is none."""
+    """Return the unit; raise ArgumentError unless it is one, as text."""
     if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
         raise ArgumentError(
             f'{argument}={told(unit)}; expected the unit as text, such as "rad", or "1"'
         )
     return unit
-
-
-def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) -> Any:
-    if function is None:
-        return lambda given: decorated(kind, given, defaults)
-    if not inspect.isfunction(function):
-        raise ForceError(f"expected a function to decorate, got {told(function)}")
-    return kind(function, defaults)
-
-
-def reject_functions(argument: str, given: Any) -> None:
-    """Raise for a decorated function that was not called with its parameters."""
-    if isinstance(given, Decorated):
-        name = given.function.__name__
-        raise ArgumentError(
-            f"{argument} is the function {name}; call it, with its parameters if it has any: "
-            f"{name}(…)"
-        )

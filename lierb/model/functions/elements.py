@@ -1,17 +1,11 @@
-"""What a problem has beside its body, joint and gravity: forces, constraints and observables.
-
-Some are functions of the user's: `@lierb.wrench` makes a force of one, `@lierb.constraint` a
-constraint, `@lierb.observable` an observable. They are written for one body and compiled for many
-at once.
-"""
+"""Elements of a model beside bodies, joints and gravity: parameters, and what computes them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
-
-from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, told
 from lierb.kernels.functions.copies import traceable
@@ -26,16 +20,16 @@ from lierb.support.arrays import Array, Which, as_numbers, batch_size, taken
 
 @dataclass(frozen=True, eq=False)
 class Element:
-    """A force, a constraint or an observable.
+    """Element of a model: a force, a constraint, an observable or another function of the motion.
 
     Attributes
     ----------
     name : str
-        Name of the function that made it.
+        Name of the function that makes such elements.
     parameters : dict of ndarray
         Parameters by name, each in its own shape, or with an axis for the bodies before it.
     made_by : callable or None
-        The user's function, as it was decorated.
+        Decorated user's function; None for a force of `lierb.forces`.
     at : tuple of str
         Place in a mechanism: a link, two links, or the joint about whose axis it acts.
     """
@@ -45,15 +39,16 @@ class Element:
     parameters: dict[str, Array]
     made_by: Decorated | None = None
     at: tuple[str, ...] = ()
-    words: ClassVar[tuple[str, str]] = "an element", "elements"  # for one of its kind, for many
+    words: ClassVar[tuple[str, str]] = "an element", "elements"  # singular and plural of its kind
 
     @classmethod
-    def of(cls, name: str, kind: kinds.Element, /, **given: ArrayLike) -> Self:
+    def of(cls, name: str, kind: kinds.Element, values: Mapping[str, Any], **fields: Any) -> Self:
+        """Check the parameters' values and make an element of them."""
         parameters = {
-            parameter: as_numbers(parameter.removeprefix(kinds.INITIAL), given[parameter], shape)
+            parameter: as_numbers(parameter.removeprefix(kinds.INITIAL), values[parameter], shape)
             for parameter, shape in kind.shapes.items()
         }
-        element = cls(name, kind, parameters)
+        element = cls(name, kind, parameters, **fields)
         batch_size(**element.batched())
         return element
 
@@ -94,13 +89,13 @@ class Element:
         return replace(self, at=at)
 
     def of_body(self, which: Which) -> Self:
-        """That of one body of the batch, or of a part of it."""
+        """Element of one body of the batch, or of a part of the batch."""
         shapes = self.kind.shapes
-        given = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}
-        return replace(self, parameters=given)
+        parameters = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}
+        return replace(self, parameters=parameters)
 
     def batched(self) -> dict[str, tuple[Array, int]]:
-        """The parameters as `batch_size` takes them."""
+        """Arguments of `batch_size`: each parameter with its number of item axes."""
         return {
             f"{self.name}.{name}": (array, len(self.kind.shapes[name]))
             for name, array in self.parameters.items()
@@ -108,11 +103,11 @@ class Element:
 
     @cached_property
     def references(self) -> tuple[Reference, ...]:
-        """What functions of the user's in it referred to when it was made."""
+        """Objects that the element's users' functions referred to when it was made."""
         return tuple(r for function in self.kind.functions for r in function.references)
 
     def require_unchanged(self) -> None:
-        """Raise ForceError if something that its function has been made with is another by now."""
+        """Raise ForceError if an object that the element's function refers to has changed."""
         for reference in self.references:
             if reference.has_changed():
                 raise ForceError(
@@ -121,29 +116,29 @@ class Element:
                 )
 
     def bound(self, states: Shapes, controls: Shapes) -> Self:
-        """The same in a problem with these extra states and outputs of controllers.
+        """Element bound to a problem's extra states and outputs of controllers.
 
-        Raises ForceError where its function sees others.
+        Raises ForceError where its function uses states or outputs that the problem lacks.
         """
         function = getattr(self.kind, "function", None)
         if self.made_by is None or not (isinstance(function, Function) and function.sees_others):
             return self
-        seen = seeing(function, states, controls)
+        seeing_them = seeing(function, states, controls)
         if not function.is_traced:
-            if seen == function:
+            if seeing_them == function:
                 return self
-            seen = replace(seen, is_traced=True, python=traceable(self.made_by.function))
-        seen = runnable(seen, self.made_by.function)
-        return self.of_kind(function=seen)
+            python = traceable(self.made_by.function)
+            seeing_them = replace(seeing_them, is_traced=True, python=python)
+        return self.of_kind(function=runnable(seeing_them, self.made_by.function))
 
     def of_kind(self, **changed: Any) -> Self:
-        """The same with other fields of its kind."""
+        """Copy of the element with other fields of its kind."""
         kind: Any = self.kind
         return replace(self, kind=replace(kind, **changed))
 
 
 def seeing(function: Function, states: Shapes, controls: Shapes) -> Function:
-    """The function, with what it sees of a problem."""
+    """Copy of the function with those of a problem's states and controls that it takes."""
     return replace(
         function,
         states=states if "states" in function.form else (),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
@@ -13,14 +12,12 @@ from lierb.errors import ArgumentError, told
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, form_of_any, user_function
-
-# ---- elements ----------------------------------------------------------------------------------
+from lierb.model.functions.tracing import MOTION, by_name, user_function
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event(Element):
-    """A crossing of zero by a number, located along the motion; made by `lierb.event`.
+    """Zero crossing of a number along the motion, made by `lierb.event`.
 
     Attributes
     ----------
@@ -29,7 +26,7 @@ class Event(Element):
     parameters : dict of ndarray
         Parameters by name, each in its own shape, or with an axis for the bodies before it.
     made_by : callable or None
-        The user's function, as it was decorated.
+        Decorated user's function.
     at : tuple of str
         Place in a mechanism: a link or two.
     direction : {-1, 0, 1}
@@ -67,11 +64,8 @@ class Event(Element):
         return replace(self, name=column_name("name", name))
 
 
-# ---- decorators --------------------------------------------------------------------------------
-
-
 class EventFunction(Decorated):
-    """What `lierb.event` makes of a function."""
+    """Function decorated by `lierb.event`: a number whose zeros are events."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)
@@ -85,13 +79,14 @@ class EventFunction(Decorated):
         self.direction, self.terminal = int(direction), terminal
 
     def __call__(self, **parameters: ArrayLike) -> Event:
-        """The event with these parameters; each is one for all bodies or one for each."""
+        """Make the event with these parameters, each for all bodies or for each."""
         shapes = self._shapes(parameters)
-        form = partial(form_of_any, SIGNALS)
-        function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
-        name = column_name("the event's name", function.name)
-        made = Event.of(name, kinds.UserEvent(function), **self.defaults | parameters)
-        return replace(made, direction=self.direction, terminal=self.terminal, made_by=self)
+        function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
+        return Event.of(
+            column_name("the event's name", function.name), kinds.UserEvent(function),
+            self.defaults | parameters,
+            direction=self.direction, terminal=self.terminal, made_by=self,
+        )  # fmt: skip
 
 
 @overload

@@ -1,86 +1,106 @@
-"""What a problem has along its time: events, states beside the bodies', sampled controllers.
+"""Elements with named values: extra states and outputs of controllers.
 
-All are functions of the user's, as `lierb.wrench` is. Functions of a problem see all of its states
-and of its controllers' outputs by their names; so they are tried when the problem is made.
+Other functions of a problem take these values by their names; so functions are tried when the
+problem is made.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from keyword import iskeyword
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from lierb.errors import ArgumentError, told, unknown_name
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import column_name, require_unit
-from lierb.model.functions.elements import Element
+from lierb.model.functions.elements import Element, seeing
+from lierb.model.functions.tracing import runnable
 from lierb.support.arrays import as_floats
 
 
-def python_of(element: Element) -> Callable[..., Any]:
-    assert element.made_by is not None
-    return element.made_by.function
+@dataclass(frozen=True, eq=False, repr=False)
+class NamedValues(Element):
+    """Element with named values, which are columns.
+
+    units : of the values, by name; "1" where none is given.
+    """
+
+    kind: Any
+    units: Mapping[str, str] = field(default_factory=dict)
+    because: ClassVar[str]  # why its function must run for many bodies at once
+
+    @property
+    def columns(self) -> Shapes:
+        """Names and shapes of the values."""
+        raise NotImplementedError
+
+    def bound(self, states: Shapes, controls: Shapes) -> Self:
+        assert self.made_by is not None
+        function = seeing(self.kind.function, states, controls)
+        return self.of_kind(function=runnable(function, self.made_by.function, self.because))
 
 
-def require_attribute(what: str, name: Any) -> str:
-    """A name that a column, and an attribute, may have."""
+def require_attribute(what: str, name: Any) -> None:
+    """Raise ArgumentError unless a column and an attribute may have the name."""
     column_name(f"{what}'s name", name)
     if iskeyword(name) or name.startswith("_"):
         raise ArgumentError(f"{what} is named {name}, which no attribute can be; give another name")
-    return str(name)
 
 
-def initial_values(what: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by name, as given. Raises ArgumentError for what is no number or vector."""
-    for name, value in given.items():
+def shapes_of(what: str, initial: Mapping[str, Any]) -> Shapes:
+    """Shapes of initial values; raises ArgumentError unless they are numbers and vectors."""
+    shapes = []
+    for name, value in initial.items():
         require_attribute(what, name)
         shape = as_floats(name, value).shape
+        shapes.append((name, shape))
         if len(shape) > 1 or math.prod(shape) == 0:
             raise ArgumentError(
                 f"{name} has shape {shape}; expected the initial value of one body, a number or a "
                 "vector"
             )
-    return dict(given)
+    return tuple(shapes)
 
 
-def shapes_of(given: Mapping[str, Any]) -> Shapes:
-    return tuple((name, as_floats(name, value).shape) for name, value in given.items())
+def mapping_of(argument: str, values: Any, expected: str) -> dict[str, Any]:
+    """Copy a mapping by name; raises ArgumentError for another object."""
+    if not isinstance(values, Mapping):
+        raise ArgumentError(f"{argument}={told(values)}; expected {expected}")
+    return dict(values)
 
 
-def checked_units(given: Any, names: Iterable[str] | None) -> dict[str, str]:
-    """Checked; names : those that there are, if that is known."""
-    if not isinstance(given, Mapping):
-        raise ArgumentError(
-            f'unit={told(given)}; expected units by name, such as {{"wheel": "N m s"}}'
-        )
-    for name, unit in given.items():
+def checked_units(units: Any, names: Iterable[str] | None) -> dict[str, str]:
+    """Check units by name.
+
+    names : of the values, None before they are known.
+    """
+    checked = mapping_of("unit", units, 'units by name, such as {"wheel": "N m s"}')
+    for name, unit in checked.items():
         if names is not None and name not in names:
             raise unknown_name("unit of", name, names)
         require_unit(f"unit[{told(name)}]", unit)
-    return dict(given)
+    return checked
 
 
-def parameter_defaults(given: Any, others: Iterable[str]) -> dict[str, Any]:
-    """Defaults of parameters, none of which is named as something else."""
-    if not isinstance(given, Mapping):
-        raise ArgumentError(
-            f'params={told(given)}; expected defaults by name, such as {{"tau": 0.5}}'
-        )
-    for name in given:
-        if name in others:
+def parameter_defaults(defaults: Any, initial: Iterable[str]) -> dict[str, Any]:
+    """Check defaults of parameters, whose names must not be those of initial values."""
+    checked = mapping_of("params", defaults, 'defaults by name, such as {"tau": 0.5}')
+    for name in checked:
+        if name in initial:
             raise ArgumentError(f"two are named {name}: a parameter and an initial value")
-    return dict(given)
+    return checked
 
 
-def initial_and_parameters(
-    given: dict[str, Any], names: Mapping[str, Any]
+def values_of(
+    arguments: Mapping[str, Any], initial: Mapping[str, Any], defaults: Mapping[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Initial values, and parameters."""
-    initial = {name: value for name, value in given.items() if name in names}
-    return initial, {name: value for name, value in given.items() if name not in names}
+    """Split a call's arguments into initial values and parameters.
 
-
-def prefixed(initial: Mapping[str, Any]) -> dict[str, Any]:
-    return {f"{kinds.INITIAL}{name}": value for name, value in initial.items()}
+    Returns the parameters, and all values of the element with defaults and prefixed names.
+    """
+    parameters = {name: value for name, value in arguments.items() if name not in initial}
+    starts = {f"{kinds.INITIAL}{name}": arguments.get(name, x) for name, x in initial.items()}
+    return parameters, {**defaults, **parameters, **starts}

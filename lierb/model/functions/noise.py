@@ -1,8 +1,8 @@
 """Random numbers for controllers, addressed by seed, trajectory, name, tick and component.
 
-`normal` draws inside functions of `@lierb.controller`; `sample` gives the same bits anywhere
-else. No draw depends on an earlier one: a trajectory's noise is the same alone and in a batch of
-a million, on one lane or eight, when it is resumed and on another machine.
+`normal` draws inside functions of `@lierb.controller`; `sample` computes the same bits elsewhere.
+No draw depends on an earlier one: a trajectory's noise is the same alone and in a batch of a
+million, on one lane or eight, when it is resumed and on another machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lierb.kernels.functions.noise import MOST, normal, normals
 from lierb.kernels.functions.signals import Noise
 from lierb.support.arrays import Array, as_floats
 
-LARGEST = 2**53 - 1  # doubles are exact integers up to there, and no other one is rounded to it
+LARGEST = 2**53 - 1  # largest integer that no other number rounds to
 
 __all__ = ["normal", "sample"]
 
@@ -69,18 +69,18 @@ def sample(
             "that broadcast"
         ) from None
     noise = Noise(float(seeds), trajectories.ravel(), ticks.ravel())
-    found = np.stack(normals(noise, name, count), axis=-1)
-    return found.reshape((*ticks.shape, *(() if size == () else (count,))))
+    draws = np.stack(normals(noise, name, count), axis=-1)
+    return draws.reshape((*ticks.shape, *(() if size == () else (count,))))
 
 
 def _whole(argument: str, value: Any, least: int) -> Array:
-    """Whole numbers that doubles have."""
-    given = as_floats(argument, value)
-    if np.any((given != np.floor(given)) | ~(given >= least) | ~(given <= LARGEST)):
+    """Check for whole numbers from `least` to `LARGEST`."""
+    numbers = as_floats(argument, value)
+    if np.any((numbers != np.floor(numbers)) | ~(numbers >= least) | ~(numbers <= LARGEST)):
         raise ArgumentError(
             f"{argument}={told(value)}; expected whole numbers, {least} to {LARGEST}"
         )
-    return given
+    return numbers
 
 
 def __dir__() -> list[str]:

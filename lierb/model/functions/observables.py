@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
@@ -12,12 +11,12 @@ from numpy.typing import ArrayLike
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, form_of_any, user_function
+from lierb.model.functions.tracing import MOTION, by_name, user_function
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Observable(Element):
-    """A number that is recorded along the motion; made by `lierb.observable`.
+    """Number recorded along the motion, made by `lierb.observable`.
 
     Attributes
     ----------
@@ -26,7 +25,7 @@ class Observable(Element):
     parameters : dict of ndarray
         Parameters by name, each in its own shape, or with an axis for the bodies before it.
     made_by : callable or None
-        The user's function, as it was decorated.
+        Decorated user's function.
     at : tuple of str
         Place in a mechanism: a link or two.
     unit : str
@@ -62,7 +61,7 @@ class Observable(Element):
 
 
 class ObservableFunction(Decorated):
-    """What `lierb.observable` makes of a function."""
+    """Function decorated by `lierb.observable`: a number recorded along the motion."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
         unit = require_unit("unit", defaults.pop("unit", "1"))
@@ -70,14 +69,12 @@ class ObservableFunction(Decorated):
         self.unit = unit
 
     def __call__(self, **parameters: ArrayLike) -> Observable:
-        """The observable with these parameters; each is one for all bodies or one for each."""
+        """Make the observable with these parameters, each for all bodies or for each."""
         name = column_name("the observable's name", self.function.__name__)
         shapes = self._shapes(parameters)
-        form = partial(form_of_any, SIGNALS)
-        function = user_function(self.function, tuple(ARGUMENTS), shapes, ((),), form=form)
-        kind = kinds.UserObservable(function)
-        made = Observable.of(name, kind, **self.defaults | parameters)
-        return replace(made, unit=self.unit, made_by=self)
+        function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
+        kind, values = kinds.UserObservable(function), self.defaults | parameters
+        return Observable.of(name, kind, values, unit=self.unit, made_by=self)
 
 
 @overload

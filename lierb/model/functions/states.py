@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any, ClassVar, Self, overload
+from dataclasses import dataclass
+from typing import Any, ClassVar, overload
 
 from numpy.typing import ArrayLike
 
@@ -13,72 +12,54 @@ from lierb.errors import ArgumentError
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
-from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.named_values import (
+    NamedValues,
     checked_units,
-    initial_and_parameters,
-    initial_values,
     parameter_defaults,
-    prefixed,
-    python_of,
     shapes_of,
+    values_of,
 )
-from lierb.model.functions.tracing import ARGUMENTS, SIGNALS, described, form_of_any, runnable
-
-INTEGRATED = "it is integrated with the motion, of many at once"
+from lierb.model.functions.tracing import MOTION, by_name, described, runnable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExtraStates(Element):
-    """States beside the bodies', by their derivatives; made by `lierb.states`.
+class ExtraStates(NamedValues):
+    """Extra states beside the bodies' own, made by `lierb.states`."""
 
-    units : of the states, by name; "1" where there is none.
-    """
-
-    kind: kinds.UserStates
-    units: Mapping[str, str] = field(default_factory=dict)
     words: ClassVar = "states", "states"
+    because: ClassVar = "it is integrated with the motion, of many at once"
 
     @property
     def columns(self) -> Shapes:
         """Names and shapes of the states."""
-        return self.kind.states
-
-    def bound(self, states: Shapes, controls: Shapes) -> Self:
-        function = seeing(self.kind.function, states, controls)
-        made = runnable(function, python_of(self), INTEGRATED)
-        return self.of_kind(function=made)
+        return tuple(self.kind.states)
 
 
 class StatesFunction(Decorated):
-    """What `lierb.states` makes of a function."""
+    """Function decorated by `lierb.states`: derivatives of extra states."""
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
-        given = dict(defaults)
-        units, parameters = given.pop("unit", {}), given.pop("params", {})
-        self.initial = initial_values("a state", given)
-        if not given:
+        initial = dict(defaults)
+        units, parameters = initial.pop("unit", {}), initial.pop("params", {})
+        self.initial, self.states = initial, shapes_of("a state", initial)
+        if not initial:
             raise ArgumentError(
                 f"{function.__name__} has no states; name them with their initial values, such as "
                 "@lierb.states(wheel=(0.0, 0.0, 0.0))"
             )
-        self.units = checked_units(units, given)
-        self.own = tuple(given)
-        super().__init__(function, parameter_defaults(parameters, given))
+        self.units = checked_units(units, initial)
+        self.own = tuple(initial)
+        super().__init__(function, parameter_defaults(parameters, initial))
 
-    def __call__(self, **given: ArrayLike) -> ExtraStates:
-        """The states with these initial values and parameters, of all bodies or of each."""
-        initial, parameters = initial_and_parameters(given, self.initial)
-        shapes, states = self._shapes(parameters), shapes_of(self.initial)
-        form = partial(form_of_any, SIGNALS)
-        function = described(self.function, tuple(ARGUMENTS), shapes, (), form, outputs=(states,))
+    def __call__(self, **arguments: ArrayLike) -> ExtraStates:
+        """Make the states with these initial values and parameters, for all bodies or for each."""
+        parameters, values = values_of(arguments, self.initial, self.defaults)
+        shapes, outputs = self._shapes(parameters), (self.states,)
+        function = described(self.function, MOTION, shapes, (), by_name, outputs=outputs)
         if not function.sees_others:
-            function = runnable(function, self.function, INTEGRATED)
-        kind = kinds.UserStates(function, states)
-        made = ExtraStates.of(
-            function.name, kind, **self.defaults | parameters | prefixed(self.initial | initial)
-        )
-        return replace(made, units=self.units, made_by=self)
+            function = runnable(function, self.function, ExtraStates.because)
+        kind = kinds.UserStates(function, self.states)
+        return ExtraStates.of(function.name, kind, values, units=self.units, made_by=self)
 
 
 @overload

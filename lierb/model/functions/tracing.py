@@ -1,4 +1,4 @@
-"""How a function of the user's becomes one that kernels call: its form, its trial, its refusal."""
+"""Functions for kernels made of users' functions: their form, their trial, their refusal."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
 
 ARGUMENTS: dict[str, Shape] = {"t": (), "R": (3, 3), "r": (3,), "omega": (3,), "v": (3,)}
+MOTION, POSE = tuple(ARGUMENTS), ("R", "r")
 SIGNALS = ("states", "controls")
 # Measured with AVX-512, one thread, RK4: a spring with drag and a stop, 13 and 14 times on a free
 # body, 36 and 58 on a revolute joint. A function that makes no array loses nothing.
@@ -37,13 +38,13 @@ def user_function(
     because: str | None = None,
     form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]] | None = None,
 ) -> Function:
-    """The function as kernels take it: traced if it can be, else compiled by Numba. One that sees
-    states or controls is not tried before it is bound to a problem's, by `runnable`.
+    """Make a user's function one for kernels: traced if it can be, else compiled by Numba.
 
-    because : why it must be traced, if it must.   form : finds what it is given, as `form_of` does.
+    A function of states or controls is tried when it is bound to those of a problem.
+
+    because : why it must be traced, if it must.   form : finds its arguments, as `form_of` does.
     """
-    given_to = form or partial(form_of, arguments)
-    made = described(function, arguments, shapes, results, given_to)
+    made = described(function, arguments, shapes, results, form or partial(form_of, arguments))
     return made if made.sees_others else runnable(made, function, because)
 
 
@@ -53,28 +54,32 @@ def described(
     shapes: dict[str, Shape],
     results: tuple[Shape, ...],
     form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]],
-    **more: Any,
+    **fields: Any,
 ) -> Function:
-    """The function as it would be traced, not tried yet.   more : fields of a Function."""
+    """Make a user's function one to be traced, without a trial.
+
+    fields : further fields of a Function.
+    """
     name = getattr(function, "__name__", "function")
-    given_to = form(function, name, bool(shapes))
+    own_form = form(function, name, bool(shapes))
     try:
-        mark, references = fingerprint(function), watched(function)
+        digest, references = fingerprint(function), watched(function)
         modules = tuple(sorted(modules_named(function, set(), [])))
         python = traceable(function)
     except UnfitFunctionError as error:
         raise ForceError(f"{name} cannot be compiled: {error}") from None
-    given = tuple((argument, ARGUMENTS[argument]) for argument in arguments)
-    fields = (name, mark, given_to, given, tuple(shapes.items()), results)
-    return Function(*fields, True, python, references, modules, **more)
+    return Function(
+        name, digest, own_form, tuple((x, ARGUMENTS[x]) for x in arguments), tuple(shapes.items()),
+        results, True, python, references, modules, **fields,
+    )  # fmt: skip
 
 
 def runnable(
     traced: Function, function: Callable[..., Any], because: str | None = None
 ) -> Function:
-    """The function that runs: as described where it can be traced, else compiled by Numba.
+    """Try the function: return it if it can be traced, else one that Numba compiles.
 
-    function : of the user's, that `traced` is made of.   because : as of `user_function`.
+    function : user's function that `traced` is made of.   because : as for `user_function`.
     """
     name = traced.name
     reason = why_untraced(traced, trial)
@@ -103,26 +108,26 @@ def runnable(
 
 
 def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str | None:
-    """Why `attempt`, such as `trial`, cannot trace it; None where it can.
+    """Reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
 
-    Raises ForceError for what cannot be compiled either: it is no function of its arguments alone.
+    Raises ForceError for a function of more than its arguments, which is not compiled either.
     """
     try:
         attempt(function)
     except UnfitFunctionError as error:
-        raise ForceError(f"{function.name} cannot be compiled: {_told(error)}") from None
-    except Exception as error:  # whatever a function of the user's may raise
+        raise ForceError(f"{function.name} cannot be compiled: {_described(error)}") from None
+    except Exception as error:  # any that the user's function raises
         if isinstance(error, ValueError) and "read-only" in str(error):
             raise ForceError(
                 f"{function.name} cannot be compiled: {where_it_was(error)}: it changes an array "
                 "that is not its own; make a copy in the function"
             ) from None
-        return _told(error)
+        return _described(error)
     return None
 
 
 def _frames_of_lierb() -> int:
-    """How far up the caller's line is, for a warning."""
+    """Number of frames of lierb above the caller's, for a warning."""
     frame, count = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "lierb":
         frame, count = frame.f_back, count + 1
@@ -132,22 +137,25 @@ def _frames_of_lierb() -> int:
 def form_of_any(
     signals: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
 ) -> tuple[str, ...]:
-    """What the function is given, in its own order: any of ARGUMENTS, params, body and signals."""
+    """Arguments of the function in its order: any of ARGUMENTS, params, body and signals."""
     signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
     expected = f"any of ({', '.join(known)}) by these names"
-    given: list[str] = []
+    form: list[str] = []
     for parameter in signature.parameters.values():
         is_known = parameter.name in known and parameter.kind in BY_PLACE
-        if is_known and len(given) == list(signature.parameters).index(parameter.name):
-            given.append(parameter.name)
+        if is_known and len(form) == list(signature.parameters).index(parameter.name):
+            form.append(parameter.name)
         elif is_known or parameter.default is inspect.Parameter.empty:
             raise ForceError(
                 f"{name} takes {signature}; expected {expected}, what else it may "
                 "take after them and with a default"
             )
-    if has_parameters and "params" not in given:
+    if has_parameters and "params" not in form:
         raise ForceError(f"{name} takes {signature}, but has parameters; expected params as well")
-    return tuple(given)
+    return tuple(form)
+
+
+by_name = partial(form_of_any, SIGNALS)
 
 
 def form_of(
@@ -157,13 +165,13 @@ def form_of(
     has_parameters: bool,
     others: tuple[str, ...] = ("body",),
 ) -> tuple[str, ...]:
-    """What the function is given, in its own order: `others` wherever they stand, by their names.
+    """Arguments of the function in its order: `others` at any place, by their names.
 
-    Without parameters it need not take any.
+    A function without parameters need not take `params`.
     """
     signature = inspect.signature(function)
     own = list(signature.parameters.values())
-    seen = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
+    named = {p.name: i for i, p in enumerate(own) if p.name in others and p.kind is POSITIONAL}
     for p in own:
         if p.name in SIGNALS and p.name not in others and p.default is inspect.Parameter.empty:
             raise ForceError(
@@ -171,17 +179,17 @@ def form_of(
                 "states and controllers do"
             )
     forms = [(*arguments, "params")]
-    if not has_parameters:  # first: what is left may be defaults, and no place for params
+    if not has_parameters:  # first: a further argument may be a default and not params
         forms.insert(0, arguments)
     for form in forms:
-        given = [*form]
-        for other, place in seen.items():
-            given.insert(place, other)
+        arranged = [*form]
+        for other, index in named.items():
+            arranged.insert(index, other)
         try:
-            signature.bind(*given)
+            signature.bind(*arranged)
         except TypeError:
             continue
-        return tuple(given)
+        return tuple(arranged)
     listed = f"{', '.join(others[:-1])} or {others[-1]}" if len(others) > 1 else others[0]
     expected = f"({', '.join((*arguments, 'params'))}), and {listed} after these if wanted"
     raise ForceError(f"{name} takes {signature}; expected the form {expected}")
@@ -191,15 +199,15 @@ POSITIONAL = inspect.Parameter.POSITIONAL_OR_KEYWORD
 BY_PLACE = (POSITIONAL, inspect.Parameter.POSITIONAL_ONLY)
 
 
-def _told(error: Exception) -> str:
-    """What went wrong in a trace, and at which line of the user's."""
+def _described(error: Exception) -> str:
+    """Describe an error of a trace and the line of the user's where it occurred."""
     line, sentence = where_it_was(error), _sentence(error)
     if isinstance(error, (AttributeError, NameError, KeyError, IndexError)):
         sentence = f"{type(error).__name__}: {sentence}"
     return sentence if line is None or sentence.startswith("line ") else f"{line}: {sentence}"
 
 
-# Numba's words for what has a name of its own in Python.
+# Sentences for what Numba reports in its own terms.
 _IN_PLAIN_WORDS = {
     "yield in a closure": "it has a generator expression, such as sum(… for …), which Numba does "
     "not compile: write a list, sum([… for …])",
@@ -211,11 +219,11 @@ _IN_PLAIN_WORDS = {
 
 
 def _sentence(error: Exception) -> str:
-    """The line of its message that says most."""
+    """First informative line of an error's message."""
     text = str(error)
     for words, plain in _IN_PLAIN_WORDS.items():
         if words in text:
             return plain
     lines = [line.strip(" -") for line in text.splitlines()]
-    telling = [line for line in lines if line and not line.startswith("Failed in")]
-    return telling[0] if telling else type(error).__name__
+    informative = [line for line in lines if line and not line.startswith("Failed in")]
+    return informative[0] if informative else type(error).__name__

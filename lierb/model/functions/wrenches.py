@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, overload
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ForceError, told, unknown_name
+from lierb.errors import unknown_name
 from lierb.kernels.functions.shapes import Shape
 from lierb.kernels.mechanics import elements as kinds
-from lierb.model.functions.constraints import POSE
-from lierb.model.functions.decorated import Decorated, decorated
+from lierb.model.functions.decorated import Decorated, decorated, require_function
 from lierb.model.functions.elements import Element
-from lierb.model.functions.tracing import ARGUMENTS, DERIVATIVES, SIGNALS, form_of, user_function
+from lierb.model.functions.tracing import DERIVATIVES, MOTION, POSE, SIGNALS, form_of, user_function
 
 
 class Force(Element):
-    """A force on the body; made by the functions of `lierb.forces` and by `lierb.wrench`."""
+    """Force on the body, made by `lierb.forces` or by `lierb.wrench`."""
 
     words: ClassVar = "a force", "forces"
 
@@ -29,40 +26,37 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 
 
 class Wrench(Decorated):
-    """What `lierb.wrench` makes of a function."""
+    """Function decorated by `lierb.wrench`: the torque and the force on a body."""
 
     _potential: Callable[..., Any] | None = None
 
     def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
-        given = defaults.pop("discontinuities", ())
-        names = (given,) if isinstance(given, str) else tuple(given)
-        for name in names:
+        names = defaults.pop("discontinuities", ())
+        self.discontinuities = (names,) if isinstance(names, str) else tuple(names)
+        for name in self.discontinuities:
             if name not in defaults:
                 raise unknown_name("discontinuities", name, defaults)
         super().__init__(function, defaults)
-        self.discontinuities = names
 
     def __call__(self, **parameters: ArrayLike) -> Force:
-        """The force with these parameters; each is one for all bodies or one for each."""
+        """Make the force with these parameters, each for all bodies or for each."""
         shapes = self._shapes(parameters)
-        form = partial(form_of, tuple(ARGUMENTS), others=("body", *SIGNALS))
-        function = user_function(self.function, tuple(ARGUMENTS), shapes, WRENCH, form=form)
+        form = partial(form_of, MOTION, others=("body", *SIGNALS))
+        function = user_function(self.function, MOTION, shapes, WRENCH, form=form)
         potential = self._potential and user_function(
             self._potential, POSE, shapes, ((),), because=DERIVATIVES
         )
         kind = kinds.UserWrench(function, potential, self.discontinuities)
-        made = Force.of(self.function.__name__, kind, **self.defaults | parameters)
-        return replace(made, made_by=self)
+        values = self.defaults | parameters
+        return Force.of(self.function.__name__, kind, values, made_by=self)
 
     def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Decorator of the wrench's potential, (R, r, params) → J, to count in the energy.
+        """Decorate the wrench's potential, (R, r, params) → J, which counts in the energy.
 
-        It may be that of a part of the wrench: what the rest does counts as work. For that it is
+        It may be the potential of a part of the wrench; the rest counts as work. It is
         differentiated, and so must run for many bodies at once, as a constraint does.
         """
-        if not inspect.isfunction(function):
-            raise ForceError(f"expected a function to decorate, got {told(function)}")
-        self._potential = function
+        self._potential = require_function(function)
         return function
 
 
