@@ -101,7 +101,7 @@ class Function:
         self, parameters: tuple[Any, ...], arguments: tuple[Any, ...], signals: Signals
     ) -> list[Any]:
         """All numbers that it is given, in the order of `given_shapes`."""
-        own = parameters if self.sees_body else parameters[: len(self.shapes)]
+        own = parameters if self.takes_body else parameters[: len(self.shapes)]
         seen = tuple(getattr(signals, name) for name, _ in self.namespaces)
         for (name, shapes), found in zip(self.namespaces, seen, strict=True):
             if len(found) != size_of(shapes):
@@ -111,11 +111,11 @@ class Function:
         return [plain(x) for x in flatten((*arguments, *own, *seen))]
 
     @property
-    def sees_body(self) -> bool:
+    def takes_body(self) -> bool:
         return "body" in self.form
 
     @property
-    def sees_others(self) -> bool:
+    def takes_signals(self) -> bool:
         """Whether it has to be bound to the states and controllers of a problem."""
         return "states" in self.form or "controls" in self.form
 
@@ -129,7 +129,7 @@ class Function:
         """Of the arguments, of the parameters after them, of what is known of the body, and of the
         signals.
         """
-        body = BODY if self.sees_body else ()
+        body = BODY if self.takes_body else ()
         seen = (pair for _, shapes in self.namespaces for pair in shapes)
         return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *seen))
 
@@ -150,7 +150,7 @@ class Function:
 
         made = dict(zip((name for name, _ in self.arguments), taken(self.arguments), strict=True))
         made["params"] = _bundle_type("params", self.shapes)(*taken(self.shapes))
-        if self.sees_body:
+        if self.takes_body:
             made["body"] = _bundle_type("body", BODY)(*taken(BODY))
         for name, shapes in self.namespaces:
             made[name] = _bundle_type(name, shapes)(*taken(shapes))

@@ -61,7 +61,7 @@ def outputs_of(function: Function) -> Shapes:
 
 
 @lru_cache(256)
-def gives_condition(function: Function) -> bool:
+def returns_condition(function: Function) -> bool:
     """Whether a traced function returns whether something is so, in place of a number."""
     found: list[bool] = []
 
@@ -90,7 +90,7 @@ def _traced_twice(function: Function, call: Callable[[Given], Any]) -> None:
 
     def traced(*members: Any) -> Any:
         rest = iter(members)
-        body = BODY if function.sees_body else ()
+        body = BODY if function.takes_body else ()
         arguments = tuple(islice(rest, size_of(function.arguments)))
         own = tuple(
             tuple(islice(rest, math.prod(shape))) if shape else next(rest)

@@ -111,9 +111,9 @@ class Element:
         return dict(self.functions[0].shapes)
 
     @property
-    def sees_body(self) -> bool:
+    def takes_body(self) -> bool:
         """Return whether a function takes mass, inertia and centre of mass."""
-        return any(f.sees_body for f in self.functions)
+        return any(f.takes_body for f in self.functions)
 
     def row(self, place: int, i: int) -> AddedRow:
         """Row of constraint i; `place` is the element's index in the problem."""
@@ -492,7 +492,7 @@ def all_placed(
             name: tuple(islice(rest, math.prod(shape))) if shape else next(rest)
             for name, shape in element.shapes.items()
         }
-        if element.sees_body:
+        if element.takes_body:
             seen = parameters.mass, inertia_about_com(parameters), parameters.com
             given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
         placed.append(element.placed(given, frames))

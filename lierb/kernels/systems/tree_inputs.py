@@ -170,7 +170,7 @@ def placed_element(
         name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
         for name, shape in element.shapes.items()
     }
-    if element.sees_body:
+    if element.takes_body:
         body = nodes[c.node]
         turned = conjugated(body.frame[0], body.inertia)
         com = mat_vec_add(body.frame[0], body.com, body.frame[1])

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from lierb.errors import ArgumentError, ForceError
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, Shapes
-from lierb.kernels.functions.trials import gives_condition, outputs_of
+from lierb.kernels.functions.trials import outputs_of, returns_condition
 from lierb.model.functions.controllers import Controller, untraceable
 from lierb.model.functions.elements import Element, seeing
 from lierb.model.functions.events import Event
@@ -63,7 +63,7 @@ def bound(
 
 def _require_number(event: Event) -> None:
     """Raise ForceError for an event that is a condition, which jumps and crosses no zero."""
-    if any(f.is_traced and gives_condition(f) for f in event.kind.functions):
+    if any(f.is_traced and returns_condition(f) for f in event.kind.functions):
         raise ForceError(
             f"{event.name} returns whether something is so; an event is where a number crosses "
             "zero: return the difference, such as t - 0.3 for t > 0.3, and give direction="

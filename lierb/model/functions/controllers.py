@@ -102,7 +102,7 @@ class ControllerFunction(Decorated):
         kind = kinds.UserController(function, self.memory)
         values = {"every": as_positive("every", every, "s"), **values}
         controller = Controller.of(name, kind, values, units=self.units, made_by=self)
-        if function.sees_others:
+        if function.takes_signals:
             return controller
         return controller.with_outputs(_outputs_of(function)).bound((), ())
 

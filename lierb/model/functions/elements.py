@@ -121,7 +121,7 @@ class Element:
         Raises ForceError where its function uses states or outputs that the problem lacks.
         """
         function = getattr(self.kind, "function", None)
-        if self.made_by is None or not (isinstance(function, Function) and function.sees_others):
+        if self.made_by is None or not (isinstance(function, Function) and function.takes_signals):
             return self
         seeing_them = seeing(function, states, controls)
         if not function.is_traced:

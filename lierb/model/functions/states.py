@@ -56,7 +56,7 @@ class StatesFunction(Decorated):
         parameters, values = values_of(arguments, self.initial, self.defaults)
         shapes, outputs = self._shapes(parameters), (self.states,)
         function = described(self.function, MOTION, shapes, (), by_name, outputs=outputs)
-        if not function.sees_others:
+        if not function.takes_signals:
             function = runnable(function, self.function, ExtraStates.because)
         kind = kinds.UserStates(function, self.states)
         return ExtraStates.of(function.name, kind, values, units=self.units, made_by=self)

@@ -45,7 +45,7 @@ def user_function(
     because : why it must be traced, if it must.   form : finds its arguments, as `form_of` does.
     """
     made = described(function, arguments, shapes, results, form or partial(form_of, arguments))
-    return made if made.sees_others else runnable(made, function, because)
+    return made if made.takes_signals else runnable(made, function, because)
 
 
 def described(
