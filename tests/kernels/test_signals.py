@@ -114,7 +114,7 @@ def test_outputs_of_are_found_by_tracing():
 
 
 def test_function_without_its_signals_says_so():
-    with pytest.raises(ValueError, match="sees 5 numbers of controls, got 0"):
+    with pytest.raises(ValueError, match="takes 5 numbers of controls, got 0"):
         SYSTEM.events(body()._replace(signals=Signals()), seen(), TIME)
 
 

@@ -26,21 +26,19 @@ from lierb.kernels.functions.references import (
 from lierb.kernels.functions.refusals import ALONE, NO_ORDER
 from lierb.kernels.functions.source_lines import MARK
 
-# ---- made fit for either way -------------------------------------------------------------------
-
 Replace = Callable[[Any], Any]
 
 
 def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, and all that it calls, with `math` and NumPy as dual numbers bear them.
+    """Copy a function and its callees, with `math` and NumPy replaced by those for traced numbers.
 
-    What it refers to is copied: what becomes of it later changes nothing here.
+    Objects that it refers to are copied: later changes of them do not matter.
     """
     return _Copier(lambda helper: helper, _for_traces, _frozen).function(function)
 
 
 def compilable(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function with all that it calls compiled by Numba; copied as by `traceable`."""
+    """Copy a function as `traceable` does, its callees compiled by Numba."""
     return _Copier(partial(numba.njit, **COMPILED), lambda known: known, _constant).function(
         function
     )
@@ -51,11 +49,10 @@ def _for_traces(value: Any) -> Any:
 
 
 class _Copier:
-    """Makes copies of functions, in which all that they refer to is replaced.
+    """Copies functions, with replacements of all that they refer to.
 
-    helper : what stands for functions of the user's.   known : for what a known package has.
-    container : for lists, dictionaries and sets, made of (name, the container with its members
-    replaced).
+    helper : replaces users' functions.   known : replaces objects of known packages.
+    container : replaces lists, dictionaries and sets, from (name, copy of the container).
     """
 
     def __init__(
@@ -114,14 +111,14 @@ class _Copier:
 
 
 class _Module(types.ModuleType):
-    """What a function uses of a module of the user's."""
+    """Members of a user's module that a function uses."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise UnfitFunctionError(f"it changes {self.__name__}.{name}; {ALONE}")
 
 
 def _constant(name: str, value: Any) -> Any:
-    """As Numba knows constants: it has tuples, and no lists."""
+    """Constant for Numba, which compiles tuples and no lists."""
     return tuple(value) if type(value) is list else value
 
 
@@ -152,11 +149,10 @@ class _FrozenDict(dict):
 
 
 class _Set:
-    """A set of the user's: no more than what is in it, for it has an order of each process."""
+    """Set without an order, which may differ between processes: only `in` and `len`."""
 
     def __init__(self, members: frozenset[Any]) -> None:
-        self.__contains = members.__contains__
-        self.__count = len(members)
+        self.__contains, self.__count = members.__contains__, len(members)
 
     def __contains__(self, member: Any) -> bool:
         return self.__contains(member)

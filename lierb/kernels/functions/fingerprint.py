@@ -1,8 +1,8 @@
-"""What a function refers to, and its fingerprint: equal for functions that compute the same.
+"""Fingerprints of users' functions, equal for functions that compute the same.
 
-A kernel's name in the disk cache holds the fingerprints of the user's functions in it, so that an
-edited function, helper or constant is compiled anew. What cannot have a fingerprint, because it is
-no function of its arguments, is refused here: by name, before anything runs.
+The name of a kernel in the disk cache contains the fingerprints of its users' functions, so that an
+edited function, helper or constant is compiled anew. A function of more than its arguments has no
+fingerprint: it is refused before anything runs.
 """
 
 from __future__ import annotations
@@ -30,17 +30,21 @@ LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, typ
 
 
 def fingerprint(function: Callable[..., Any]) -> str:
-    """A digest of the function's code and of everything that it refers to."""
+    """Digest of a function's code and of all that it refers to."""
     require_pure(function, [])
     description = _described_function(function, [function])
     return hashlib.sha256(repr(description).encode()).hexdigest()[:32]
 
 
-# ---- descriptions ------------------------------------------------------------------------------
+def items_of(value: Any) -> list[Any]:
+    """Items of a list or tuple, values of a dictionary; none of anything else."""
+    if isinstance(value, dict):
+        return list(value.values())
+    return list(value) if isinstance(value, (list, tuple)) else []
 
 
 def _described(value: Any, name: str, path: list[Any]) -> Any:
-    """A value as nested tuples of text and numbers, equal for what computes the same."""
+    """Describe a value by nested tuples of text and numbers."""
     value = undecorated(value)
     if isinstance(value, LITERALS):
         return repr(value)
@@ -84,35 +88,32 @@ def _described_code(code: types.CodeType, path: list[Any]) -> Any:
 
 
 def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[str]]]) -> set[str]:
-    """The modules of lierb that a value, and all that it refers to, names something of.
+    """Modules of lierb whose members a value, or an object that it refers to, uses.
 
-    attributes : what may stand after a dot where it is used.   seen : what has been looked at.
+    attributes : names of attributes where the value is used.   seen : values visited before.
     """
-    value, within = undecorated(value), []
+    value = undecorated(value)
+    within = items_of(value)
     if any(value is known and attributes == used for known, used in seen):
         return set()
     seen.append((value, attributes))
-    if isinstance(value, (tuple, list)):
-        within = list(value)
-    elif isinstance(value, dict):
-        within = list(value.values())
-    elif isinstance(value, types.ModuleType):
+    if isinstance(value, types.ModuleType):
         within = [vars(value)[name] for name in attributes & vars(value).keys()]
     elif is_users(value):
         attributes = attributes_of(value)
         within = [x for *_, x in surroundings(value)]
     key = "__name__" if isinstance(value, types.ModuleType) else "__module__"
     name = str(getattr(value, key, ""))
-    found = {name} if name.startswith("lierb.") else set()
-    return found.union(*(modules_named(x, attributes, seen) for x in within))
+    modules = {name} if name.startswith("lierb.") else set()
+    return modules.union(*(modules_named(x, attributes, seen) for x in within))
 
 
-# ---- whether it is still what it was -----------------------------------------------------------
+# ---- changes since a function was compiled -----------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a function refers to, where it found it, and what that was."""
+    """Object that a function refers to: its owner there, and its content when it was compiled."""
 
     name: str
     owner: Any
@@ -122,7 +123,7 @@ class Reference:
     is_mutable: bool
 
     def has_changed(self) -> bool:
-        """Whether there is something else now; at once where the object is and stays the same."""
+        """Return whether another object, or another content, is there now."""
         now = (
             self.owner.get(self.key) if type(self.owner) is dict
             else getattr(self.owner, self.key, None)
@@ -136,7 +137,7 @@ class Reference:
 
 
 def watched(function: Any) -> tuple[Reference, ...]:
-    """Everything outside that a function, and those that it calls, have been compiled with."""
+    """Objects that a function and its callees were compiled with."""
     return tuple(_watched(function, []))
 
 
@@ -149,25 +150,20 @@ def _watched(function: Any, seen: list[Any]) -> Iterator[Reference]:
             continue
         if type(owner) is dict and key not in owner:  # a built-in
             continue
-        mutable = _is_mutable(value)
         if not isinstance(value, types.ModuleType) or not is_known(value):
             content = _described(value, name, [])
-            yield Reference(name, owner, key, value, content, mutable)
-        for inner in _functions_in(value):
-            yield from _watched(inner, seen)
+            yield Reference(name, owner, key, value, content, _is_mutable(value))
+        for inner in _nested(value):
+            if is_users(inner):
+                yield from _watched(undecorated(inner), seen)
 
 
 def _is_mutable(value: Any) -> bool:
-    if isinstance(value, tuple):
-        return any(map(_is_mutable, value))
-    return isinstance(value, (list, dict, set, np.ndarray))
+    return any(isinstance(x, (list, dict, set, np.ndarray)) for x in _nested(value))
 
 
-def _functions_in(value: Any) -> Iterator[Any]:
-    if isinstance(value, (tuple, list)):
-        for x in value:
-            yield from _functions_in(x)
-    elif isinstance(value, dict):
-        yield from _functions_in(list(value.values()))
-    elif is_users(value):
-        yield undecorated(value)
+def _nested(value: Any) -> Iterator[Any]:
+    """Yield a value, and the items of lists, tuples and dictionaries."""
+    yield value
+    for item in items_of(value):
+        yield from _nested(item)

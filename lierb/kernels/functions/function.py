@@ -1,7 +1,7 @@
-"""Functions of the user's inside kernels: plain Python, traced like lierb's own formulas.
+"""Users' functions inside kernels: plain Python, traced like lierb's own formulas.
 
-A function runs on dual numbers that hold lane packs, once, while a kernel is compiled. One that
-cannot (it branches on numbers, say) is compiled by Numba and called body by body instead.
+A function runs once, on dual numbers over lane packs, while a kernel is compiled. A function that
+cannot, because it branches on numbers, say, is compiled by Numba and called body by body.
 """
 
 from __future__ import annotations
@@ -33,22 +33,23 @@ from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.lanes import Lane
 
 BODY: Shapes = (("mass", ()), ("inertia", (3, 3)), ("com", (3,)))
-# Reads past an array's end are looked for where functions run body by body: lanes cannot make any.
+# Only functions that run body by body can read past an array's end.
 COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function of the user's, as a tag is made of it.
+    """User's function, as a part of a kernel's tag.
 
-    form : names of what it takes, in its own order: arguments, "params", "body", "states",
-        "controls", "memory".
-    shapes : of its parameters, by name.   arguments : of the arguments, by name.
-    results : of what it returns.   is_traced : or else compiled by Numba, for a body at a time.
-    modules : those of lierb that it names something of.
-    states, controls : of the problem that it is bound to, by name.   memory : its own, by name.
-    outputs : of the dictionaries that it returns, in place of `results`, by name.
-    draws : whether it may draw random numbers.
+    form : names of its arguments in its own order: those of `arguments`, "params", "body",
+        "states", "controls", "memory".
+    arguments : names and shapes of the arguments.   shapes : of the parameters.
+    results : shapes of the results.
+    is_traced : True if traced, False if compiled by Numba for one body at a time.
+    references : objects that it refers to.   modules : modules of lierb that it uses.
+    states, controls : names and shapes of those of its problem.   memory : of its own memory.
+    outputs : of the dictionaries that it returns in place of `results`.
+    draws : True if it may draw random numbers.
     """
 
     name: str
@@ -74,15 +75,16 @@ class Function:
         signals: Signals = NO_SIGNALS,
         noise: Noise | None = None,
     ) -> Any:
-        """Its results; numbers and vectors as formulas have them, matrices row by row. Of a
-        dictionary all numbers side by side, in the order of its names in `outputs`.
+        """Evaluate the function: numbers, vectors, and matrices row by row.
 
-        parameters : its own, and then, of an element that sees it, the body's: `BODY`.
-        noise : what it may draw random numbers of.
+        The numbers of a dictionary are side by side, in the order of its names in `outputs`.
+
+        parameters : its own, followed by those of `BODY` if it takes the body.
+        noise : source of random numbers.
         """
         if not self.is_traced:
-            return self._of_one_body(self._members(parameters, arguments, signals))
-        return self._taken_apart(self.returned(parameters, arguments, signals, noise))
+            return self._of_one_body(self._numbers(parameters, arguments, signals))
+        return self._checked(self.returned(parameters, arguments, signals, noise))
 
     def returned(
         self,
@@ -91,24 +93,24 @@ class Function:
         signals: Signals,
         noise: Noise | None,
     ) -> Any:
-        """What the traced function itself gives back."""
-        members = self._members(parameters, arguments, signals)
-        duals = (x if isinstance(x, UserNumber) else UserNumber(x) for x in members)
+        """Value that the traced function returns, unchecked."""
+        inputs = self._numbers(parameters, arguments, signals)
+        duals = (x if isinstance(x, UserNumber) else UserNumber(x) for x in inputs)
         with drawing(noise):
             return self.python(*self._bundled(duals, numbers))
 
-    def _members(
+    def _numbers(
         self, parameters: tuple[Any, ...], arguments: tuple[Any, ...], signals: Signals
     ) -> list[Any]:
-        """All numbers that it is given, in the order of `given_shapes`."""
+        """All numbers that the function takes, in the order of `input_shapes`."""
         own = parameters if self.takes_body else parameters[: len(self.shapes)]
-        seen = tuple(getattr(signals, name) for name, _ in self.namespaces)
-        for (name, shapes), found in zip(self.namespaces, seen, strict=True):
-            if len(found) != size_of(shapes):
+        taken = tuple(getattr(signals, name) for name, _ in self.namespaces)
+        for (name, shapes), values in zip(self.namespaces, taken, strict=True):
+            if len(values) != size_of(shapes):
                 raise ValueError(
-                    f"{self.name} sees {size_of(shapes)} numbers of {name}, got {len(found)}"
+                    f"{self.name} takes {size_of(shapes)} numbers of {name}, got {len(values)}"
                 )
-        return [plain(x) for x in flatten((*arguments, *own, *seen))]
+        return [plain(x) for x in flatten((*arguments, *own, *taken))]
 
     @property
     def takes_body(self) -> bool:
@@ -116,143 +118,128 @@ class Function:
 
     @property
     def takes_signals(self) -> bool:
-        """Whether it has to be bound to the states and controllers of a problem."""
+        """True if the function must be bound to the states and controllers of a problem."""
         return "states" in self.form or "controls" in self.form
 
     @property
     def namespaces(self) -> tuple[tuple[str, Shapes], ...]:
-        """Of the signals, those that it sees."""
+        """Signals that the function takes, by name, with the names and shapes in each."""
         return tuple((name, getattr(self, name)) for name in NAMES if name in self.form)
 
     @property
-    def given_shapes(self) -> tuple[Shape, ...]:
-        """Of the arguments, of the parameters after them, of what is known of the body, and of the
-        signals.
-        """
+    def input_shapes(self) -> tuple[Shape, ...]:
+        """Shapes of the arguments, the parameters, the body's constants and the signals."""
         body = BODY if self.takes_body else ()
-        seen = (pair for _, shapes in self.namespaces for pair in shapes)
-        return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *seen))
+        signals = (pair for _, shapes in self.namespaces for pair in shapes)
+        return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *signals))
 
     def samples(self) -> list[Any]:
-        """Arguments such as the function takes, all zero."""
+        """Zero arguments in the function's own order."""
         return self._bundled(repeat(0.0), np.array)
 
     def _bundled(self, flat: Iterable[Any], array: Callable[[Any], Any]) -> list[Any]:
-        """What its members make up, in the order of the function's own arguments."""
+        """Arguments in the function's own order, made of numbers in that of `input_shapes`."""
         rest = iter(flat)
 
-        def taken(shapes: Shapes) -> Iterator[Any]:
+        def values(shapes: Shapes) -> Iterator[Any]:
             for _, shape in shapes:
                 if shape:
                     yield array(list(islice(rest, math.prod(shape)))).reshape(shape)
                 else:
                     yield next(rest)
 
-        made = dict(zip((name for name, _ in self.arguments), taken(self.arguments), strict=True))
-        made["params"] = _bundle_type("params", self.shapes)(*taken(self.shapes))
+        made = dict(zip((name for name, _ in self.arguments), values(self.arguments), strict=True))
+        bundles = [("params", self.shapes), *self.namespaces]
         if self.takes_body:
-            made["body"] = _bundle_type("body", BODY)(*taken(BODY))
-        for name, shapes in self.namespaces:
-            made[name] = _bundle_type(name, shapes)(*taken(shapes))
+            bundles.insert(1, ("body", BODY))
+        for name, shapes in bundles:
+            made[name] = _bundle_type(name, shapes)(*values(shapes))
         return [made[name] for name in self.form]
 
-    def _taken_apart(self, found: Any) -> Any:
-        """Checked and taken apart: plain numbers out of duals."""
+    def _checked(self, result: Any) -> Any:
+        """Check a traced result; return its numbers."""
         if self.outputs:
-            return self._by_name(found)
+            return self._by_name(result)
         if len(self.results) == 1:
-            return as_result(self.name, found, self.results[0])
-        if not isinstance(found, (tuple, list, np.ndarray)) or len(found) != len(self.results):
+            return as_result(self.name, result, self.results[0])
+        if not isinstance(result, (tuple, list, np.ndarray)) or len(result) != len(self.results):
             raise UnfitFunctionError(
-                f"{self.name} must return {len(self.results)} vectors, not {brief(found)}"
+                f"{self.name} must return {len(self.results)} vectors, not {brief(result)}"
             )
-        pairs = zip(found, self.results, strict=True)
+        pairs = zip(result, self.results, strict=True)
         return tuple(as_result(self.name, x, shape) for x, shape in pairs)
 
-    def _by_name(self, found: Any) -> Any:
-        """The numbers of the dictionaries that it has returned."""
+    def _by_name(self, result: Any) -> Any:
+        """Check returned dictionaries; return their numbers."""
         parts = []
-        for given, shapes in zip(self.dictionaries(found), self.outputs, strict=True):
-            if given.keys() != dict(shapes).keys():
-                expected, got = dictionary_of(dict(shapes)), dictionary_of(given)
+        for values, shapes in zip(self.dictionaries(result), self.outputs, strict=True):
+            if values.keys() != dict(shapes).keys():
+                expected, got = dictionary_of(dict(shapes)), dictionary_of(values)
                 raise UnfitFunctionError(f"{self.name} must return {expected}, not {got}")
-            taken = (as_result(f"{self.name}'s {n}", given[n], shape) for n, shape in shapes)
-            parts.append(tuple(flatten(tuple(taken))))
+            checked = (as_result(f"{self.name}'s {n}", values[n], shape) for n, shape in shapes)
+            parts.append(tuple(flatten(tuple(checked))))
         return parts[0] if len(parts) == 1 else tuple(parts)
 
-    def dictionaries(self, found: Any) -> tuple[dict[str, Any], ...]:
-        """What it has returned, as often as it has `outputs`."""
-        given = (found,) if len(self.outputs) == 1 else found
-        is_right = isinstance(given, tuple) and len(given) == len(self.outputs)
-        if not (is_right and all(isinstance(each, dict) for each in given)):
-            expected = "a dictionary" if len(self.outputs) == 1 else "two dictionaries"
-            got = f"{brief(found)}" if not isinstance(found, dict) else "one alone"
-            hint = "" if len(self.outputs) == 1 else ", of outputs and of its memory"
-            raise UnfitFunctionError(f"{self.name} must return {expected}{hint}, not {got}")
-        return tuple(given)
+    def dictionaries(self, result: Any) -> tuple[dict[str, Any], ...]:
+        """Dictionaries that the function returned, one for each of `outputs`."""
+        are_two = len(self.outputs) == 2
+        parts = result if are_two else (result,)
+        if (
+            isinstance(parts, tuple)
+            and len(parts) == len(self.outputs)
+            and all(isinstance(each, dict) for each in parts)
+        ):
+            return parts
+        expected = "two dictionaries, of outputs and of its memory" if are_two else "a dictionary"
+        got = "one alone" if isinstance(result, dict) else brief(result)
+        raise UnfitFunctionError(f"{self.name} must return {expected}, not {got}")
 
-    def _of_one_body(self, members: list[Any]) -> Any:
+    def _of_one_body(self, inputs: list[Any]) -> Any:
         compiled, count = dispatcher_of(self), sum(math.prod(shape) for shape in self.results)
-        samples = tuple(self.samples())
-        if any(isinstance(x, Lane) for x in members):
-            numbers = calls.call_compiled(compiled, [samples], self._flat(members), count)
+        if any(isinstance(x, Lane) for x in inputs):
+            arguments = flatten(tuple(self._bundled(inputs, _Elements)))
+            results = calls.call_compiled(compiled, [tuple(self.samples())], arguments, count)
         else:
-            numbers = calls.call_in_python(compiled, tuple(self._bundled(members, np.array)), count)
+            results = calls.call_in_python(compiled, tuple(self._bundled(inputs, np.array)), count)
         parts = []
         for shape in self.results:
             size = math.prod(shape)
-            parts.append(tuple(numbers[:size]) if shape else numbers[0])
-            numbers = numbers[size:]
+            parts.append(tuple(results[:size]) if shape else results[0])
+            results = results[size:]
         return parts[0] if len(parts) == 1 else tuple(parts)
 
-    def _flat(self, members: list[Any]) -> list[Any]:
-        """The members in the order in which `_bundled` puts them."""
-        return [x for part in self._bundled(members, _object_array) for x in _members_of(part)]
+
+class _Elements(tuple):  # elements of an array, row by row, for any shape
+    def reshape(self, _: Shape) -> _Elements:
+        return self
 
 
 @cache
 def _bundle_type(name: str, shapes: Shapes) -> Any:
-    return _unchangeable(namedtuple(name, [n for n, _ in shapes]))
+    methods = {
+        "__slots__": (), "__getattr__": _miss_attribute,
+        "__setattr__": _refuse_attribute, "__delattr__": _refuse_attribute,
+    }  # fmt: skip
+    return type(name, (namedtuple("_Bundle", [n for n, _ in shapes]),), methods)
 
 
-def _unchangeable(bundle: Any) -> Any:
-    bundle.__setattr__ = bundle.__delattr__ = _refuses_attribute
-    bundle.__getattr__ = _lacks_attribute
-    return bundle
-
-
-def _lacks_attribute(self: Any, name: str) -> Any:
-    what, there = type(self).__name__, ", ".join(self._fields) or "nothing"
-    raise AttributeError(f"{what} has no {name}; it has {there}", name=name, obj=self)
-
-
-def size_of(shapes: Shapes) -> int:
-    """How many numbers there are."""
-    return sum(math.prod(shape) for _, shape in shapes)
-
-
-def _refuses_attribute(_: Any, name: str, *__: Any) -> None:
+def _refuse_attribute(_: Any, name: str, *__: Any) -> None:
     raise UnfitFunctionError(NO_CHANGE.format(name))
 
 
-def _object_array(members: list[Any]) -> Any:
-    array = np.empty(len(members), dtype=object)
-    array[:] = members
-    return array
+def _miss_attribute(self: Any, name: str) -> Any:
+    bundle, fields = type(self).__name__, ", ".join(self._fields) or "nothing"
+    raise AttributeError(f"{bundle} has no {name}; it has {fields}", name=name, obj=self)
 
 
-def _members_of(part: Any) -> list[Any]:
-    if isinstance(part, np.ndarray):
-        return list(part.flat)
-    return [x for p in part for x in _members_of(p)] if isinstance(part, tuple) else [part]
-
-
-# ---- body by body, compiled by Numba -----------------------------------------------------------
+def size_of(shapes: Shapes) -> int:
+    """Count the numbers of some shapes."""
+    return sum(math.prod(shape) for _, shape in shapes)
 
 
 @cache
 def dispatcher_of(function: Function) -> Any:
-    """function((…,)) → all results as one tuple of doubles."""
+    """Compile f((argument, …)) → (double, …): all results, for one body at a time."""
     compiled = numba.njit(function.python, **COMPILED)
     double = numba.njit(_double, **COMPILED)
 
@@ -268,4 +255,4 @@ def dispatcher_of(function: Function) -> Any:
 
 
 def _double(x):  # no annotations: Numba compares signatures
-    return np.float64(float(x))  # of a float32, Numba's float alone is one
+    return np.float64(float(x))  # Numba's float of a float32 is a float32

@@ -1,8 +1,8 @@
-"""Whether a function is one of its arguments alone: by what it does while it is traced.
+"""Refusal of users' functions that depend on more than their arguments, while they are traced.
 
-What a function names is looked at before it runs (`lierb.kernels.functions.fingerprint`). Here it
-runs, twice: both times it must do the same, leave the random generators as they are, and call
-nothing that reads a clock, a file or the system, by whatever name.
+A function's code is checked before it runs (`lierb.kernels.functions.refusals`). Here it runs
+twice: both runs must do the same, leave the random generators alone, and call nothing that reads a
+clock, a file or the system, under any name.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from lierb.kernels.functions.references import UnfitFunctionError, attributes_of
 from lierb.kernels.functions.refusals import ALONE, CLOCKS, RANDOM, TEXT, refusal, refusal_of_call
 from lierb.kernels.functions.source_lines import MARK, at
 
-# Traces of which one leaves the random generators as they are: other threads may draw meanwhile.
+# Attempts at a trace without a draw of random numbers: other threads may draw meanwhile.
 TRIES = 20
-# They may do what they like on a user's behalf: look a warning's line up in its file, say.
+# Modules that may do anything for a user, such as read a warning's line from its file.
 TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "importlib")
 
 
 def require_repeatable(run: Callable[[], str]) -> None:
-    """Raise UnfitFunctionError unless `run`, which gives a trace's text, does the same twice."""
+    """Raise UnfitFunctionError unless `run`, which returns a trace's text, does so twice alike."""
     for tried in range(1, TRIES + 1):
         try:
             with _other_states(tried), _watching():
@@ -46,7 +46,7 @@ def require_repeatable(run: Callable[[], str]) -> None:
 
 @contextmanager
 def _other_states(tried: int) -> Iterator[None]:
-    """From the second try on, states of the random generators that a function cannot have set."""
+    """Set other states of the random generators, from the second attempt on."""
     if tried == 1:
         yield
         return
@@ -64,26 +64,26 @@ def _other_states(tried: int) -> Iterator[None]:
 
 
 class _DrawingError(UnfitFunctionError):
-    """Somebody has drawn random numbers while a function was traced."""
+    """Error for random numbers that were drawn during a trace, by any thread."""
 
 
 @contextmanager
 def _watching() -> Iterator[None]:
-    """Refuses what a traced function calls and may not, and what it draws at random.
+    """Refuse forbidden calls and random draws of a traced function.
 
-    A profiler that is at work already stays: then only what can be seen without one is.
+    Calls are not checked while another profiler is at work.
     """
-    before, found = _random_states(), _Calls()
+    before, calls = _random_states(), _Calls()
     profiled = sys.getprofile() is not None
     if not profiled:
-        sys.setprofile(found)
+        sys.setprofile(calls)
     try:
         yield
     finally:
         if not profiled:
             sys.setprofile(None)
-    if found.refused is not None:  # and the function has caught it
-        raise UnfitFunctionError(found.refused)
+    if calls.refused is not None:  # the function has caught the error
+        raise UnfitFunctionError(calls.refused)
     if _random_states() != before:
         raise _DrawingError(
             "it draws random numbers: they would be the same constants for every body and in every "
@@ -101,7 +101,7 @@ def _random_states() -> tuple[Any, ...]:
 
 
 class _Calls:
-    """What `sys.setprofile` calls: refuses calls out of a function's own arguments."""
+    """Profiler that refuses a user's function calls that reach beyond its arguments."""
 
     refused: str | None = None
 
@@ -129,7 +129,7 @@ def _name_of(function: Any) -> str:
 
 
 def _of_module(module: str, name: str) -> str | None:
-    """What is wrong with calling a Python function of that module."""
+    """Reason why a Python function of a module may not be called; None if it may."""
     top = module.split(".")[0]
     if top == "numpy" and module.endswith(".arrayprint"):
         return TEXT
@@ -145,7 +145,7 @@ _SYSTEM = (
 
 
 def _users_line(frame: types.FrameType | None) -> str | None:
-    """Where the function of the user's is that a call goes back to; None if it is not its own."""
+    """Line of the user's function that made a call; None for a call by trusted code."""
     while frame is not None:
         if MARK in frame.f_globals:
             return at(frame.f_code, frame.f_lineno)
@@ -164,20 +164,20 @@ def _is_trusted(frame: types.FrameType) -> bool:
 
 
 def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
-    """Raise UnfitFunctionError for what compiled code calls and may not: Numba knows it all."""
+    """Raise UnfitFunctionError for a forbidden object among those that Numba compiled in."""
     seen = [] if seen is None else seen
     if dispatcher in seen or not hasattr(dispatcher, "overloads"):
         return
     seen.append(dispatcher)
     names = attributes_of(dispatcher.py_func)
-    for found in list(dispatcher.overloads.values()):
-        if runs_python(found):
+    for result in list(dispatcher.overloads.values()):
+        if runs_python(result):
             raise UnfitFunctionError(f"it runs Python code of its own (objmode); {ALONE}")
-        for value, ty, line in names_in(found):
+        for value, ty, line in names_in(result):
             if hasattr(ty, "dispatcher"):
                 require_pure_code(ty.dispatcher, seen)
                 continue
-            # Numba makes np.array of np.empty, which the code does not name then.
+            # Numba compiles np.array by np.empty, which the code does not name then.
             why = TEXT if _is_text_of_numbers(ty) else None
             if value is not None:
                 is_named = getattr(value, "__name__", "") in names
@@ -188,7 +188,7 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
 
 
 def _is_text_of_numbers(ty: Any) -> bool:
-    """Whether Numba has put the name of a type where Python would write a number or an array."""
+    """Return whether a literal is a type's name, as Numba writes it for a number or an array."""
     text = getattr(ty, "literal_value", None)
     return isinstance(text, str) and text.startswith("<object type:")
 

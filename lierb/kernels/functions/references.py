@@ -12,18 +12,20 @@ from typing import Any
 import numpy as np
 from numba.extending import is_jitted
 
-KNOWN = {"numpy", "numba", "lierb", *sys.stdlib_module_names}  # packages whose names say it all
+KNOWN = {
+    "numpy",
+    "numba",
+    "lierb",
+    *sys.stdlib_module_names,
+}  # packages whose functions are known by name
 
 
 class UnfitFunctionError(TypeError):
-    """A function that lierb cannot run in its kernels; says why."""
-
-
-# ---- what it refers to -------------------------------------------------------------------------
+    """Error for a user's function that lierb cannot run in its kernels."""
 
 
 def references(function: Any) -> Iterator[tuple[str, Any]]:
-    """The globals and built-ins that a function's code names, its inner functions' included."""
+    """Yield globals and built-ins in a function's code and in that of its inner functions."""
     names = sorted(
         {
             instruction.argval
@@ -40,7 +42,7 @@ def references(function: Any) -> Iterator[tuple[str, Any]]:
 
 
 def cells(function: Any) -> Iterator[tuple[str, Any]]:
-    """Its closure: variables of the functions around it, as far as they have values."""
+    """Yield the variables of a function's closure."""
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
             yield name, cell.cell_contents
@@ -49,7 +51,7 @@ def cells(function: Any) -> Iterator[tuple[str, Any]]:
 
 
 def codes(code: types.CodeType) -> Iterator[types.CodeType]:
-    """The code, and that of the functions inside."""
+    """Yield a function's code and that of its inner functions."""
     yield code
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
@@ -57,14 +59,14 @@ def codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def attributes_of(function: Any) -> set[str]:
-    """Names that may stand after a dot in its code."""
+    """Names that may occur as attributes in a function's code."""
     return {name for code in codes(function.__code__) for name in code.co_names}
 
 
 def members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterator[Any]:
-    """What a function may mean by `module.attribute`, and by what is in modules that it names.
+    """Yield the members of a user's module that a function may use, and those of its submodules.
 
-    Yields (dotted name, module, attribute, value).
+    Each is (dotted name, module, attribute, value).
     """
     if is_known(module):
         return
@@ -77,7 +79,7 @@ def members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterat
 
 
 def is_known(module: types.ModuleType) -> bool:
-    """Whether its name says it all."""
+    """Return whether a module belongs to a known package."""
     return module.__name__.split(".")[0] in KNOWN
 
 
@@ -91,7 +93,7 @@ def is_users(value: Any) -> bool:
 
 
 def surroundings(function: Any) -> Iterator[tuple[str, Any, Any, Any]]:
-    """What a function refers to: (name, owner, key, value), where owner[key] is the value."""
+    """Yield all that a function refers to: (name, owner, key, value) with owner[key] the value."""
     yield "a default", function, "__defaults__", function.__defaults__
     yield "a default", function, "__kwdefaults__", function.__kwdefaults__
     named = [(n, function.__globals__, n, value) for n, value in references(function)]
@@ -105,13 +107,13 @@ def surroundings(function: Any) -> Iterator[tuple[str, Any, Any, Any]]:
 
 
 def is_foreign(value: Any) -> bool:
-    """Whether it is what a known package has under its name, so that the name says it all."""
+    """Return whether a known package has this very object under its name."""
     if isinstance(value, np.ufunc):
         return getattr(np, value.__name__, None) is value
     package, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     if not callable(value) or not package or not name or package.split(".")[0] not in KNOWN:
         return False
-    found: Any = sys.modules.get(package)
+    member: Any = sys.modules.get(package)
     for part in name.split("."):
-        found = getattr(found, part, None)
-    return found is value
+        member = getattr(member, part, None)
+    return member is value

@@ -1,4 +1,4 @@
-"""Refusals of what a function of its arguments alone does not do, by names and by bytecode."""
+"""Refusal of users' functions that depend on more than their arguments, by their code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lierb.kernels.functions.references import (
 )
 from lierb.kernels.functions.source_lines import at
 
-# Of the standard library, what does nothing but compute.
+# Modules of the standard library that only compute.
 COMPUTING = {
     "builtins", "math", "cmath", "operator", "_operator", "functools", "_functools", "itertools",
     "numbers", "fractions", "collections", "_collections", "_collections_abc", "typing", "types",
@@ -28,7 +28,7 @@ COMPUTING = {
 }  # fmt: skip
 RANDOM = ("random", "_random", "secrets", "uuid", "numpy.random")
 CLOCKS = ("time", "datetime", "_datetime", "zoneinfo")
-# With these a function gets at what nobody can see from outside.
+# Built-ins through which a function reaches objects that its code does not name.
 HIDDEN = ("getattr", "setattr", "delattr", "eval", "exec", "compile", "globals", "locals", "vars",
           "__import__", "breakpoint")  # fmt: skip
 OUTSIDE = ("print", "input", "open", "id", "hash")
@@ -47,19 +47,15 @@ NO_ORDER = (
     "it uses a set, whose order may be another one in every process, for more than `in`: write a "
     "tuple or a list"
 )
-ALONE = "a function of the user's is one of its arguments alone"
+ALONE = "a function must depend on its arguments alone"
 NO_CHANGE = (
-    "it changes .{}: parameters cannot be changed, nor what else it is given; use a variable of "
-    "your own"
+    "it changes .{}: parameters cannot be changed, nor other arguments; use a variable of your own"
 )
 
 
-# ---- what no function of its arguments does ----------------------------------------------------
-
-
 def refusal(value: Any, name: str) -> str | None:
-    """Why a function may not name this, known to it as `name`; None if it may."""
-    if any(value is known for known in UNINITIALISED):  # which NumPy's own functions call
+    """Reason why a function may not name an object, called `name` there; None if it may."""
+    if any(value is known for known in UNINITIALISED):  # NumPy's own functions may call these
         return (
             f"it uses {name}, whose numbers are whatever was in memory before; write "
             f"{name.replace('empty', 'zeros')}"
@@ -70,7 +66,7 @@ def refusal(value: Any, name: str) -> str | None:
 
 
 def refusal_of_call(value: Any, name: str) -> str | None:
-    """Why neither a function nor what it calls may use this; None if they may."""
+    """Reason why neither a function nor its callees may use an object; None if they may."""
     if is_users(value):
         return None
     module = _origin(value)
@@ -81,7 +77,7 @@ def refusal_of_call(value: Any, name: str) -> str | None:
             f"in every step; {ALONE}: sample a parameter instead, or draw "
             "lierb.noise.normal in a controller"
         )
-    if top in CLOCKS or value is np.datetime64:  # of "now"
+    if top in CLOCKS or value is np.datetime64:  # by "now"
         return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
     bare = getattr(value, "__name__", "")
     if top == "numpy" and bare in TEXT_NUMPY and value is getattr(np, bare, None):
@@ -96,12 +92,12 @@ def refusal_of_call(value: Any, name: str) -> str | None:
     if outside:
         return f"it uses {name}; {ALONE}: make what it reads a parameter"
     if top == "builtins" and bare in HIDDEN and value is getattr(builtins, bare):
-        return f"it uses {name}, behind which lierb cannot look"
+        return f"it uses {name}, which hides what it refers to from lierb"
     return None
 
 
 def _origin(value: Any) -> str:
-    """The module that something comes from: for methods, that of what they belong to."""
+    """Name of the module of an object; of a method, that of its owner."""
     if isinstance(value, types.ModuleType):
         return value.__name__
     owner = getattr(value, "__self__", None)
@@ -115,7 +111,7 @@ def _origin(value: Any) -> str:
 
 
 def require_pure(function: Any, seen: list[Any]) -> None:
-    """Raise for what a function's code names and may not, line by line."""
+    """Raise UnfitFunctionError for the first object or instruction that code may not have."""
     if function in seen:
         return
     seen.append(function)
@@ -138,11 +134,11 @@ def require_pure(function: Any, seen: list[Any]) -> None:
 
 
 _CHANGES_GLOBAL = ("STORE_GLOBAL", "DELETE_GLOBAL")
-_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # attributes that can be set
+_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # attributes that may be set
 
 
 def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -> str | None:
-    """What is wrong with one instruction between two others."""
+    """Reason why code may not have an instruction between two others; None if it may."""
     if step.opname == "IMPORT_NAME":
         return "it imports something itself; import that outside"
     if _makes_set(step) and getattr(after, "opname", "") != "CONTAINS_OP":
@@ -158,7 +154,7 @@ def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -
 
 
 def _is_outside(step: Any, free: frozenset[str]) -> bool:
-    """Whether an instruction reads a variable that is not the function's own."""
+    """Return whether an instruction reads a variable from outside of the function."""
     return getattr(step, "opname", "") == "LOAD_GLOBAL" or (
         getattr(step, "opname", "") == "LOAD_DEREF" and step.argval in free
     )
@@ -171,7 +167,7 @@ def _makes_set(step: Any) -> bool:
 
 
 def _scopes(code: types.CodeType, free: frozenset[str]) -> Iterator[tuple[Any, frozenset[str]]]:
-    """The code and what is inside, each with the variables that are not the function's own."""
+    """Yield code and inner code, each with its variables from outside of the function."""
     yield code, free
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
@@ -182,7 +178,7 @@ Chain = list[tuple[str, Any, int | None]]
 
 
 def _chains(code: types.CodeType, known: dict[str, Any]) -> Iterator[Chain]:
-    """Names with what follows them dot by dot: (dotted name, value in its module, line) each."""
+    """Yield each name with the attributes that follow it: (dotted name, value, line)."""
     chain: Chain = []
     for step in dis.get_instructions(code):
         line = step.positions.lineno if step.positions else None

@@ -13,14 +13,15 @@ from lierb.kernels.functions.shapes import ANY, Shape
 from lierb.kernels.functions.user_number import Condition, UserNumber
 
 
-def as_result(name: str, found: Any, shape: Shape) -> Any:
+def as_result(name: str, value: Any, shape: Shape) -> Any:
+    """Check a returned value; return its number or the numbers of its vector."""
     if not shape:
-        return _number(name, found)
-    members = np.asarray(found if not has_traced(found) else numbers(found), dtype=object)
-    if shape in (ANY, (1,)):  # one number will do for a vector of one
+        return _number(name, value)
+    members = np.asarray(numbers(value) if has_traced(value) else value, dtype=object)
+    if shape in (ANY, (1,)):  # a number may be a vector of one
         members = np.atleast_1d(members)
     if members.shape != shape and not (shape == ANY and members.ndim == 1):
-        raise UnfitFunctionError(f"{name} must return {shape[0]} components, not {brief(found)}")
+        raise UnfitFunctionError(f"{name} must return {shape[0]} components, not {brief(value)}")
     return tuple(_number(name, x) for x in members.flat)
 
 
@@ -37,17 +38,19 @@ def _number(name: str, x: Any) -> Any:
 
 
 def brief(x: Any) -> str:
+    """Describe a value in a few words."""
     if has_traced(x) or isinstance(x, np.ndarray):
         return f"an array of shape {np.shape(x)}" if isinstance(x, np.ndarray) else f"a {_kind(x)}"
     try:
         text = repr(x)
-    except UnfitFunctionError:  # there are traced numbers deep inside
+    except UnfitFunctionError:  # traced numbers are deep inside
         return f"a {_kind(x)}"
     return text if len(text) < 60 and "object at" not in text else f"a {type(x).__name__}"
 
 
-def dictionary_of(given: Iterable[Any]) -> str:
-    return f"a dictionary of {', '.join(map(str, given)) or 'nothing'}"
+def dictionary_of(names: Iterable[Any]) -> str:
+    """Describe a dictionary by its names."""
+    return f"a dictionary of {', '.join(map(str, names)) or 'nothing'}"
 
 
 def _kind(x: Any) -> str:

@@ -1,4 +1,4 @@
-"""What functions of the user's see beside a motion: extra states, held outputs, memory; noise."""
+"""Inputs of users' functions beside the motion: extra states, held outputs, memory, noise."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 
 class Signals(NamedTuple):
-    """Of one time; numbers side by side, in the order of the problem's elements.
+    """Signals at one time: numbers side by side, in the order of the problem's elements.
 
-    states : of all extra states.   controls : what all controllers put out last.
-    memory : of all controllers; where one of them is called, its own alone.
+    states : all extra states.   controls : the held outputs of all controllers.
+    memory : memory of all controllers; of one alone where a controller is called.
     """
 
     states: tuple[Any, ...] = ()
@@ -22,7 +22,7 @@ NAMES = Signals._fields
 
 
 class Noise(NamedTuple):
-    """What a controller's random numbers depend on, beside their name: three whole numbers."""
+    """Three whole numbers that, beside a name, determine a controller's random numbers."""
 
     seed: Any
     trajectory: Any

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
@@ -21,90 +21,75 @@ from lierb.kernels.functions.user_number import Condition
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.tracing import trace
 
-# ---- whether it runs ---------------------------------------------------------------------------
 
-
-@lru_cache(256)  # by all that matters, its fingerprint: a sweep makes one force a thousand times
+@lru_cache(256)  # by the fingerprint: a sweep makes one force a thousand times
 def trial(function: Function) -> int:
-    """Trace the function, twice; how many numbers it returns.
+    """Trace the function twice; return how many numbers it returns.
 
-    Raises whatever a function of the user's may raise when it is given packs of numbers, and
-    UnfitFunctionError for one that is not a function of its arguments alone.
+    Raises any exception of the user's function when its arguments are packs of numbers, and
+    UnfitFunctionError if it depends on more than its arguments.
     """
-    sizes = []
 
-    def call(given: Given) -> Any:
-        results = function(given.own, *given.arguments, signals=given.signals, noise=given.noise)
-        sizes.append(len(flatten(results)))
-        return results
+    def call(own: Any, arguments: Any, signals: Signals, noise: Noise | None) -> Any:
+        results = function(own, *arguments, signals=signals, noise=noise)
+        return results, len(flatten(results))
 
-    _traced_twice(function, call)
-    return sizes[-1]
+    return int(_traced_twice(function, call))
 
 
 @lru_cache(256)
 def outputs_of(function: Function) -> Shapes:
-    """Names and shapes of the first dictionary that the function returns, by tracing it.
+    """Names and shapes of the first dictionary that the function returns, found by a trial."""
 
-    Raises as `trial` does.
-    """
-    found: list[Shapes] = []
+    def call(*inputs: Any) -> Any:
+        first = function.dictionaries(function.returned(*inputs))[0]
+        return (), tuple((name, np.shape(as_array(x))) for name, x in first.items())
 
-    def call(given: Given) -> Any:
-        returned = function.returned(given.own, given.arguments, given.signals, given.noise)
-        first = function.dictionaries(returned)[0]
-        found.append(tuple((name, np.shape(as_array(x))) for name, x in first.items()))
-        return ()
-
-    _traced_twice(function, call)
-    return found[-1]
+    outputs: Shapes = _traced_twice(function, call)
+    return outputs
 
 
 @lru_cache(256)
 def returns_condition(function: Function) -> bool:
-    """Whether a traced function returns whether something is so, in place of a number."""
-    found: list[bool] = []
+    """Return whether a traced function returns a condition in place of a number."""
 
-    def call(given: Given) -> Any:
-        returned = function.returned(given.own, given.arguments, given.signals, given.noise)
-        found.append(isinstance(returned, (Condition, bool, np.bool_)))
-        return ()
+    def call(*inputs: Any) -> Any:
+        return (), isinstance(function.returned(*inputs), (Condition, bool, np.bool_))
 
-    _traced_twice(function, call)
-    return found[-1]
+    return bool(_traced_twice(function, call))
 
 
-class Given(NamedTuple):
-    """What a function is called with in a trial."""
+def _traced_twice(function: Function, call: Callable[..., tuple[Any, Any]]) -> Any:
+    """Trace `call` twice on packs of numbers such as the function takes.
 
-    own: tuple[Any, ...]
-    arguments: tuple[Any, ...]
-    signals: Signals
-    noise: Noise | None
-
-
-def _traced_twice(function: Function, call: Callable[[Given], Any]) -> None:
-    """Trace `call`, which gets packs of numbers such as the function takes, twice."""
-    size = sum(math.prod(shape) for shape in function.given_shapes)
+    call : (parameters, arguments, signals, noise) → (traced results, information); the last
+    information is returned.
+    """
+    size = sum(math.prod(shape) for shape in function.input_shapes)
     draws = len(Noise._fields) if function.draws else 0
+    information: Any = None
 
-    def traced(*members: Any) -> Any:
-        rest = iter(members)
+    def traced(*numbers: Any) -> Any:
+        nonlocal information
+        rest = iter(numbers)
         body = BODY if function.takes_body else ()
         arguments = tuple(islice(rest, size_of(function.arguments)))
         own = tuple(
             tuple(islice(rest, math.prod(shape))) if shape else next(rest)
             for _, shape in (*function.shapes, *body)
         )
-        seen = {name: tuple(islice(rest, size_of(shapes))) for name, shapes in function.namespaces}
-        noise = Noise(*rest) if draws else None
-        return call(Given(own, arguments, Signals(**seen), noise))
+        signals = Signals(
+            **{name: tuple(islice(rest, size_of(shapes))) for name, shapes in function.namespaces}
+        )
+        results, information = call(own, arguments, signals, Noise(*rest) if draws else None)
+        return results
 
     require_repeatable(lambda: trace.trial(traced, size + draws)[1])
+    return information
 
 
 def compile_alone(function: Function) -> None:
-    """Compile the function for one body at a time; raises what Numba raises."""
+    """Compile the function for one body at a time; raises any error of Numba's."""
     compiled, samples = dispatcher_of(function), tuple(function.samples())
     if hasattr(compiled, "compile"):
         undisturbed(compiled.compile, (numba.typeof(samples),))
