@@ -1,4 +1,4 @@
-"""Elementary functions of users' numbers, differentiated: sines, exponentials, roots, powers."""
+"""Elementary functions of users' numbers with derivatives: sines, exponentials, roots, powers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.tracing import lanes
 from lierb.kernels.tracing.lanes import Lane
 
-HUGE = 2.0**1000  # beyond, sums of two numbers may overflow
+HUGE = 2.0**1000  # sums of two larger numbers may overflow
 
 
 def smooth(
@@ -60,8 +60,8 @@ def _library(name: str, *operands: Any) -> Any:
         return lanes.call_library(name, *map(plain, operands))
     if hasattr(np, IN_NUMPY.get(name, name)):
         return getattr(np, IN_NUMPY.get(name, name))(*map(plain, operands))
-    found = np.frompyfunc(getattr(math, name), len(operands), 1)(*map(plain, operands))
-    return np.asarray(found, dtype=np.float64)[()]
+    values = np.frompyfunc(getattr(math, name), len(operands), 1)(*map(plain, operands))
+    return np.asarray(values, dtype=np.float64)[()]
 
 
 IN_NUMPY = {
@@ -73,12 +73,12 @@ IN_NUMPY = {
 def _sine_or_cosine(name: str, x: Any) -> Any:
     which = 0 if name == "sin" else 1
     near = absolute(x) <= SINCOS_RANGE
-    found = branch(
+    value = branch(
         all_lanes(near),
         lambda: sincos(x)[which],
         lambda: select(near, sincos(x)[which], _library(name, x)),
     )
-    return select(x == 0.0, x, found) if name == "sin" else found  # sin −0 is −0
+    return select(x == 0.0, x, value) if name == "sin" else value  # sin −0 is −0
 
 
 sin: Callable[[Any], Any] = smooth("sin", partial(_sine_or_cosine, "sin"), lambda x, y: cos(x))

@@ -1,9 +1,9 @@
-"""Random numbers of controllers: those of a place in a stream, and of nothing else.
+"""Random numbers of controllers, each a function of its address in a stream.
 
 A draw is a function of (seed, trajectory, name, tick, component) by a counter-based generator,
-Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"). It
-does not matter who asks, in which order, or for how many others. From whole numbers to the normal
-distribution everything is + − × ÷ √ without fused operations: the same bits on every CPU, in
+Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"): it
+depends neither on the order of draws nor on other draws. From whole numbers to the normal
+distribution all operations are + − × ÷ √, none of them fused: the same bits on every CPU, in
 compiled code, with NumPy and in plain Python.
 """
 
@@ -23,18 +23,18 @@ from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, minimum, sqrt, where
 from lierb.kernels.tracing.words import LOW, real_of, words_of
 
-MOST = 4096  # numbers of one draw: what the counter has room for
-BLOCK_BITS = 11  # of the number of a block of two of them
+MOST = 4096  # numbers of one draw, limited by the counter
+BLOCK_BITS = 11  # bits of the number of a block of two
 MULTIPLIERS = 0xD2511F53, 0xCD9E8D57
 WEYL = 0x9E3779B9, 0xBB67AE85
 ROUNDS = 10
 
 
-# ---- drawn by functions of the user's ------------------------------------------------------------
+# ---- draws of users' functions -------------------------------------------------------------------
 
 
 class _Draws:
-    """What one call of a controller draws of."""
+    """Source of one controller's call, and the names that it has drawn."""
 
     def __init__(self, noise: Noise) -> None:
         self.noise = noise
@@ -46,7 +46,7 @@ _drawing: ContextVar[_Draws | None] = ContextVar("lierb_noise", default=None)
 
 @contextmanager
 def drawing(noise: Noise | None) -> Iterator[None]:
-    """Where `normal` draws of `noise`; of None, nothing."""
+    """Let `normal` draw from `noise` in the block; None forbids it."""
     token = _drawing.set(None if noise is None else _Draws(noise))
     try:
         yield
@@ -103,12 +103,12 @@ def normal(name: str, size: int | tuple[()] = ()) -> Any:
             "of its own, or draw all at once by a count"
         )
     draws.names.add(name)
-    found = [UserNumber(x) for x in normals(draws.noise, name, count)]
-    return found[0] if size == () else numbers(found)
+    components = [UserNumber(x) for x in normals(draws.noise, name, count)]
+    return components[0] if size == () else numbers(components)
 
 
 def _checked(name: Any, size: Any) -> int:
-    """How many numbers."""
+    """Check the arguments of `normal`; return the number of numbers."""
     if not (isinstance(name, str) and name):
         raise UnfitFunctionError(
             f"the name of a noise is {type(name).__name__}, not text: write it out, such as "
@@ -127,28 +127,28 @@ def _checked(name: Any, size: Any) -> int:
 
 
 def normals(noise: Noise, name: str, count: int) -> list[Any]:
-    """`count` standard normal numbers."""
+    """Draw `count` standard normal numbers."""
     seed, trajectory, tick = (words_of(x) for x in noise)
-    mark = digest(name)
-    key = (seed & LOW) ^ mark[0], (seed >> 32) ^ mark[1]
+    first, second = digest(name)
+    key = (seed & LOW) ^ first, (seed >> 32) ^ second
     late = ((tick >> 32) & (2 ** (32 - BLOCK_BITS) - 1)) * 2**BLOCK_BITS
-    found: list[Any] = []
+    draws: list[Any] = []
     for block in range((count + 1) // 2):
         counter = tick & LOW, late + block, trajectory & LOW, trajectory >> 32
         words = philox(counter, key)
-        found += [normal_of(uniform(*words[:2])), normal_of(uniform(*words[2:]))]
-    return found[:count]
+        draws += [normal_of(uniform(*words[:2])), normal_of(uniform(*words[2:]))]
+    return draws[:count]
 
 
 @cache
 def digest(name: str) -> tuple[int, int]:
-    """Of a noise's name, two words of 32 bits."""
-    mark = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    return mark & LOW, mark >> 32
+    """Digest of a noise's name: two words of 32 bits."""
+    words = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    return words & LOW, words >> 32
 
 
 def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
-    """Philox-4x32-10.   counter : four words of 32 bits.   key : two.   Returns four."""
+    """Philox-4x32-10: four random words of 32 bits from a counter of four and a key of two."""
     a, b, c, d = counter
     first, second = key
     for _ in range(ROUNDS):
@@ -160,7 +160,7 @@ def philox(counter: Sequence[Any], key: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def uniform(high: Any, low: Any) -> Any:
-    """(k + ½)/2⁵², exactly, of the upper 26 bits of two words: inside of (0, 1)."""
+    """Uniform (k + ½)/2⁵² in (0, 1), exact, with k the upper 26 bits of two words."""
     return (real_of(high >> 6) * 2.0**26 + real_of(low >> 6) + 0.5) * 2.0**-52
 
 
@@ -191,7 +191,7 @@ FAR = (
 
 
 def normal_of(p: Any) -> Any:
-    """z with Φ(z) = p, 2⁻⁵³ ≤ p ≤ 1 − 2⁻⁵³  (Wichura 1988, algorithm AS 241, PPND16).
+    """Quantile z with Φ(z) = p, 2⁻⁵³ ≤ p ≤ 1 − 2⁻⁵³  (Wichura 1988, algorithm AS 241, PPND16).
 
     Error ≤ 2e-15 of ‖z‖ (test_normal_of_is_the_inverse_of_the_distribution).
     """
@@ -199,7 +199,7 @@ def normal_of(p: Any) -> Any:
     central = q * _ratio(CENTRE, 0.180625 - q * q)
     tail = minimum(p, 1.0 - p)
     root = sqrt(-logarithm(tail))
-    near, is_far = _ratio(NEAR, root - 1.6), root > 5.0  # one of 3·10¹⁰ is
+    near, is_far = _ratio(NEAR, root - 1.6), root > 5.0  # one of 3·10¹⁰ draws
     outer = branch(
         any_lanes(is_far),
         lambda: where(is_far, _ratio(FAR, root - 5.0), near),
@@ -215,21 +215,21 @@ def _ratio(polynomials: tuple[Sequence[float], Sequence[float]], x: Any) -> Any:
 
 
 def _polynomial(terms: Sequence[float], x: Any) -> Any:
-    """Σ terms[k] xᵏ, every operation rounded: `horner` is fused where the CPU can."""
+    """Polynomial Σ terms[k] xᵏ, every operation rounded: `horner` fuses where the CPU can."""
     total: Any = terms[-1]
     for term in terms[-2::-1]:
         total = total * x + term
     return total
 
 
-LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first one's tail is zero
+LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first ends in zeros
 ODD = (6.666666666666735130e-01, 2.857142874366239149e-01, 1.818357216161805012e-01,
        1.479819860511658591e-01)  # fmt: skip
 EVEN = 3.999999999940941908e-01, 2.222219843214978396e-01, 1.531383769920937332e-01
 
 
 def logarithm(x: Any) -> Any:
-    """log x for 2⁻⁶³ < x < √2, by fdlibm's series: a C library has bits of its own."""
+    """Logarithm for 2⁻⁶³ < x < √2 by fdlibm's series, as bits of C libraries differ."""
     mantissa, exponent = x, 0.0 * x
     for shift in (32, 16, 8, 4, 2, 1):
         small = mantissa < 2.0 ** (0.5 - shift)

@@ -1,4 +1,4 @@
-"""NumPy functions of traced numbers that are written out: choices, norms, small matrices."""
+"""Functions of NumPy's written out for traced numbers: choices, norms, small matrices."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from lierb.kernels.functions.object_arrays import UntraceableError, filled, numb
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import choice, raw
 
-MOST_ROWS = 4  # of matrices that are inverted: by cofactors, of which there are n!
+MOST_ROWS = 4  # of an inverted matrix: the n! terms of its determinant are written out
 
 
 def _where(condition: Any, a: Any = None, b: Any = None) -> Any:
     if a is None or b is None:
         raise UntraceableError(
-            "np.where with a condition alone asks which bodies meet it; write "
-            "np.where(condition, a, b)"
+            "np.where with a condition alone selects bodies; write np.where(condition, a, b)"
         )
     return np.frompyfunc(choice, 3, 1)(*map(objects, (condition, a, b)))
 
@@ -42,10 +41,10 @@ def _interp(
 
 
 def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
-    found = default
+    result = default
     for condition, chosen in reversed(list(zip(conditions, choices, strict=True))):
-        found = _where(condition, chosen, found)
-    return found
+        result = _where(condition, chosen, result)
+    return result
 
 
 def _piecewise(x: Any, conditions: Any, functions: Any, *given: Any) -> Any:
@@ -112,13 +111,13 @@ def _solve(a: Any, b: Any) -> Any:
 def _cross(
     a: Any, b: Any, axisa: int = -1, axisb: int = -1, axisc: int = -1, axis: int | None = None
 ) -> Any:
-    # NumPy's own, of rows: before 2.3 it makes a buffer of a single product, a float if it is of
-    # constants, and then writes numbers into it.
+    # NumPy's own function on rows: of a single product of constants, releases before 2.3 make a
+    # buffer of floats, into which they then write numbers.
     if axis is not None:
         axisa = axisb = axisc = axis
     a, b = (np.moveaxis(np.asarray(objects(x)), i, -1)[None] for x, i in ((a, axisa), (b, axisb)))
-    found = np.cross(a, b)[0]
-    return found if a.shape[-1] == b.shape[-1] == 2 else np.moveaxis(found, -1, axisc)
+    product = np.cross(a, b)[0]
+    return product if a.shape[-1] == b.shape[-1] == 2 else np.moveaxis(product, -1, axisc)
 
 
 def _all(x: Any, axis: Any = None, **options: Any) -> Any:
@@ -189,7 +188,7 @@ SPELLED_OUT: dict[Any, Callable[..., Any]] = {
     np.fix: _fix, np.isclose: _isclose, np.allclose: _allclose, np.linspace: _linspace,
     np.nan_to_num: _nan_to_num,
     np.zeros_like: _filled_like(0.0), np.ones_like: _filled_like(1.0),
-    np.empty_like: _filled_like(None), np.full_like: _full_like,  # for NumPy's own functions
+    np.empty_like: _filled_like(None), np.full_like: _full_like,  # called by NumPy's functions
     np.real: lambda x: x, np.imag: lambda x: 0.0 * x,
     np.dot: lambda a, b, out=None: np.dot(np.asarray(objects(a)), np.asarray(objects(b))),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""NumPy for users' functions while they are traced: its modules, constructors and functions."""
+"""NumPy's modules, constructors and functions for users' functions while they are traced."""
 
 from __future__ import annotations
 
@@ -58,13 +58,13 @@ _FLOATS: dict[type, type] = {np.float64: Float}
 
 
 class Spoken:
-    """A function of NumPy's that finds traced numbers inside lists as well."""
+    """Function of NumPy's that takes lists of traced numbers, too."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
 
     def __call__(self, *given: Any, **options: Any) -> Any:
-        if self.function in UNINITIALISED:  # and named where nobody has looked: as a default, say
+        if self.function in UNINITIALISED:  # not named in the code: a default, say
             raise UnfitFunctionError(refusal(self.function, f"np.{self.function.__name__}"))
         if self.function in MADE:
             return MADE[self.function](*given, **options)
@@ -77,7 +77,7 @@ class Spoken:
 
 
 def _gathered(x: Any) -> Any:
-    """A list with traced numbers in it as an array, unless it is ragged."""
+    """Make an array of a list with traced numbers, unless it is ragged."""
     if not isinstance(x, (list, tuple)) or not has_traced(x):
         return x
     shapes = {np.shape(boxed(y)) for y in x}
@@ -85,7 +85,7 @@ def _gathered(x: Any) -> Any:
 
 
 class Library:
-    """A module of NumPy's, as functions of the user's see it while they are traced."""
+    """Module of NumPy's whose functions take traced numbers."""
 
     def __init__(self, module: types.ModuleType) -> None:
         self.__dict__["module"] = module
@@ -102,7 +102,7 @@ class Library:
 
 
 def for_traces(value: Any) -> Any:
-    """Something of NumPy's that stands for itself on traced numbers."""
+    """Replacement of a module, a type or a function of NumPy's for traced numbers."""
     if isinstance(value, types.ModuleType):
         return Library(value)
     if isinstance(value, type):
@@ -111,7 +111,7 @@ def for_traces(value: Any) -> Any:
 
 
 def is_numpy(value: Any) -> bool:
-    """Whether it is NumPy itself, or a module or function of its."""
+    """Return whether an object is a module or a function of NumPy's."""
     if isinstance(value, types.ModuleType):
         return value.__name__.split(".")[0] == "numpy"
     if isinstance(value, np.ufunc):

@@ -1,8 +1,8 @@
-"""NumPy in functions of the user's: arrays of numbers that are traced, and what is done to them.
+"""Arrays of traced numbers in users' functions, and NumPy's functions of them.
 
-NumPy hands its functions over to arrays of a class of their own. Elementwise functions then run on
-the numbers one by one, comparisons give conditions, and linear algebra of small matrices is spelled
-out. What is made of nothing but constants is NumPy's own business.
+NumPy delegates its functions to the arrays' class. Elementwise functions then run on the numbers
+one by one, comparisons return conditions, and linear algebra of small matrices is written out.
+Constants alone are left to NumPy.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ TRACED = (UserNumber, Condition)
 
 
 class UntraceableError(TypeError):
-    """A function of NumPy's that packs of numbers cannot go through."""
+    """Error for a function of NumPy's that packs of numbers cannot pass."""
 
 
 class Numbers(np.ndarray):
-    """An array of objects, some of which are traced numbers or conditions."""
+    """Array of objects, some of which are traced numbers or conditions."""
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         return _apply(ufunc, method, inputs, options)
 
-    def __array_function__(self, function: Any, _: Any, given: Any, options: Any) -> Any:
-        return call(function, *given, **options)
+    def __array_function__(self, function: Any, _: Any, arguments: Any, options: Any) -> Any:
+        return call(function, *arguments, **options)
 
     def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
         return self.copy() if is_real(dtype) else super().astype(dtype)
@@ -39,44 +39,45 @@ class Numbers(np.ndarray):
     def round(self, decimals: Any = 0, out: Any = None) -> Any:
         return call(np.round, self, decimals)
 
-    def __getitem__(self, place: Any) -> Any:
-        return super().__getitem__(_as_index(place))
+    def __getitem__(self, index: Any) -> Any:
+        return super().__getitem__(_constant(index))
 
-    def __setitem__(self, place: Any, value: Any) -> None:
-        super().__setitem__(_as_index(place), value)
+    def __setitem__(self, index: Any, value: Any) -> None:
+        super().__setitem__(_constant(index), value)
 
 
-def _as_index(place: Any) -> Any:
-    for part in place if isinstance(place, tuple) else (place,):
+def _constant(index: Any) -> Any:
+    """Return an index; raise UntraceableError for one with traced numbers."""
+    for part in index if isinstance(index, tuple) else (index,):
         if isinstance(part, (*TRACED, Numbers)):
             raise UntraceableError(
                 "an index or a mask must be made of constants: write np.where(condition, a, b), or "
                 "lierb.table(x, xs, ys) to look a number up"
             )
-    return place
+    return index
 
 
 def numbers(members: Any) -> Any:
-    """An array of traced numbers, from nested sequences of them."""
+    """Make an array of nested sequences of traced numbers."""
     return np.array(_bare(members), dtype=object).view(Numbers)
 
 
 def has_traced(x: Any) -> bool:
-    """Whether there are traced numbers in nested sequences."""
+    """Return whether a value is traced, or nested sequences contain a traced value."""
     if isinstance(x, (list, tuple)):
         return any(map(has_traced, x))
     return isinstance(x, (*TRACED, Numbers))
 
 
 def _bare(x: Any) -> Any:
-    """Arrays without the class, so that NumPy goes on by itself."""
+    """Arrays as plain ones, so that NumPy does not delegate."""
     if isinstance(x, (list, tuple)):
         return list(map(_bare, x))
     return x.view(np.ndarray) if isinstance(x, Numbers) else x
 
 
 def boxed(x: Any) -> Any:
-    """The same with a number in a box of its own, for which NumPy would ask the number again."""
+    """Arrays as plain ones, and a number as an array without axes, which does not delegate."""
     x = _bare(x)
     if isinstance(x, TRACED):
         box = np.empty((), dtype=object)
@@ -85,20 +86,16 @@ def boxed(x: Any) -> Any:
     return x
 
 
-def _dressed(found: Any) -> Any:
-    if isinstance(found, tuple):
-        return tuple(map(_dressed, found))
-    if isinstance(found, list):
-        return list(map(_dressed, found))
-    if isinstance(found, np.ndarray) and found.dtype == object:
-        return found.view(Numbers) if found.ndim else found.item()
-    return found
+def _dressed(result: Any) -> Any:
+    """NumPy's result with its arrays of objects as `Numbers`."""
+    if isinstance(result, (tuple, list)):
+        return (tuple if isinstance(result, tuple) else list)(map(_dressed, result))
+    if isinstance(result, np.ndarray) and result.dtype == object:
+        return result.view(Numbers) if result.ndim else result.item()
+    return result
 
 
-# ---- elementwise functions ---------------------------------------------------------------------
-
-
-# The operators, which objects bear themselves.
+# Operators, which objects implement.
 OPERATORS = (
     np.add, np.subtract, np.multiply, np.true_divide, np.negative, np.matmul, np.bitwise_and,
     np.bitwise_or, np.bitwise_xor,
@@ -107,7 +104,7 @@ OPERATORS = (
 
 
 def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any:
-    """A universal function of NumPy's, or one of its methods such as `reduce`."""
+    """Apply a universal function of NumPy's, or one of its methods such as `reduce`."""
     options = {k: v for k, v in options.items() if not _is_default(k, v)}
     out = options.pop("out", (None,))
     if ufunc in OPERATORS:
@@ -120,19 +117,19 @@ def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any
         raise UntraceableError(_no_function(ufunc, f".{method}"))
     if method in ("reduce", "accumulate"):
         array = np.asarray(boxed(inputs[0]), dtype=object)
-        if method == "reduce" and options.get("axis", 0) is None:  # over all members
+        if method == "reduce" and options.get("axis", 0) is None:  # over all elements
             sizes = (1,) * array.ndim if options.pop("keepdims", False) else ()
-            found = _apply(ufunc, method, (array.ravel(),), options | {"axis": 0})
-            return filled(sizes, found) if sizes else found
+            total = _apply(ufunc, method, (array.ravel(),), options | {"axis": 0})
+            return filled(sizes, total) if sizes else total
         inputs = (array, *inputs[1:])
-    found = _dressed(getattr(of, method)(*map(boxed, inputs), **options))
+    result = _dressed(getattr(of, method)(*map(boxed, inputs), **options))
     if out[0] is None:
-        return found
+        return result
     if not isinstance(out[0], np.ndarray) or out[0].dtype != object:
         raise UntraceableError(
             "it writes numbers of many bodies into a plain array; make the array in the function"
         )
-    boxed(out[0])[...] = boxed(found)
+    boxed(out[0])[...] = boxed(result)
     return out[0]
 
 
@@ -140,7 +137,7 @@ def _is_default(name: str, value: Any) -> bool:
     if name == "dtype":
         return value is None or is_real(value)
     if value is None:
-        return name != "axis"  # of which no default is None
+        return name != "axis"  # its default is never None
     return (name == "where" and value is True) or (name == "keepdims" and value is False)
 
 
@@ -172,27 +169,24 @@ def _remedy(name: str) -> str:
     return REMEDIES.get(name, "write it with operators, np.where and what docs/forces.md lists")
 
 
-# ---- other functions ---------------------------------------------------------------------------
-
-
 SPELLED_OUT: dict[Any, Callable[..., Any]] = {}  # filled by `numpy_library`
 
 
-def call(function: Any, *given: Any, **options: Any) -> Any:
-    """One of NumPy's functions, with traced numbers anywhere among its arguments."""
+def call(function: Any, *arguments: Any, **options: Any) -> Any:
+    """Call a function of NumPy's with traced numbers anywhere among its arguments."""
     if isinstance(function, np.ufunc):
-        return _apply(function, "__call__", given, options)
-    if not _has_numbers(given) and not _has_numbers(tuple(options.values())):
-        found = function(*map(_as_floats, given), **{k: _as_floats(x) for k, x in options.items()})
-        return array_of(found) if isinstance(found, np.ndarray) else found
+        return _apply(function, "__call__", arguments, options)
+    if not _has_numbers(arguments) and not _has_numbers(tuple(options.values())):
+        floats = {name: _as_floats(x) for name, x in options.items()}
+        result = function(*map(_as_floats, arguments), **floats)
+        return array_of(result) if isinstance(result, np.ndarray) else result
     try:
         if function in SPELLED_OUT:
-            return _dressed(SPELLED_OUT[function](*given, **options))
+            return _dressed(SPELLED_OUT[function](*arguments, **options))
         implementation = getattr(function, "_implementation", None)
         if implementation is None:
             raise UntraceableError(_no_function(function))
-        given = tuple(_as_arrays(x) for x in given)
-        return _dressed(implementation(*given, **options))
+        return _dressed(implementation(*map(_as_arrays, arguments), **options))
     except (UntraceableError, UnfitFunctionError):
         raise
     except ValueError as error:
@@ -202,7 +196,7 @@ def call(function: Any, *given: Any, **options: Any) -> Any:
 
 
 def _has_numbers(x: Any) -> bool:
-    """Whether any member of nested sequences and arrays is traced: arrays may be of floats only."""
+    """Return whether nested sequences and arrays, which may be of floats, have a traced element."""
     if isinstance(x, (list, tuple)):
         return any(map(_has_numbers, x))
     if isinstance(x, Numbers):
@@ -234,23 +228,20 @@ def filled(shape: Any, value: Any) -> Any:
     return array.view(Numbers)
 
 
-for _class in TRACED:  # numbers by themselves hand NumPy's functions over in the same way
+for _class in TRACED:  # to numbers, too, NumPy delegates its functions
     for _name in ("__array_ufunc__", "__array_function__"):
         setattr(_class, _name, vars(Numbers)[_name])
 
 
-# ---- NumPy as functions of the user's see it ---------------------------------------------------
-
-
-def array_of(given: Any, dtype: Any = None, **_: Any) -> Any:
-    """Of floats, an array of objects too: a function may write numbers of the motion into it."""
-    if has_traced(given):
+def array_of(values: Any, dtype: Any = None, **_: Any) -> Any:
+    """Make an array; one of floats holds objects, so that traced numbers can be written into it."""
+    if has_traced(values):
         if dtype is not None and not is_real(dtype):
             raise UntraceableError(f"numbers of many bodies do not become {dtype}; use np.floor")
-        return numbers(given)
-    found = np.array(given, dtype=None if dtype is not None and is_real(dtype) else dtype)
-    if found.dtype.kind == "M":
+        return numbers(values)
+    array = np.array(values, dtype=None if dtype is not None and is_real(dtype) else dtype)
+    if array.dtype.kind == "M":
         raise UnfitFunctionError(refusal(np.datetime64, "np.datetime64"))
-    if found.dtype.kind in "f" or (dtype is not None and is_real(dtype)):
-        return found.astype(float).astype(object).view(Numbers)
-    return found
+    if array.dtype.kind in "f" or (dtype is not None and is_real(dtype)):
+        return array.astype(float).astype(object).view(Numbers)
+    return array

@@ -1,7 +1,7 @@
-"""What functions of the user's may call beside NumPy: rotations, bounds, tables, choices.
+"""Functions of lierb's for users' functions: rotations, bounds, tables.
 
-Each takes traced numbers, plain NumPy arrays of any batch shape, and, body by body, what Numba
-compiles.
+Each takes traced numbers and plain NumPy arrays of any batch shape, and is compiled by Numba in
+functions that run body by body.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from lierb.kernels.numbers.dual import parts_of
 from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
 from lierb.kernels.tracing.trace import kernel
 
-SMALL = 0.25  # (sin/cos of half an angle)², up to which its series is as good as atan2
-TERMS = 30  # of that series: the first left out is below 1e-18, and so in two derivatives
+SMALL = 0.25  # tan² of half an angle, up to which the series is as accurate as atan2
+TERMS = 30  # of the series: the first omitted is below 1e-18, as in two derivatives
 
 
 class UnfitArgumentError(UnfitFunctionError, ValueError):
-    """An argument that has no value, in a function of the user's or outside of one."""
+    """Error for an argument without a value, inside and outside of users' functions."""
 
 
 def clip(x: Any, lower: Any, upper: Any) -> Any:
@@ -68,7 +68,7 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
     Parameters
     ----------
     x : float or array_like
-        Where to interpolate, of any shape.
+        Abscissas of the values, of any shape.
     xs : array_like, shape (n,)
         Increasing abscissas of the points.
     ys : array_like, shape (n,)
@@ -150,30 +150,30 @@ def log(R: Any) -> Any:
 
 
 def _of_rotation(R: Any, formula: Any) -> Any:
-    given = R.as_matrix() if hasattr(R, "as_matrix") else R
-    matrices = numbers(given) if has_traced(given) else _real("R", given)
+    value = R.as_matrix() if hasattr(R, "as_matrix") else R
+    matrices = numbers(value) if has_traced(value) else _real("R", value)
     if matrices.shape[-2:] != (3, 3):
         raise UnfitArgumentError(f"R has shape {matrices.shape}; expected (…, 3, 3)")
     if matrices.dtype == object:
         return numbers(formula(tuple(matrices.ravel())))
     flat = matrices.reshape(*matrices.shape[:-2], 9)
-    with np.errstate(all="ignore"):  # of what is no rotation, as where the same is compiled
+    with np.errstate(all="ignore"):  # of no rotation, as in compiled functions
         return np.stack(formula(tuple(flat[..., i] for i in range(9))), axis=-1)
 
 
-def _real(argument: str, given: Any) -> np.ndarray:
-    """Plain numbers as float64."""
+def _real(argument: str, value: Any) -> np.ndarray:
+    """Convert plain numbers to float64."""
     try:
-        found = np.asanyarray(given)
-        if found.dtype.kind in "iufO" and not np.ma.is_masked(found):
-            return np.asarray(found, dtype=np.float64)
+        array = np.asanyarray(value)
+        if array.dtype.kind in "iufO" and not np.ma.is_masked(array):
+            return np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise UnfitArgumentError(f"{argument} must be real numbers: {error}") from None
-    raise UnfitArgumentError(f"{argument} must be real numbers, got {type(given).__name__}")
+    raise UnfitArgumentError(f"{argument} must be real numbers, got {type(value).__name__}")
 
 
 def unit_quaternion(r: Mat) -> Vec:
-    """(w, x, y, z), w ≥ 0. Its derivative is ½ q ⊗ (0, ω), with Ṙ = R ω̂."""
+    """Unit quaternion (w, x, y, z), w ≥ 0, with the derivative ½ q ⊗ (0, ω) for Ṙ = R ω̂."""
     if not _has_parts(r):
         q = so3.quaternion(tuple(map(raw, r)))
         return _as_traced(r, scale(1.0 / norm(q), q))
@@ -199,7 +199,7 @@ def _rate(q: Vec, r: Mat, rate: Mat) -> Vec:
 
 
 def rotation_vector(r: Mat) -> Vec:
-    """ξ with exp ξ = R, ‖ξ‖ ≤ π."""
+    """Rotation vector ξ with exp ξ = R, ‖ξ‖ ≤ π."""
     if not _has_parts(r):
         return _as_traced(r, so3.log(tuple(map(raw, r))))
     w, *v = unit_quaternion(r)
@@ -220,17 +220,17 @@ def _has_parts(members: Sequence[Any]) -> bool:
 
 
 def _along_each(members: Sequence[Any]) -> list[Vec]:
-    """The members' derivatives, direction by direction."""
+    """Derivatives of several numbers, direction by direction."""
     count = max(len(parts_of(x)) for x in members)
     parts = [parts_of(x) or (0.0,) * count for x in members]
     return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
 
 
-def _as_traced(given: Sequence[Any], found: Vec) -> Vec:
-    return tuple(map(UserNumber, found)) if any(isinstance(x, UserNumber) for x in given) else found
+def _as_traced(r: Mat, result: Vec) -> Vec:
+    return tuple(map(UserNumber, result)) if any(isinstance(x, UserNumber) for x in r) else result
 
 
-# ---- the same in functions that Numba compiles -------------------------------------------------
+# ---- for functions that Numba compiles ---------------------------------------------------------
 
 kernel(unit_quaternion, numbers_only=True)
 kernel(rotation_vector, numbers_only=True)
