@@ -1,4 +1,4 @@
-"""Forces, constraints and observables of a model: checked, and bound to its bodies."""
+"""Elements of a model: checks, and binding to its bodies, states and controllers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.shown import quantity
 
-# Of a problem and a mechanism: the arguments that are elements, in the order of all.
+# Arguments of a problem and a mechanism that are elements, in the order of all elements.
 ELEMENTS: dict[str, type[Element]] = {
     "forces": Force,
     "constraints": Constraint,
@@ -62,9 +62,10 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
 
 
 def bind(problem: Any) -> None:
-    """Let functions of a problem or a mechanism see its states and controllers.
+    """Bind functions of a problem or a mechanism to its states and controllers.
 
-    Raises ForceError for one that sees what there is not, ArgumentError for names that are taken.
+    Raises ForceError for a function of states or outputs that do not exist, ArgumentError for names
+    that columns have already.
     """
     labels = ("states", "controllers", "forces", "observables", "events")
     parts = bound(*(getattr(problem, label) for label in labels))
@@ -100,7 +101,7 @@ def require_fit(element: Element, joint: Joint) -> None:
 
 
 def unfit_rate(rows: Rows, rates: Iterable[Any], t0: float) -> TwistError | None:
-    """The error for rows whose prescribed rates, such as a motor's speed, are no numbers at t0."""
+    """Error for the first prescribed rate, such as a motor's speed, that is not finite at t0."""
     for row, rate in zip(rows, rates, strict=True):
         each = np.atleast_1d(plain(rate))
         for body in np.flatnonzero(~np.isfinite(each))[:1]:

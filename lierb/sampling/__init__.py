@@ -1,4 +1,4 @@
-"""Monte Carlo draws for very many bodies: each depends on the seed and the body's number alone.
+"""Monte Carlo draws for very many bodies, each a function of the seed and the body's number.
 
 ::
 
@@ -7,9 +7,9 @@
 
 Bodies may be drawn in chunks of any size, in any order, by any number of processes, or one of them
 again years later: on one kind of CPU, with one NumPy and SciPy, the bits are the same. No draw is
-rejected and no generator has a state. A quantity takes a fixed number of uniforms per body; those
-of body b are at a fixed place in the stream of a counter-based generator, or in point b of a Sobol
-sequence. Inverse distribution functions make values of them.
+rejected and no generator has a state. A quantity takes a fixed number of uniforms per body: those
+of body b have fixed positions in the stream of a counter-based generator, or are coordinates of
+point b of a Sobol sequence. Inverse distribution functions turn them into values.
 
 Units are the caller's, those of the quantity. Normal distributions and Sobol points need SciPy
 (the extra `lierb[scipy]`).

@@ -1,4 +1,4 @@
-"""Designs: which values n bodies get, each from the seed and the body's number alone."""
+"""Designs: values of n bodies, each a function of the seed and the body's number."""
 
 from __future__ import annotations
 
@@ -20,10 +20,8 @@ from lierb.support.arrays import SLICE, Array, as_positive, components, is_whole
 from lierb.support.memory import require_memory
 
 METHODS = ("random", "sobol", "saltelli", "grid")
-
-
 MOST_BODIES = 2**62  # body numbers are int64
-LONGEST = 10**40  # of a number in a message
+LONGEST = 10**40  # largest number written out in a message
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -99,15 +97,15 @@ class Design:
         for name in quantities:
             if not isinstance(name, str) or not name:
                 raise ArgumentError(f"quantities has the key {name!r}; expected names")
-        taken = {
+        distributions = {
             name: as_distribution(f"quantities[{name!r}]", value)
             for name, value in quantities.items()
         }
         if method == "grid":
-            n = _size_of_grid(taken, n)
+            n = _size_of_grid(distributions, n)
         elif n is None:
             raise ArgumentError(f"method={method!r} needs n, the number of bodies")
-        object.__setattr__(self, "quantities", taken)
+        object.__setattr__(self, "quantities", distributions)
         object.__setattr__(self, "n", _whole("n", n, 1, MOST_BODIES))
         object.__setattr__(self, "method", method)
         if method == "saltelli":
@@ -134,12 +132,12 @@ class Design:
 
     @property
     def _points(self) -> int:
-        """Of a Sobol sequence."""
+        """Number of points of the Sobol sequence."""
         return self.n // (len(self.drawn) + 2) if self.method == "saltelli" else self.n
 
     @property
     def _coordinates(self) -> int:
-        """Of each of its points."""
+        """Number of coordinates of each point."""
         return self.dimension * (2 if self.method == "saltelli" else 1)
 
     def draw(self, first: int = 0, count: int | None = None) -> dict[str, Array]:
@@ -196,7 +194,7 @@ class Design:
         return drawn
 
     def _grid_part(self, first: int, count: int) -> dict[str, Array]:
-        """Levels are the digits of the body's number, in the mixed radix of the factors."""
+        """Draw from a grid: levels are the digits of the body's number in a mixed radix."""
         drawn, rest = {}, np.arange(first, first + count)
         for name, quantity in reversed(self.quantities.items()):
             if isinstance(quantity, Values):
@@ -207,7 +205,7 @@ class Design:
         return drawn
 
     def _saltelli_points(self, first: int, count: int) -> Array:
-        """(count, dimension): of rows A, B, A with B's first quantity, A with B's second, …"""
+        """Points (count, dimension): A, B, A with B's first quantity, A with B's second, …"""
         each, d = len(self.drawn) + 2, self.dimension
         bodies = np.arange(first, first + count)
         rows, kinds = bodies // each, bodies % each
@@ -234,7 +232,7 @@ def _whole(argument: str, value: Any, low: int, high: int) -> int:
 
 
 def _check_rows(n: int, quantities: int) -> None:
-    """Raise ArgumentError unless n bodies are so many rows as Sobol's points are balanced for."""
+    """Raise ArgumentError unless n bodies make a power of two rows, for balanced Sobol points."""
     if not quantities:
         raise ArgumentError('method="saltelli" needs a quantity that is drawn; all are constants')
     each = quantities + 2

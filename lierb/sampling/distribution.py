@@ -13,7 +13,7 @@ from lierb.errors import ArgumentError
 from lierb.support.arrays import Array, as_floats, as_matrix
 from lierb.support.extras import require
 
-LARGEST = 1e300  # of a parameter: sums of a few, and 39 of a normal's std, are numbers still
+LARGEST = 1e300  # of parameters: sums of a few, and 39 std of a normal variable, are finite
 
 
 SHAPES = {
@@ -66,17 +66,17 @@ class Distribution:
                 f"u has shape {points.shape}; {type(self).__name__} takes (n, {self.dimension})"
             )
         refuse("u", points, ~((points > 0.0) & (points < 1.0)), "numbers in (0, 1)")
-        # One contiguous row a component: for others NumPy's logarithm takes a path that rounds
-        # otherwise, and a body's bits would depend on how it came to be in an array.
+        # One contiguous row a component: on other arrays NumPy's logarithm rounds differently, and
+        # a body's bits would depend on the array that contains it.
         parts = self._draw(np.ascontiguousarray(points.T))
         return np.ascontiguousarray(parts.T).reshape(len(points), *self.shape)
 
     def _draw(self, u: Array) -> Array:
-        """(dimension, n) → (components, n), by operations on one element at a time."""
+        """Compute (components, n) from uniforms (dimension, n), element by element."""
         raise NotImplementedError
 
     def _column(self, parameter: Array) -> Array:
-        """One row a component, to go with (components, n)."""
+        """Parameter as a column, one row a component."""
         return np.broadcast_to(parameter, self.shape).reshape(-1, 1)
 
     def _set(self, **values: object) -> None:
@@ -84,8 +84,8 @@ class Distribution:
             object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
-        given = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        shown = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in given.items()}
+        values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        shown = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
         inside = ", ".join(f"{k}={v}" for k, v in shown.items() if v is not None)
         return f"{type(self).__name__}({inside})"
 
@@ -98,7 +98,7 @@ def _label(field: str, place: tuple[int, ...]) -> str:
 
 
 def numbers_of(field: str, value: Any, axes: int = 1, infinite: bool = False) -> Array:
-    """float64 of at most so many axes: a copy that nobody writes to. Takes SciPy's `Rotation`."""
+    """Convert to a read-only float64 array of at most `axes` axes; SciPy's `Rotation`, too."""
     array = as_floats(field, as_matrix(field, value), copy=True)
     if array.ndim > axes or array.size == 0:
         raise ArgumentError(f"{field} has shape {array.shape}; expected {SHAPES[axes]}")
@@ -112,15 +112,15 @@ def numbers_of(field: str, value: Any, axes: int = 1, infinite: bool = False) ->
 
 
 def refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> None:
-    """Raise for the first entry of `array` that is bad."""
+    """Raise ArgumentError for the first bad entry of `array`."""
     for place in np.argwhere(bad)[:1]:
         where = tuple(int(i) for i in place)
         raise ArgumentError(f"{_label(field, where)} is {array[where]}; expected {expected}")
 
 
-def common_shape(**given: Array) -> tuple[int, ...]:
-    """() or (d,): numbers go with vectors, vectors with vectors of their length."""
-    sizes = {name: array.shape for name, array in given.items() if array.ndim}
+def common_shape(**parameters: Array) -> tuple[int, ...]:
+    """Shape () or (d,) of parameters: numbers, and vectors of one length."""
+    sizes = {name: array.shape for name, array in parameters.items() if array.ndim}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} has {shape[0]}" for name, shape in sizes.items())
         raise ArgumentError(f"parameters differ in their number of components: {listed}")

@@ -1,9 +1,8 @@
 """Distributions of numbers, vectors and rotations, as functions of uniforms.
 
-Every one is an inverse: `dimension` uniforms go in, one draw comes out, and none is rejected. What
-comes out of some uniforms has the same bits alone and in any batch, on one kind of CPU.
-
-Parameters are a number, the same for all components, or (d,); units are the caller's.
+Each draw is an inverse distribution function of `dimension` uniforms, without rejection. Its bits
+are the same alone and in any batch, on one kind of CPU. Parameters are a number, the same for all
+components, or (d,); units are the caller's.
 """
 
 from __future__ import annotations
@@ -217,11 +216,11 @@ class Values(Distribution):
         return self.take((u[0] * len(self)).astype(np.int64)).reshape(u.shape[1], -1).T
 
     def take(self, levels: NDArray[np.int64]) -> Array:
-        """The values of these numbers, (n, *shape)."""
+        """Values at these indices, (n, *shape)."""
         return self.values[levels]
 
 
-DISTRIBUTIONS = {  # by the names that studies give them
+DISTRIBUTIONS = {  # by their names in studies
     "normal": Normal,
     "uniform": Uniform,
     "truncated_normal": TruncatedNormal,
@@ -233,7 +232,7 @@ DISTRIBUTIONS = {  # by the names that studies give them
 
 
 def as_distribution(label: str, value: Distribution | ArrayLike) -> Distribution:
-    """`value` itself, or the constant that it is."""
+    """Distribution itself; of numbers, the constant."""
     if isinstance(value, Distribution):
         return value
     return Constant(numbers_of(label, value, axes=2))

@@ -21,10 +21,10 @@ from lierb.sampling.distribution import (
 from lierb.sampling.truncated import quantiles_of_truncated_normal
 from lierb.support.arrays import Array
 
-FARTHEST_Z = 8.3  # of the uniforms next to 1, in std
+FARTHEST_Z = 8.3  # std, of the largest uniform
 
 
-SEMIDEFINITE = 1e-14  # relative to a variance: what is left of it below this counts as nothing
+SEMIDEFINITE = 1e-14  # pivot, relative to the variance, below which it is zero
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 
 
@@ -103,11 +103,11 @@ def _covariance(value: ArrayLike) -> Array:
     skew = np.abs(matrix - matrix.T).max()
     if skew > SYMMETRY_TOLERANCE * np.abs(matrix).max():
         raise ArgumentError(f"covariance is not symmetric: entries differ by {skew:.3g}")
-    with np.errstate(all="ignore"):  # where it is none, numbers overflow
+    with np.errstate(all="ignore"):  # of no covariance, numbers overflow
         lower = _cholesky(matrix)
         size = np.sqrt(np.abs(np.diag(matrix)))
         left = np.abs(lower @ lower.T - matrix)
-    # Of two variances of which nothing is left, the root bounds the covariance that is.
+    # The root of two zero pivots bounds the covariance that is left.
     if not (left <= 2.0 * np.sqrt(SEMIDEFINITE) * np.outer(size, size)).all():
         raise ArgumentError(
             "covariance is not positive semi-definite: its smallest eigenvalue is "
@@ -117,7 +117,7 @@ def _covariance(value: ArrayLike) -> Array:
 
 
 def _cholesky(matrix: Array) -> Array:
-    """Lower triangular; columns of zeros where a component is a combination of those before it."""
+    """Cholesky factor, lower triangular, with a column of zeros for each zero pivot."""
     lower = np.zeros_like(matrix)
     for j in range(len(matrix)):
         rest = matrix[j:, j] - sum(lower[j:, k] * lower[j, k] for k in range(j))

@@ -10,16 +10,16 @@ from lierb.sampling.distribution import LARGEST, scipy_special
 from lierb.support.arrays import Array
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)  # exp(−x) over 0 … 2 to 1e-21
-LONGEST = 2.0  # log of a density's change that they are used for
-FAR = 1e3  # std: of a normal nothing is left beyond
-NEWTON_STEPS = 8  # of which 5 suffice: the number of correct digits doubles in each
+LONGEST = 2.0  # log of the density's change for which the quadrature is used
+FAR = 1e3  # std, beyond which a normal density is zero
+NEWTON_STEPS = 8  # 5 suffice: the number of correct digits doubles in each
 
 
 def quantiles_of_truncated_normal(
     mean: float, std: float, low: float, high: float, u: Array
 ) -> Array:
-    """Quantiles of one component."""
-    if mean >= high:  # mirrored, so that a mean outside of the bounds is below them
+    """Quantiles of one component at uniforms u."""
+    if mean >= high:  # mirrored: a mean outside of the bounds is then below them
         return -_between(-mean, std, -high, -low, 1.0 - u, u)
     return _between(mean, std, low, high, u, 1.0 - u)
 
@@ -72,7 +72,7 @@ def _tail(a: float, w: float, p: Array, q: Array) -> Array:
 
     end = depth(w) if w < FAR else np.inf
     wanted = np.where(p < 0.5, -np.log1p(p * np.expm1(-end)), -np.log(q + p * np.exp(-end)))
-    # The slope, 1/M, grows by less than s: so this start is below the root, and the depth convex.
+    # The slope, 1/M, grows by less than s: this start is below the root, and the depth convex.
     s: Array = 2.0 * wanted * at_bound / (1.0 + np.sqrt(1.0 + 2.0 * wanted * at_bound * at_bound))
     for _ in range(NEWTON_STEPS):
         s = np.maximum(s - (depth(s) - wanted) * mills(a + s), 0.0)
@@ -89,5 +89,5 @@ def _cut(a: float, b: float, p: Array) -> Array:
     below = np.logaddexp(of_low + functions.log_ndtr(a), of_high + functions.log_ndtr(b))
     above = np.logaddexp(of_low + functions.log_ndtr(-a), of_high + functions.log_ndtr(-b))
     z = functions.ndtri_exp(np.minimum(below, above))
-    found: Array = np.where(below < above, z, -z)
-    return found
+    quantiles: Array = np.where(below < above, z, -z)
+    return quantiles

@@ -1,1 +1,1 @@
-"""Arrays, memory, files, progress and optional packages: what has nothing to do with mechanics."""
+"""Arrays, memory, files, progress and optional packages, without mechanics."""

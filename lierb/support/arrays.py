@@ -1,6 +1,7 @@
-"""User arrays ↔ the tuples of components that formulas take: one array a component, any batch.
+"""Checks of users' numbers, and conversion between arrays and tuples of components.
 
-Componentwise arithmetic gives a body the same bits alone and in any batch; `matmul` need not.
+Formulas take one array a component, of any batch: componentwise arithmetic gives a body the same
+bits alone and in any batch; `matmul` need not.
 """
 
 from __future__ import annotations
@@ -20,30 +21,30 @@ from lierb.support.memory import require_memory
 Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
-SLICE = 16384  # bodies looked at together: bounds the memory of checks
-MOST_AXES = 16  # of an argument: NumPy ends at 64, and nobody's batch has so many
-PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers that need no second look
+SLICE = 16384  # bodies checked together: bounds the memory of checks
+MOST_AXES = 16  # of an argument; NumPy's limit is 64
+PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers without further checks
 NO_NUMBERS = (bool, str, bytes, bytearray)
 FEWER = "give fewer bodies at a time"
-ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that passes as rounding of whoever made R
+ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that counts as rounding
 
 
 def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
-    """`value` as float64, in its own shape; with copy=None the caller's own array where it is that.
+    """Convert a user's numbers to float64, in their shape; copy=None keeps an array of float64.
 
-    The one door for the user's numbers. Raises ArgumentError for what is no real number (text,
-    bytes, dates, flags, complex numbers, masked entries), what has units or no order, and what
-    float64 does not hold; MemoryLimitError for a copy that the memory does not hold.
+    All users' numbers pass here. Raises ArgumentError for text, bytes, dates, flags, complex
+    numbers, masked entries, units, collections without an order and numbers beyond float64;
+    MemoryLimitError for a copy larger than the memory.
     """
     try:
         is_plain = type(value) is np.ndarray and value.dtype == np.float64
-        given = value if is_plain else _read(argument, value)
-        if given.ndim > MOST_AXES:
-            raise ArgumentError(f"{argument} has {given.ndim} axes; expected {MOST_AXES} at most")
-        if copy or given.dtype != np.float64:
-            _require_room(argument, given.shape)
+        array = value if is_plain else _read(argument, value)
+        if array.ndim > MOST_AXES:
+            raise ArgumentError(f"{argument} has {array.ndim} axes; expected {MOST_AXES} at most")
+        if copy or array.dtype != np.float64:
+            _require_room(argument, array.shape)
         with np.errstate(over="raise"):
-            return np.array(given, dtype=np.float64, copy=copy)
+            return np.array(array, dtype=np.float64, copy=copy)
     except (OverflowError, FloatingPointError) as error:
         raise ArgumentError(
             f"{argument} is {told(value)}, beyond the largest float64; choose larger units"
@@ -52,7 +53,7 @@ def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
         raise
     except MemoryError as error:
         raise MemoryLimitError(f"{argument}: {told(str(error))}; {FEWER}") from error
-    except Exception as error:  # a class of the user's may raise anything in __array__
+    except Exception as error:  # a user's class may raise any in __array__
         raise _no_numbers(argument, value) from error
 
 
@@ -61,59 +62,56 @@ def _require_room(argument: str, shape: tuple[int, ...]) -> None:
 
 
 def _read(argument: str, value: Any) -> NDArray:
-    """`value` as an array of real numbers of any type."""
+    """Read a value as an array of real numbers of any type."""
     _refuse(argument, value)
-    given = np.asanyarray(value)
-    if isinstance(given, np.ma.MaskedArray):
-        _refuse(argument, given)
-    given = _stacked(argument, given)
-    if given.dtype.kind == "O":
-        is_real = all(map(_is_real, set(map(type, given.ravel()))))
+    array = np.asanyarray(value)
+    if isinstance(array, np.ma.MaskedArray):
+        _refuse(argument, array)
+    array = _stacked(argument, array)
+    if array.dtype.kind == "O":
+        is_real = all(map(_is_real, set(map(type, array.ravel()))))
     else:
-        is_real = given.dtype.kind in "iuf"
+        is_real = array.dtype.kind in "iuf"
     if not is_real:
         raise _no_numbers(argument, value)
-    return np.asarray(given)
+    return np.asarray(array)
 
 
-def _stacked(argument: str, given: NDArray) -> NDArray:
-    """An array of arrays or lists as one array, as NumPy has a column of lists (Arrow, pandas)."""
+def _stacked(argument: str, array: NDArray) -> NDArray:
+    """Stack an array of arrays or lists, such as a column of lists of Arrow or pandas."""
     depth = 0
-    while given.dtype.kind == "O" and given.size and _are_lists(given):
+    lists = {np.ndarray, list, tuple}
+    while array.dtype.kind == "O" and array.size and set(map(type, array.ravel())) <= lists:
         depth += 1
-        items = given.ravel().tolist()
+        items = array.ravel().tolist()
         _refuse(argument, items, depth)
         inner = np.stack([np.asarray(item) for item in items])
-        given = inner.reshape(given.shape + inner.shape[1:])
-    return given
-
-
-def _are_lists(given: NDArray) -> bool:
-    return set(map(type, given.ravel())) <= {np.ndarray, list, tuple}
+        array = inner.reshape(array.shape + inner.shape[1:])
+    return array
 
 
 def _is_real(kind: type) -> bool:
-    """Of an item of an array of objects; also what others make of numbers, such as mpmath."""
+    """Return whether objects of a class are real numbers, other packages' included."""
     if issubclass(kind, (np.generic, Complex)):
         is_time_or_flag = issubclass(kind, (bool, np.timedelta64))
         return issubclass(kind, (np.floating, np.integer, Real)) and not is_time_or_flag
     return hasattr(kind, "__float__") and not issubclass(kind, np.ndarray)
 
 
-def is_whole(given: object) -> bool:
-    """Whether it is an integer; neither a flag is one, nor a time, which NumPy takes for one."""
-    return isinstance(given, (int, np.integer)) and not isinstance(given, (bool, np.timedelta64))
+def is_whole(value: object) -> bool:
+    """Return whether a value is an integer; neither a flag nor a NumPy time is one."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.timedelta64))
 
 
 def _refuse(argument: str, value: Any, depth: int = 0) -> None:
-    """Raise for what NumPy would take all the same: flags, what is masked, what has units.
+    """Raise ArgumentError for flags, masked entries and units, which NumPy would take.
 
-    In sequences as well: of their items NumPy sees the numbers alone.
+    Items of sequences are checked, too: NumPy would read their bare numbers.
     """
     kind = type(value)
     if kind in PLAIN:
         return
-    is_list = kind is list or kind is tuple  # by far the most, and in long lists of them
+    is_list = kind is list or kind is tuple  # most values, and items of long lists
     if not is_list:
         _refuse_one(argument, value)
     if is_list or (isinstance(value, Sequence) and not isinstance(value, memoryview)):
@@ -141,7 +139,7 @@ def _refuse_one(argument: str, value: Any) -> None:
 
 
 def _has_units(value: Any) -> bool:
-    """As the quantities of pint, unyt, Astropy and others have them."""
+    """Return whether a value has units, as quantities of pint, unyt and Astropy."""
     return any(getattr(value, name, None) is not None for name in ("units", "unit"))
 
 
@@ -155,10 +153,10 @@ def _no_numbers(argument: str, value: Any) -> ArgumentError:
 def as_numbers(
     argument: str, value: ArrayLike, *tails: tuple[int, ...], copy: bool | None = True
 ) -> Array:
-    """`value` as float64 with a shape that ends in one of `tails`, after at most one batch axis.
+    """Convert to finite float64 of a shape that ends in one of `tails`, after at most a batch axis.
 
-    A copy that nobody writes to, so that what was checked stays so; with copy=None a view of the
-    caller's own array where it is float64, for use within a call.
+    The copy is read-only, so that checked values stay; copy=None returns a view of the caller's
+    array if it is float64, for use within a call.
     """
     array = as_floats(argument, value, copy).view()
     array.setflags(write=False)
@@ -180,7 +178,7 @@ def as_numbers(
 
 
 def as_number(argument: str, value: Any) -> np.float64:
-    """One finite number, which divides by zero as arrays do."""
+    """Convert to one finite number, which divides by zero as arrays do."""
     array = as_floats(argument, value)
     if array.shape or not np.isfinite(array):
         raise ArgumentError(f"{argument} is {told(value)}; expected one finite number")
@@ -188,7 +186,7 @@ def as_number(argument: str, value: Any) -> np.float64:
 
 
 def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
-    """Numbers of that shape for each body, all above zero."""
+    """Convert to positive numbers of that shape for each body."""
     array = as_numbers(argument, value, shape)
     items = array.reshape(-1, *shape)
     bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
@@ -198,14 +196,14 @@ def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Arra
     return array
 
 
-def finite(what: str, found: Array) -> Array:
-    """`found`, computed from finite numbers. Raises ArgumentError where that overflows."""
-    if not are_finite(found):
+def finite(what: str, array: Array) -> Array:
+    """Return an array computed from finite numbers; raise ArgumentError if it has overflowed."""
+    if not are_finite(array):
         raise ArgumentError(
-            f"{what} is beyond all numbers: what it is made of overflows; give smaller numbers, or "
+            f"{what} is beyond all numbers: its computation overflows; give smaller numbers, or "
             "choose larger units"
         )
-    return found
+    return array
 
 
 def are_finite(array: Array) -> bool:
@@ -213,12 +211,12 @@ def are_finite(array: Array) -> bool:
 
 
 def _unequal(array: Array) -> Array:
-    """The array, or of one that is broadcast along its first axis the one item."""
+    """Array, or the one item of an array that is broadcast along its first axis."""
     return array[:1] if array.ndim and array.strides[0] == 0 else array
 
 
 def slices(array: Array) -> Iterator[Array]:
-    """The array along its first axis, in parts whose temporaries are small."""
+    """Yield parts of an array along its first axis, so that temporaries are small."""
     if array.ndim == 0:
         yield array
     for start in range(0, len(array) if array.ndim else 0, SLICE):
@@ -230,24 +228,24 @@ def _shape(sizes: tuple[Any, ...]) -> str:
 
 
 def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
-    """Common length of the batch axes; None if there are none. Values: (array, item axes)."""
-    found: dict[str, int] = {}
+    """Common length of the batch axes; None for none. Values: (array, number of item axes)."""
+    lengths: dict[str, int] = {}
     for name, entry in arguments.items():
         array, item_axes = entry if isinstance(entry, tuple) else (entry, 0)
         if array.ndim > item_axes:
-            found[name] = array.shape[0]
-    sizes = set(found.values()) - {1}
+            lengths[name] = array.shape[0]
+    sizes = set(lengths.values()) - {1}
     if len(sizes) > 1:
-        listed = ", ".join(f"{name} has {size}" for name, size in found.items() if size != 1)
+        listed = ", ".join(f"{name} has {size}" for name, size in lengths.items() if size != 1)
         raise ArgumentError(f"batched arguments differ in their number of bodies: {listed}")
-    return sizes.pop() if sizes else (1 if found else None)
+    return sizes.pop() if sizes else (1 if lengths else None)
 
 
 Which = int | slice | NDArray[np.int64]  # one body of a batch, or some of them
 
 
 def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
-    """The item of one body, or of a part of the batch; of all bodies, where they share it."""
+    """Item of one body or of a part of the batch; the shared item of all bodies."""
     if array.ndim == item_axes:
         return array
     if len(array) > 1:
@@ -256,7 +254,7 @@ def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
 
 
 def member_of(body: Any, size: int | None) -> int:
-    """The number of a body of a batch. Raises ArgumentError for a number of none."""
+    """Check the number of a body of a batch."""
     count = size or 1
     if not (is_whole(body) and 0 <= body < count):
         raise ArgumentError(f"body={told(body)}; expected a whole number, 0 … {count - 1}")
@@ -264,13 +262,13 @@ def member_of(body: Any, size: int | None) -> int:
 
 
 def components(array: Array, axes: int = 1) -> Vec:
-    """The entries of the last `axes` axes, row by row."""
+    """Entries of the last `axes` axes, row by row."""
     flat = array.reshape(*array.shape[: array.ndim - axes], -1)
     return tuple(flat[..., i] for i in range(flat.shape[-1]))
 
 
 def assembled(parts: Vec, *shape: int) -> Array:
-    """Inverse of `components`: last axis, or axes of `shape`."""
+    """Array of components along the last axis, or axes of `shape`: inverse of `components`."""
     columns = np.broadcast_arrays(*(np.asarray(p, dtype=np.float64) for p in map(_number, parts)))
     stacked = np.stack(columns, axis=-1)
     return stacked.reshape(*stacked.shape[:-1], *shape) if shape else stacked
@@ -285,7 +283,7 @@ def pose_components(pose: Array) -> Pose:
 
 
 def pose_matrix(pose: Pose) -> Array:
-    """4×4 homogeneous matrices."""
+    """Homogeneous matrices (…, 4, 4) of poses."""
     r, p = assembled(pose[0], 3, 3), assembled(pose[1])
     batch = np.broadcast_shapes(r.shape[:-2], p.shape[:-1])
     matrix = np.zeros((*batch, 4, 4))
@@ -296,17 +294,17 @@ def pose_matrix(pose: Pose) -> Array:
 
 
 def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
-    """4×4 rigid motions from arrays or from SciPy's `RigidTransform` or `Rotation`."""
-    given = as_floats(argument, as_matrix(argument, value))
-    if given.shape[-2:] == (3, 3):
+    """Convert arrays, or SciPy's `RigidTransform` or `Rotation`, to poses (4, 4) or (n, 4, 4)."""
+    matrices = as_floats(argument, as_matrix(argument, value))
+    if matrices.shape[-2:] == (3, 3):
         if not hasattr(value, "as_matrix"):
             raise ArgumentError(
-                f"{argument} has shape {given.shape}, rotations R without a place r: expected "
+                f"{argument} has shape {matrices.shape}, rotations R without a place r: expected "
                 "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )
-        given = pose_matrix((components(given, 2), (0.0, 0.0, 0.0)))  # about the origin
-    poses = as_numbers(argument, given, (4, 4), copy=copy)
+        matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # about the origin
+    poses = as_numbers(argument, matrices, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     first = 0
     for part in slices(_unequal(poses.reshape(-1, 4, 4))):
@@ -319,17 +317,17 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
 
 
 def as_rotations(argument: str, value: Any) -> Array:
-    """3×3 rotation matrices from arrays or from SciPy's `Rotation`."""
+    """Convert arrays, or SciPy's `Rotation`, to rotation matrices (3, 3) or (n, 3, 3)."""
     matrices = as_numbers(argument, as_matrix(argument, value), (3, 3))
     check_rotations(argument, matrices)
     return matrices
 
 
 def as_matrix(argument: str, value: Any) -> Any:
-    """What `value.as_matrix()` returns where it has such a method; numbers or not."""
+    """Result of the method `as_matrix` if a value has it, the value itself otherwise."""
     try:
         return value.as_matrix() if hasattr(value, "as_matrix") else value
-    except Exception as error:  # of a class of the user's, any
+    except Exception as error:  # a user's class may raise any
         raise ArgumentError(
             f"{argument} is {told(value)}, whose as_matrix() raised {type(error).__name__}: "
             f"{told(str(error))}"
@@ -337,14 +335,14 @@ def as_matrix(argument: str, value: Any) -> Any:
 
 
 def check_rotations(argument: str, matrices: Array) -> None:
-    """Raise unless each is orthogonal and right-handed."""
+    """Raise PoseError unless all matrices are orthogonal and right-handed."""
     first = 0
     for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
         _check_rotations(argument, part, first, matrices.size // 9)
         first += len(part)
 
 
-@np.errstate(all="ignore")  # of entries that are far too large
+@np.errstate(all="ignore")  # large entries overflow
 def _check_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
     r = components(matrices, 2)
     gram = mat_t_mat(r, r)

@@ -1,4 +1,4 @@
-"""The optional parts of lierb, the packages that each needs, and how to install them here."""
+"""Optional parts of lierb: their packages, and the commands that install them."""
 
 from __future__ import annotations
 
@@ -22,45 +22,42 @@ EXTRAS = {
     "report": ("Writing reports", ("jinja2", "plotly", "matplotlib", "pydantic")),
     "cluster": ("Running studies on a cluster", ("distributed",)),
 }
-DIRECT = "direct_url.json"  # where a distribution is from if not from an index: PEP 610
+DIRECT = "direct_url.json"  # origin of a distribution that is not from an index: PEP 610
 
 
 class MissingExtraError(ImportError):
-    """A package of an optional part is not installed."""
+    """Error for a package of an optional part that is not installed."""
 
 
 def is_installed(extra: str) -> bool:
-    """Whether the packages of `extra` are there, none of them imported."""
+    """Return whether the packages of `extra` are installed, without importing them."""
     _, packages = EXTRAS[extra]
     return all(find_spec(package) is not None for package in packages)
 
 
 def require(extra: str) -> None:
-    """Import the packages of `extra`, or say in one sentence what to install.
+    """Import the packages of `extra`.
 
     Raises
     ------
     MissingExtraError
-        when one of them is not installed.
+        A package is not installed; the message has the command that installs it.
     """
     purpose, packages = EXTRAS[extra]
     for package in packages:
         try:
             import_module(package)
         except ModuleNotFoundError as error:
-            # A package that is there and lacks one of its own dependencies names that one instead.
+            # An installed package that lacks a dependency of its own reports that one instead.
             message = f"{purpose} needs {error.name}, which is not installed: {remedy(extra)}"
             raise MissingExtraError(message) from error
 
 
-# ---- how to install ----------------------------------------------------------------------------
-
-
 def remedy(extra: str) -> str:
-    """The command that adds an optional part to lierb as it is installed here.
+    """Command that adds an optional part to lierb as it is installed here.
 
-    A checkout is named by its path, a wheel or a repository by its URL: the name alone would be
-    looked for in an index. Where it is from nowhere that is still there, the packages are named.
+    A checkout is named by its path, a wheel or a repository by its URL: an index need not have
+    lierb. If its origin no longer exists, the command installs the packages themselves.
     """
     packages = " ".join(EXTRAS[extra][1])
     try:
@@ -77,7 +74,7 @@ def remedy(extra: str) -> str:
 
 
 def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
-    """lierb with an extra, from where it was installed, quoted for a shell."""
+    """Requirement of lierb with an extra from its origin, quoted for a shell."""
     if "dir_info" in origin:
         folder = _path(url)
         here = "." if folder == Path.cwd() else str(folder)
@@ -92,13 +89,13 @@ def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
 
 
 def _path(url: str) -> Path:
-    """What a file:// URL names."""
+    """Path of a file:// URL."""
     from urllib.parse import urlsplit
-    from urllib.request import url2pathname  # 30 ms, which importing lierb should not take
+    from urllib.request import url2pathname  # 30 ms, too long for importing lierb
 
     return Path(url2pathname(urlsplit(url).path))
 
 
 def _quoted(text: str) -> str:
-    """Brackets are patterns to a shell; Windows knows double quotes only."""
+    """Quote brackets, which are patterns to a shell; Windows has double quotes only."""
     return f'"{text}"' if os.name == "nt" else shlex.quote(text)

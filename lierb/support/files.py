@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and what the system says where they cannot be written."""
+"""Files that are written whole or not at all, and errors of the system with remedies."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ READABLE = f"make it readable, or delete it, and {RESUME} it again"
 
 
 def folder_of(given: str | os.PathLike[str]) -> Path:
-    """The folder for results that is meant, `~` being the user's own.
+    """Path of a folder for results, `~` being the user's own.
 
-    Raises StudyError for what is none on this machine, or has a name that Arrow cannot open.
+    Raises StudyError for a URL, and for a name that Arrow cannot open.
     """
     try:
         text = os.fsdecode(given)
@@ -53,9 +53,9 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
 
 
 def write_whole(path: Path, content: Any) -> None:
-    """A file with that content, or as it was: never half of it. Raises StudyFileError.
+    """Write a file with that content, or leave it as it was. Raises StudyFileError.
 
-    What is there and no plain file is written to instead: a link, /dev/stdout, a pipe.
+    A link, a pipe or a device such as /dev/stdout is written to in place.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with naming(path, "written", KEPT):
@@ -65,9 +65,9 @@ def write_whole(path: Path, content: Any) -> None:
 
 
 def require_page(path: Path) -> None:
-    """Raise StudyFileError where an HTML page would overwrite a file that is none.
+    """Raise StudyFileError if a page would overwrite a file that is no HTML page.
 
-    Such as a study's manifest or a part of its results, be it through a link.
+    Such a file may be a study's manifest or a part of its results.
     """
     if path.is_file():
         with naming(path, "read", "choose another file for the page"), path.open("rb") as file:
@@ -80,7 +80,7 @@ def require_page(path: Path) -> None:
 
 
 def write_aside(path: Path, content: Any) -> Path:
-    """Write a file beside its place; its path there, which readers of the folder skip."""
+    """Write a temporary file beside `path`; return its path, which readers of the folder skip."""
     aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
     with naming(path.parent, "made", KEPT):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def write_aside(path: Path, content: Any) -> Path:
 
 
 def rename(aside: Path, path: Path) -> None:
-    """Give a file that was written aside its name, for good, or delete it."""
+    """Rename a temporary file durably, or delete it."""
     with naming(path, "written", KEPT):
         try:
             aside.replace(path)
@@ -110,13 +110,13 @@ def rename(aside: Path, path: Path) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """Make renames in a folder last, where the system lets one."""
+    """Make renames in a folder durable, where the system supports it."""
     if os.name == "posix":
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
         except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # as network file systems say
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of network file systems
                 raise
         finally:
             os.close(handle)
@@ -124,15 +124,15 @@ def _sync(folder: Path) -> None:
 
 @contextmanager
 def naming(path: Path, deed: str, remedy: str) -> Iterator[None]:
-    """What the system refuses in the block, with the file that it is about and what helps."""
+    """Turn errors of the system in the block into StudyFileError with the file and a remedy."""
     try:
         yield
     except StudyFileError:
         raise
     except OSError as error:
-        told = "is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else ""
-        told = told or f"cannot be {deed}: {reason(error)}"
-        raise StudyFileError(f"{path} {told}; {remedy}") from error
+        is_no_folder = isinstance(error, FileExistsError | NotADirectoryError)
+        message = "is no folder" if is_no_folder else f"cannot be {deed}: {reason(error)}"
+        raise StudyFileError(f"{path} {message}; {remedy}") from error
 
 
 def reason(error: Exception) -> str:
@@ -140,18 +140,18 @@ def reason(error: Exception) -> str:
 
 
 def as_it_is(path: Path) -> tuple[int, ...]:
-    """By what a change of a file is seen without reading it; () where there is none."""
+    """Inode, size and time of a file, which differ after a change; () without the file."""
     with naming(path, "read", READABLE), suppress(FileNotFoundError):
         if path.is_file():
-            found = path.stat()
-            return found.st_ino, found.st_size, found.st_mtime_ns
+            status = path.stat()
+            return status.st_ino, status.st_size, status.st_mtime_ns
     return ()
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file's content; "" where there is no such file."""
+    """Digest of a file's content; "" without the file."""
     with naming(path, "read", READABLE):
-        if not path.is_file():  # nor a pipe, which would be waited for
+        if not path.is_file():  # a pipe would block
             return ""
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

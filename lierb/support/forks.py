@@ -1,4 +1,4 @@
-"""What a forked process lacks: the threads of its parent, and what they were about to do."""
+"""Forked processes, which lack the threads of their parents."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _lacks_threads = _lacks_compiler = False
 
 
 def check_threads() -> None:
-    """Raise ForkError where no parallel loop can run.
+    """Raise ForkError if no parallel loop can run.
 
-    Before any lock is taken: a forked child may have inherited it locked.
+    It must precede the use of locks, which a forked child may have inherited locked.
     """
     if _lacks_threads:
         raise ForkError(
@@ -29,7 +29,7 @@ def check_threads() -> None:
 
 
 def check_compiler(is_needed: bool) -> None:
-    """Raise ForkError where nothing can be compiled any more, if something has to be."""
+    """Raise ForkError if compilation is needed and impossible."""
     if _lacks_compiler and is_needed:
         raise ForkError(
             "this process was forked while a thread of its parent was compiling, which it lacks; "
@@ -38,11 +38,11 @@ def check_compiler(is_needed: bool) -> None:
 
 
 def _after_fork() -> None:
-    """In a forked child: what the parent had started, lierb or anybody."""
+    """Note in a forked child that the parent had started threads or was compiling."""
     global _lacks_threads, _lacks_compiler
     _lacks_compiler |= is_compiling()
     collect_again()
-    with suppress(ValueError):  # what Numba raises before its threads have started
+    with suppress(ValueError):  # raised by Numba before its threads start
         numba.threading_layer()
         _lacks_threads = True
 

@@ -1,7 +1,7 @@
-"""Memory for results: where it comes from, and how much there is.
+"""Memory for results: its allocation, and the size of the free memory.
 
-Linux grants memory that it does not have, and kills the process that comes to use it: that a run
-does not fit has to be known beforehand.
+Linux grants memory that it does not have, and kills the process that uses it: runs that do not fit
+must be refused beforehand.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 
 from lierb.errors import MemoryLimitError
 
-ALWAYS = 1 << 26  # bytes that nobody asks for: a run of one body shall not read files for it
+ALWAYS = 1 << 26  # bytes granted without reading files: enough for a run of one body
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
-POOLED = range(1 << 16, 1 << 25)  # bytes: less is had at once, and more is not to be kept
+POOLED = range(1 << 16, 1 << 25)  # bytes of allocations from Arrow's pool
 
 
 def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """As `numpy.empty`, from Arrow's pool where that is mimalloc, as it is by default.
+    """Allocate an array as `numpy.empty` does, from Arrow's pool if that is mimalloc, the default.
 
-    The pool keeps what is given back for the next run. The C library gives it back to the system,
-    in some processes after every call, and the page faults of taking it again then last as long as
-    two steps of each trajectory.
+    The pool keeps freed memory for the next run. The C library returns it to the system, in some
+    processes after every call; the page faults of the next allocation then last as long as two
+    steps of each trajectory.
     """
     size = 8 * math.prod(shape)
     if size not in POOLED or pa.default_memory_pool().backend_name != "mimalloc":
@@ -39,13 +39,13 @@ def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
 
 
 def require_memory(size: int, what: str, remedy: str) -> None:
-    """Raise MemoryLimitError unless so many bytes are free."""
+    """Raise MemoryLimitError unless `size` bytes are free."""
     if not is_free(size):
         raise too_large(what, size, available(), remedy)
 
 
 def is_free(size: int) -> bool:
-    """Whether so many bytes are, what Arrow keeps for later included."""
+    """Return whether `size` bytes are free, after Arrow has released its unused memory."""
     if size <= ALWAYS or size <= available():
         return True
     pa.default_memory_pool().release_unused()
@@ -53,27 +53,27 @@ def is_free(size: int) -> bool:
 
 
 def too_large(what: str, size: int, free: int, remedy: str) -> MemoryLimitError:
-    """The error for what takes more memory than there is."""
+    """Error for a request of more memory than is free."""
     return MemoryLimitError(
         f"{what} takes {in_words(size)}, and {in_words(free)} are free; {remedy}"
     )
 
 
 def available() -> int:
-    """Bytes that the process may take without swapping; all there are where nobody tells."""
-    known = [sys.maxsize, *_of_groups()]
+    """Bytes that the process may take without swapping; the physical memory if unknown."""
+    limits = [sys.maxsize, *_left_of_groups()]
     with suppress(OSError, KeyError, ValueError):
-        known.append(1024 * int(_table(MEMINFO)["MemAvailable:"]))
-        return max(min(known), 0)
+        limits.append(1024 * int(_table(MEMINFO)["MemAvailable:"]))
+        return max(min(limits), 0)
     with suppress(AttributeError, OSError, ValueError):  # Windows has no sysconf
-        known.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    return max(min(known), 0)
+        limits.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return max(min(limits), 0)
 
 
-def _of_groups() -> list[int]:
-    """What each control group above the process (version 2) leaves, where it has a limit.
+def _left_of_groups() -> list[int]:
+    """Bytes left by the limit of each control group (version 2) of the process.
 
-    Pages of files count as used there, and are given back when needed.
+    Pages of files count as free: the system returns them when needed.
     """
     left = []
     with suppress(OSError, StopIteration):
@@ -85,19 +85,19 @@ def _of_groups() -> list[int]:
             with suppress(OSError, KeyError, ValueError):  # the root has none; "max" is no number
                 limit = int((group / "memory.max").read_text())
                 used = int((group / "memory.current").read_text())
-                found = _table(group / "memory.stat")
-                files = int(found["active_file"]) + int(found["inactive_file"])
+                statistics = _table(group / "memory.stat")
+                files = int(statistics["active_file"]) + int(statistics["inactive_file"])
                 left.append(limit - used + files)
     return left
 
 
 def _table(path: Path) -> dict[str, str]:
-    """The second word of each line by its first."""
+    """Second word of each line by the first."""
     return {name: value for name, value, *_ in map(str.split, path.read_text().splitlines())}
 
 
 def in_words(size: int) -> str:
-    """`1.5 GB`."""
+    """Write a size in words, such as `1.5 GB`."""
     units = ("bytes", "kB", "MB", "GB", "TB")
     power = min((len(str(size)) - 1) // 3, len(units) - 1)
     return f"{size / 1000**power:.3g} {units[power]}"

@@ -1,4 +1,4 @@
-"""Progress of a run: told to a function, or drawn on a terminal or in a notebook."""
+"""Progress of a run: a call of the user's function, or a bar on a terminal or in a notebook."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from lierb.support.extras import remedy
 Progress = bool | Callable[[int, int], None] | None
 
 BODY_STEPS = "body-steps"
-QUIET_SECONDS = 2.0  # without a bar, unless it is asked for
-NOTEBOOK_SECONDS = 0.2  # between two of its messages
+QUIET_SECONDS = 2.0  # before a bar that is not requested
+NOTEBOOK_SECONDS = 0.2  # between two messages
 
 
 class Bar(Protocol):
-    """Something drawn, from the first `show` until `close`, which removes it."""
+    """Progress bar, drawn by the first `show` and removed by `close`."""
 
     def show(self, done: int) -> None: ...
     def close(self) -> None: ...
 
 
 def check_progress(progress: Any) -> None:
-    """Raise ArgumentError for what `reporter` does not take."""
+    """Raise ArgumentError for a value that `reporter` does not take."""
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise ArgumentError(f"progress={told(progress)}; expected True, False, None or a function")
 
@@ -35,16 +35,14 @@ def check_progress(progress: Any) -> None:
 def reporter(
     progress: Progress, total: int, of: str = BODY_STEPS
 ) -> Iterator[Callable[[int], None]]:
-    """A function to be told what is done so far, of `total`.
+    """Yield a function that reports the work done so far, of `total`.
 
-    of : what is counted.
-
-    progress : True for a bar at once, None for one after two seconds where somebody watches, False
-        for none, or a function of (done, in all).
+    progress : True for a bar at once, None for a bar after two seconds on a terminal or in a
+        notebook, False for none, or a function of (done, total).
+    of : unit of the work.
     """
     if callable(progress):
-        tell = progress
-        yield lambda done: tell(done, total)
+        yield lambda done: progress(done, total)
         return
     bar = _bar(total, of, required=progress is True) if progress is not False else None
     if bar is None:
@@ -63,7 +61,7 @@ def reporter(
 
 
 def _bar(total: int, of: str, required: bool) -> Bar | None:
-    """The bar that suits where the process runs."""
+    """Bar for a notebook or a terminal, None elsewhere."""
     if _in_notebook():
         return NotebookBar(total, of)
     if not (required or _on_terminal()):
@@ -81,13 +79,13 @@ def _on_terminal() -> bool:
 
 
 def _in_notebook() -> bool:
-    """Whether a Jupyter kernel runs this; an IPython prompt in a terminal is none."""
+    """Return whether a Jupyter kernel runs the process; a prompt in a terminal is none."""
     shell_of = getattr(sys.modules.get("IPython"), "get_ipython", None)
     return getattr(shell_of and shell_of(), "kernel", None) is not None
 
 
 class TerminalBar:
-    """On standard error, by rich. Raises ImportError without it."""
+    """Progress bar of rich on standard error. Raises ImportError without rich."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         from rich.console import Console
@@ -119,12 +117,12 @@ class TerminalBar:
 
 
 class NotebookBar:
-    """Below the cell, by IPython alone: rich's bar would need ipywidgets, too."""
+    """Progress bar below a notebook's cell, by IPython alone: rich would need ipywidgets."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         self._total, self._of = total, of
         self._handle: Any = None
-        self._first = self._last = (0.0, 0)  # when, body-steps done
+        self._first = self._last = (0.0, 0)  # time, work done
 
     def show(self, done: int) -> None:
         from IPython.display import HTML, display

@@ -1,4 +1,4 @@
-"""How objects show themselves: one description, as text at a prompt, as a table in a notebook."""
+"""Descriptions of objects, as text at a prompt and as a table in a notebook."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lierb.support.arrays import Array
 
 Lines = Sequence[tuple[str, str]]  # label, text
 
-FAILED = "failed"  # the label of a row that must not be overlooked
+FAILED = "failed"  # label of a highlighted row
 CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
 LOUD = "color: #b00020; font-weight: bold"
 
 
 class Shown:
-    """What has a title and labelled lines below it; `_shown` says which."""
+    """Object with a description: a title and labelled lines, returned by `_shown`."""
 
     def _shown(self) -> tuple[str, Lines]:
         raise NotImplementedError
@@ -31,7 +31,7 @@ class Shown:
 
 
 def as_text(title: str, rows: Lines) -> str:
-    """`<title>`, or the title and a line for each row, the labels in a column."""
+    """Write a description as text: `<title>`, or the title and a line for each row."""
     if not rows:
         return f"<{title}>"
     width = max(len(label) for label, _ in rows)
@@ -41,7 +41,7 @@ def as_text(title: str, rows: Lines) -> str:
 
 
 def as_html(title: str, rows: Lines) -> str:
-    """A table; texts are the user's, so that all are escaped."""
+    """Write a description as an HTML table, with all texts escaped."""
     lines = "".join(
         f'<tr><th style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(label)}</th>'
         f'<td style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(text)}</td></tr>'
@@ -54,24 +54,24 @@ def as_html(title: str, rows: Lines) -> str:
 
 
 def counted(count: int, what: str, several: str = "") -> str:
-    """`1 body`, `3 bodies`."""
+    """Write a count with its noun: `1 body`, `3 bodies`."""
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
 def steps_told(options: Mapping[str, Any]) -> str:
-    """Of a run: how its steps are, by the options in its metadata."""
+    """Write the tolerance or the step size of a run, from the options in its metadata."""
     return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
 
 
 def rounded(error: float) -> str:
-    """With two digits; a dash where there is none."""
+    """Write an error with two digits, NaN as a dash."""
     if np.isnan(error):
         return "–"
     return f"{error:.1e}" if error else "0"
 
 
 def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:
-    """An argument's value; of a batch the range of its numbers, or that each has its own."""
+    """Write an argument's value, or the range of a batch of numbers."""
     tail = f" {unit}" if unit else ""
     if array.ndim > item_axes and len(array) > 1:
         if item_axes:
