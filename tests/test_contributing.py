@@ -12,9 +12,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "CONTRIBUTING.md"
 IN_PACKAGE = (
-    "lierb/model/joints/catalogue.py", "lierb/kernels/mechanics/rows.py", "lierb/model/forces.py",
-    "lierb/methods/classical.py", "lierb/kernels/systems/measures.py",
-    "lierb/kernels/systems/tree_system.py",
+    "lierb/model/joints/catalogue.py", "lierb/kernels/mechanics/rows.py",
+    "lierb/model/forces/springs.py", "lierb/methods/classical.py",
+    "lierb/kernels/systems/measures.py", "lierb/kernels/systems/tree_system.py",
 )  # fmt: skip
 CATALOGUES = (
     "test_joints", "test_oracle", "test_initial_conditions", "test_prediction", "test_scale",
@@ -26,7 +26,7 @@ CATALOGUES = (
 SCRIPT = """
 import numpy as np
 import lierb
-from lierb.studies.units import unit_of
+from lierb.studies.description.units import unit_of
 
 centre = [0.7, 0.2, -0.4]
 box = {"solid": "box", "size": [0.1, 0.2, 0.3], "mass": 1.0}

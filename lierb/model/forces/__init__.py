@@ -1,0 +1,36 @@
+"""Applied forces beside gravity: springs, limits, friction, drag, constant wrenches and motors.
+
+::
+
+    problem = lierb.Problem(body, joint, forces=[lierb.forces.drag(linear=0.1)])
+
+Every parameter is one value for all bodies or one for each: (n,), (n, 3). The name of a point or
+direction tells its frame; the default point is that frame's origin. `lierb.wrench` makes a force of
+a function.
+
+A force is a class with its name, its parameters and its formulas, and the function of that name
+that makes it. Studies use the same names.
+"""
+
+from lierb.model.forces import friction, limits, motors, springs, wrenches
+from lierb.model.forces.built_in import UNITS
+from lierb.model.forces.built_in import BuiltIn as BuiltIn
+from lierb.model.forces.friction import *  # noqa: F403
+from lierb.model.forces.limits import *  # noqa: F403
+from lierb.model.forces.motors import *  # noqa: F403
+from lierb.model.forces.springs import *  # noqa: F403
+from lierb.model.forces.wrenches import *  # noqa: F403
+from lierb.model.forces.wrenches import BodyWrench as BodyWrench
+from lierb.model.functions.wrenches import Force as Force
+
+__all__: list[str] = []
+__all__ += wrenches.__all__
+__all__ += springs.__all__
+__all__ += friction.__all__
+__all__ += limits.__all__
+__all__ += motors.__all__
+FORCE_UNITS = {name: UNITS[name] for name in __all__}  # units of parameters, by force
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

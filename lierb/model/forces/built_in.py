@@ -1,0 +1,88 @@
+"""Base of lierb's own forces: parameters, units and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, body_label
+from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.mechanics.elements import Element
+from lierb.kernels.mechanics.newton_euler import Frames
+from lierb.kernels.numbers.arithmetic import sqrt, where
+from lierb.kernels.numbers.vec import Vec, cross, dot
+from lierb.model.functions.wrenches import Force
+
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+class Parameter(NamedTuple):
+    """Parameter of a force.
+
+    unit : unit.   shape : shape for one body.   is_signed : True if it may be negative.
+    to_joint_axes : function that transforms it to joint axes.
+    """
+
+    unit: str
+    shape: Shape = ()
+    is_signed: bool = True
+    to_joint_axes: Callable[[Frames, Any], Any] = lambda frames, value: value
+
+
+BODY_POINT = Parameter("m", (3,), to_joint_axes=Frames.body_point)
+GROUND_POINT = Parameter("m", (3,), to_joint_axes=Frames.ground_point)
+UNITS: dict[str, dict[str, str]] = {}  # units of parameters, by force
+
+
+@dataclass(frozen=True)
+class BuiltIn(Element):
+    """Force of lierb's own.
+
+    name : name of the function that makes it, and of its type in a study.
+    """
+
+    name: ClassVar[str]
+    parameters: ClassVar[dict[str, Parameter]]
+
+    def __init_subclass__(cls, is_abstract: bool = False) -> None:
+        if is_abstract:
+            return
+        units = UNITS.setdefault(cls.name, {})
+        units |= {name: parameter.unit for name, parameter in cls.parameters.items()}
+
+    @property
+    def shapes(self) -> dict[str, Shape]:
+        own = {name: parameter.shape for name, parameter in self.parameters.items()}
+        return super().shapes if self.functions else own
+
+    def force(self, /, **values: ArrayLike) -> Force:
+        """Make the force with these parameters."""
+        made = Force.of(self.name, self, values)
+        for name in (n for n, p in self.parameters.items() if not p.is_signed):
+            array = np.atleast_1d(made.parameters[name])
+            for body in np.flatnonzero(array < 0.0)[:1]:
+                label = body_label(name, int(body), array.size)
+                raise ArgumentError(f"{label} is {array[body]}; expected zero or a positive number")
+        return made
+
+    def placed(self, values: dict[str, Any], frames: Frames) -> tuple[Any, ...]:
+        own = self.parameters
+        return tuple(
+            own[name].to_joint_axes(frames, x) if name in own else x for name, x in values.items()
+        )
+
+
+def inverse_norm(a: Vec) -> Any:
+    """Compute 1/‖a‖, and 0 for the zero vector."""
+    square = dot(a, a)
+    some = square > 0.0
+    return where(some, 1.0, 0.0) / sqrt(where(some, square, 1.0))
+
+
+def unit_force_at(point: Vec, direction: Vec) -> Vec:
+    """Torque and force of a unit force at a point."""
+    return cross(point, direction) + direction

@@ -1,0 +1,54 @@
+"""Forces about or along the axis of a joint."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from lierb.kernels.mechanics.elements import Tangent, Wrench
+from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.numbers.arithmetic import PI, fma, rint
+from lierb.kernels.numbers.trigonometry import atan2
+from lierb.kernels.numbers.vec import ZERO3
+from lierb.kernels.numbers.zero import ZERO
+from lierb.model.forces.built_in import BuiltIn
+
+
+class AtJoint(BuiltIn, is_abstract=True):
+    """Force about the joint axis e₃, a function of the rate and the angle there."""
+
+    needs_axis: ClassVar = True
+
+    def rate(self, x: Motion) -> Any:
+        return x.omega[2]
+
+    def place(self, x: Motion, middle: Any) -> Any:
+        """Angle from the middle, or coordinate along the axis."""
+        return _turn(x, middle)
+
+    def pushed(self, size: Any) -> Wrench:
+        return (ZERO, ZERO, size), ZERO3
+
+    def tangent(self, stiffness: Any, damping: Any, is_lasting: bool = True) -> Tangent:
+        torque, force = self.pushed(1.0)
+        return Tangent(torque + force, stiffness, damping, is_lasting)
+
+
+class AlongJoint(AtJoint, is_abstract=True):
+    """Force along the joint axis e₃, a function of the coordinate d₃ and its rate."""
+
+    needs_slide: ClassVar = True
+
+    def rate(self, x: Motion) -> Any:
+        return x.v[2]
+
+    def place(self, x: Motion, middle: Any) -> Any:
+        return x.place[2] - middle
+
+    def pushed(self, size: Any) -> Wrench:
+        return ZERO3, (ZERO, ZERO, size)
+
+
+def _turn(x: Motion, angle: Any) -> Any:
+    """Angle of the body about e₃ from a given one, in [−π, π]."""
+    turn = atan2(x.q[3], x.q[0]) - angle
+    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)

@@ -1,0 +1,170 @@
+"""Limits of joints: a spring and damper beyond each stop."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lierb.errors import ArgumentError, body_label
+from lierb.kernels.mechanics.elements import Bound, Tangent, Wrench, travel_to_kink
+from lierb.kernels.mechanics.newton_euler import Motion
+from lierb.kernels.numbers.arithmetic import PI, absolute, fma, maximum, minimum, where
+from lierb.model.forces.built_in import Parameter
+from lierb.model.forces.joint_axes import AlongJoint, AtJoint
+from lierb.model.functions.wrenches import Force
+from lierb.support.arrays import as_numbers, batch_size
+
+__all__ = ["joint_limit", "slide_limit"]
+
+
+class JointLimit(AtJoint):
+    """Stop at either end of an angle: a spring and damper beyond it."""
+
+    name = "joint_limit"
+    bounds_steps: ClassVar = True
+    parameters: ClassVar = {
+        "lower": Parameter("rad"),
+        "upper": Parameter("rad"),
+        "stiffness": Parameter("N m/rad", is_signed=False),
+        "damping": Parameter("N m s/rad", is_signed=False),
+    }
+    is_conservative: ClassVar = True
+    working: ClassVar = ("damping",)
+
+    def _beyond(self, placed: Any, x: Motion) -> tuple[Any, Any]:
+        """Signed distance beyond a stop, and the damping there."""
+        lower, upper, _, damping = placed
+        half = 0.5 * (upper - lower)
+        place = self.place(x, 0.5 * (lower + upper))
+        beyond = maximum(place - half, 0.0) + minimum(place + half, 0.0)
+        return beyond, where(absolute(place) > half, damping, 0.0)
+
+    def wrench(self, placed: Any, x: Motion) -> Wrench:
+        beyond, damping = self._beyond(placed, x)
+        return self.pushed(-fma(placed[2], beyond, damping * self.rate(x)))
+
+    def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
+        _, _, stiffness, damping = placed
+        return (self.tangent(stiffness, damping, is_lasting=False),)
+
+    def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
+        lower, upper = placed[:2]
+        place, half = self.place(start, 0.5 * (lower + upper)), 0.5 * (upper - lower)
+        return (travel_to_kink(place, self.rate(end), (-half, half, *self.farther(half))),)
+
+    def farther(self, half: Any) -> tuple[Any, ...]:
+        """Kinks beyond the upper stop: half a turn from the middle, and the lower stop again."""
+        return PI, 2.0 * PI - half
+
+    def energy(self, placed: Any, x: Motion) -> Any:
+        beyond, _ = self._beyond(placed, x)
+        return 0.5 * placed[2] * (beyond * beyond)
+
+    def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
+        _, damping = self._beyond(placed, x)
+        return -damping * (self.rate(x) * self.rate(x))
+
+
+class SlideLimit(AlongJoint, JointLimit):
+    """Stop at either end of a slide along the joint axis."""
+
+    name = "slide_limit"
+    parameters: ClassVar = {
+        "lower": Parameter("m"),
+        "upper": Parameter("m"),
+        "stiffness": Parameter("N/m", is_signed=False),
+        "damping": Parameter("N s/m", is_signed=False),
+    }
+
+    def farther(self, half: Any) -> tuple[Any, ...]:
+        """No kink beyond the upper stop."""
+        return (np.inf,)
+
+
+def joint_limit(
+    *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+) -> Force:
+    """Apply stops to a joint that turns: a spring and a damper about its axis beyond either one.
+
+    The spring counts in the energy, the damper's power in the work. A stop depends on the pose, not
+    on the path to it: beyond it the shorter way back counts, so that lower and upper must be less
+    than 2π apart. Keep steps short beside √(inertia/stiffness); the step in which a stop is met is
+    of lower order. It is for joints that keep the axis e₃.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (n,)
+        Least angle φ, rad.
+    upper : float or array_like, shape (n,)
+        Largest angle φ, rad.
+    stiffness : float or array_like, shape (n,)
+        Stiffness of the stops, N m/rad.
+    damping : float or array_like, shape (n,), optional
+        Damping in the stops, N m s/rad.
+
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.forces.joint_limit(lower=-0.5, upper=[1.0, 1.5], stiffness=100.0, damping=0.1)
+    <joint_limit: lower, upper, stiffness, damping>
+    """
+    _require_order(lower, upper, 2.0 * np.pi)
+    return JointLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
+
+
+def slide_limit(
+    *, lower: ArrayLike, upper: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0
+) -> Force:
+    """Apply stops to a joint that slides: a spring and a damper along its axis beyond either one.
+
+    Energy, work and steps are as for `joint_limit`. It is for joints that keep the axis e₃ and
+    slide along it.
+
+    Parameters
+    ----------
+    lower : float or array_like, shape (n,)
+        Least coordinate d₃, m.
+    upper : float or array_like, shape (n,)
+        Largest coordinate d₃, m.
+    stiffness : float or array_like, shape (n,)
+        Stiffness of the stops, N/m.
+    damping : float or array_like, shape (n,), optional
+        Damping in the stops, N s/m.
+
+    Returns
+    -------
+    Force
+        Element for `Problem(forces=…)`.
+
+    Examples
+    --------
+    >>> import lierb
+    >>> lierb.forces.slide_limit(lower=0.0, upper=0.2, stiffness=[1e3, 1e4])
+    <slide_limit: lower, upper, stiffness, damping>
+    """
+    _require_order(lower, upper)
+    return SlideLimit().force(lower=lower, upper=upper, stiffness=stiffness, damping=damping)
+
+
+def _require_order(lower: ArrayLike, upper: ArrayLike, turn: float = np.inf) -> None:
+    low, high = as_numbers("lower", lower, ()), as_numbers("upper", upper, ())
+    batch_size(lower=low, upper=high)
+    lows, highs = (np.atleast_1d(x) for x in np.broadcast_arrays(low, high))
+    for body in np.flatnonzero(lows > highs)[:1]:
+        label = body_label("lower", int(body), lows.size)
+        below, above = float(lows[body]), float(highs[body])
+        raise ArgumentError(f"{label} is {below}, above upper, {above}; expected lower ≤ upper")
+    for body in np.flatnonzero(highs - lows >= turn)[:1]:
+        label = body_label("upper", int(body), lows.size)
+        raise ArgumentError(
+            f"{label} is {float(highs[body])} rad, a turn or more above lower, "
+            f"{float(lows[body])}: stops that know the pose alone would never act; expected less "
+            "than 2π between them"
+        )
