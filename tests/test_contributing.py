@@ -84,8 +84,9 @@ def hunks(page: str):
 def copy(tmp_path_factory):
     """The checkout's lierb, tests and reference with all diffs applied."""
     root = tmp_path_factory.mktemp("checkout")
-    left_out = shutil.ignore_patterns("__pycache__", "_build", "results")
     for folder in ("lierb", "tests", "docs", "examples", "bench"):
+        stored = ("results",) if folder == "bench" else ()  # lierb/results is a part of the package
+        left_out = shutil.ignore_patterns("__pycache__", "_build", *stored)
         shutil.copytree(ROOT / folder, root / folder, ignore=left_out)
     shutil.copy(ROOT / "pyproject.toml", root)
     for file, before, after in hunks(PAGE.read_text(encoding="utf-8")):
