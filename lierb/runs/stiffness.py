@@ -205,7 +205,7 @@ class _OwnForces:
         poses = [pose_components(pose0[name]) for name in names]
         twists = [components(twist0[name]) for name in names]
         system = self._system if count == 1 else System(self.mechanism, count)
-        rows = system.decomposed(system.held(poses))
+        rows = system.decomposed(system.states(poses))
         tangents, forces = [], []
         along: list[Array] = []  # of each tangent, q̇ as a row on the x of `DecomposedRows`
         for i, (at, p, body) in enumerate(self._places):

@@ -25,7 +25,7 @@ from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.numbers.zero import ZERO
-from lierb.kernels.tracing import lanes
+from lierb.kernels.tracing import lane_by_lane
 from lierb.kernels.tracing.lanes import Lane
 
 HUGE = 2.0**1000  # sums of two larger numbers may overflow
@@ -57,7 +57,7 @@ def copysign_of(x: Any, y: Any) -> Any:
 def _library(name: str, *operands: Any) -> Any:
     """Call the C library's function on each number."""
     if any(isinstance(x, Lane) for x in operands):
-        return lanes.call_library(name, *map(plain, operands))
+        return lane_by_lane.call_library(name, *map(plain, operands))
     if hasattr(np, IN_NUMPY.get(name, name)):
         return getattr(np, IN_NUMPY.get(name, name))(*map(plain, operands))
     values = np.frompyfunc(getattr(math, name), len(operands), 1)(*map(plain, operands))

@@ -27,7 +27,7 @@ from lierb.kernels.numbers.arithmetic import floor as whole
 from lierb.kernels.numbers.arithmetic import rint as nearest
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of
-from lierb.kernels.tracing import lanes
+from lierb.kernels.tracing import lane_by_lane
 from lierb.kernels.tracing.lanes import Lane
 
 FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
@@ -82,7 +82,7 @@ def _exact_quotient(x: Any, y: Any, q: Callable[[Any], Any], name: str) -> Any:
     return branch(
         all_lanes(fits),
         lambda: fma(-q(quotient), y, x),
-        lambda: select(fits, fma(-q(quotient), y, x), lanes.call_library(name, x, y)),
+        lambda: select(fits, fma(-q(quotient), y, x), lane_by_lane.call_library(name, x, y)),
     )
 
 
@@ -212,7 +212,7 @@ def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) 
     are_constant = all(isinstance(n, (int, float, np.number)) for line in lines for n in line)
     if len(lines) > FEW_LINES and are_constant and isinstance(raw(x), Lane):
         columns = [[float(n) for n in column] for column in zip(*lines, strict=True)]
-        at, value, slope = map(UserNumber, lanes.row_at(raw(x), columns))
+        at, value, slope = map(UserNumber, lane_by_lane.row_at(raw(x), columns))
     else:
         at, value, slope = lines[0]
         for line in lines[1:]:
