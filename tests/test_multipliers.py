@@ -16,7 +16,8 @@ from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.groups import quaternion
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.mechanics.rows import JOINT_ROWS
-from lierb.kernels.mechanics.saddle import Load, solve
+from lierb.kernels.mechanics.saddle import solve
+from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.formulations import accelerate

@@ -72,6 +72,7 @@ OF_MECHANISMS = (
     "mechanics.spatial.",
     "mechanics.tree.",
     "mechanics.tree_dynamics.",
+    "mechanics.tree_rows.",
     "systems.tree_system.",
     "systems.tree_inputs.",
     "systems.system_of.",

@@ -21,20 +21,19 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.saddle import less, multipliers_of
-from lierb.kernels.mechanics.spatial import Articulated, Pose, twist_at, wrench_from
+from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
 from lierb.kernels.mechanics.tree import (
     GROUND,
     MASSLESS,
-    Connection,
-    Relative,
     TreeMotion,
     combined,
     joint_space_pays,
 )
+from lierb.kernels.mechanics.tree_rows import Asked, Response, stiffness_of
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.kernels.numbers.number import Number
-from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, scale, sub
+from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
@@ -242,14 +241,6 @@ def bodies_of(motion: TreeMotion, rows: Sequence[Asked] = ()) -> Bodies:
     return (JointSpace if joint_space_pays(motion.nodes) else ArticulatedBodies)(motion, rows)
 
 
-class Response(NamedTuple):
-    """Accelerations of all nodes under some loads."""
-
-    moved: tuple[Vec, ...]  # A of each node, or of unit loads
-    rates: tuple[Vec, ...]  # S ν̇
-    totals: tuple[Vec, ...]  # loads, with those that descendants pass on
-
-
 def _net_loads(motion: TreeMotion, loads: dict[int, Vec], is_moving: bool) -> list[Vec]:
     """Loads on all nodes, less the bias wrenches of their bodies where these move."""
     totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
@@ -273,59 +264,6 @@ def _times(matrix: tuple[Any, ...], x: Vec) -> Vec:
 
 
 # ---- rows beside the tree ----------------------------------------------------------------------
-
-
-class Asked(NamedTuple):
-    """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
-
-    push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
-    stiffness : s, for a row of the joint that connects `node` to its parent `other`.
-    """
-
-    node: int
-    other: int
-    push: Vec
-    pull: Vec
-    fall: Vec | None
-    wanted: Number
-    stiffness: Number = ZERO
-
-    def loads(self, size: Number = 1.0) -> dict[int, Vec]:
-        """Wrenches on the nodes of a multiplier −size."""
-        wrenches = {self.node: scale(size, self.push)}
-        if self.other != GROUND:
-            wrenches[self.other] = scale(-size, self.pull)
-        return wrenches
-
-    def of(self, response: Response) -> Any:
-        """Left-hand side of the row at some accelerations."""
-        total = dot(self.push, response.moved[self.node])
-        if self.other != GROUND:
-            return total - dot(self.pull, response.moved[self.other])
-        return total
-
-
-def asked(
-    connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
-) -> Asked:
-    """Row of a connection on its nodes, with the Jacobian J of J·V_rel."""
-    push = jacobian if connection.hangs else wrench_from(inner, jacobian)
-    pull = wrench_from(relative.seat, jacobian)
-    return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
-
-
-def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Any]]:
-    """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
-    count = len(directions)
-    total: list[list[Any]] = [[ZERO] * count for _ in range(count)]
-    for each in rows:
-        if each.node == i and not is_zero(each.stiffness):
-            b = [dot(each.push, s) for s in directions]
-            total = [
-                [fma(each.stiffness * x, y, k) for y, k in zip(b, ks, strict=True)]
-                for x, ks in zip(b, total, strict=True)
-            ]
-    return total
 
 
 class Solved(NamedTuple):

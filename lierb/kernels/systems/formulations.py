@@ -25,7 +25,8 @@ from lierb.kernels.mechanics.newton_euler import (
     spinning,
 )
 from lierb.kernels.mechanics.rows import PITCHED, fixed_axes
-from lierb.kernels.mechanics.saddle import Load, has_others, is_other_rank, solve
+from lierb.kernels.mechanics.saddle import has_others, is_other_rank, solve
+from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import PI, absolute, any_lanes, branch, fma, where
 from lierb.kernels.numbers.vec import (
     ZERO6,

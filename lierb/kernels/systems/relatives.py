@@ -10,7 +10,8 @@ from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows
 from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.tree import Connection, Ends, Relative, TreeMotion
-from lierb.kernels.mechanics.tree_dynamics import Asked, Factored, asked
+from lierb.kernels.mechanics.tree_dynamics import Factored
+from lierb.kernels.mechanics.tree_rows import Asked, asked
 from lierb.kernels.numbers.arithmetic import maximum, where
 from lierb.kernels.numbers.vec import Vec, dot, row
 from lierb.kernels.numbers.zero import ZERO, is_zero

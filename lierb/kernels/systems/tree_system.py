@@ -36,12 +36,12 @@ from lierb.kernels.mechanics.tree import (
     root_of,
 )
 from lierb.kernels.mechanics.tree_dynamics import (
-    Asked,
     Bodies,
     Solved,
     bodies_of,
     solved,
 )
+from lierb.kernels.mechanics.tree_rows import Asked
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, sqrt, where
 from lierb.kernels.numbers.vec import (
     ZERO3,

@@ -1,0 +1,74 @@
+"""Accelerations of the nodes of a tree, and rows on those of two nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from lierb.kernels.mechanics.spatial import Pose, wrench_from
+from lierb.kernels.mechanics.tree import GROUND, Connection, Relative
+from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.number import Number
+from lierb.kernels.numbers.vec import Vec, dot, scale
+from lierb.kernels.numbers.zero import ZERO, is_zero
+
+
+class Response(NamedTuple):
+    """Accelerations of all nodes under some loads."""
+
+    moved: tuple[Vec, ...]  # A of each node, or of unit loads
+    rates: tuple[Vec, ...]  # S ν̇
+    totals: tuple[Vec, ...]  # loads, with those that descendants pass on
+
+
+class Asked(NamedTuple):
+    """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
+
+    push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
+    stiffness : s, for a row of the joint that connects `node` to its parent `other`.
+    """
+
+    node: int
+    other: int
+    push: Vec
+    pull: Vec
+    fall: Vec | None
+    wanted: Number
+    stiffness: Number = ZERO
+
+    def loads(self, size: Number = 1.0) -> dict[int, Vec]:
+        """Wrenches on the nodes of a multiplier −size."""
+        wrenches = {self.node: scale(size, self.push)}
+        if self.other != GROUND:
+            wrenches[self.other] = scale(-size, self.pull)
+        return wrenches
+
+    def of(self, response: Response) -> Any:
+        """Left-hand side of the row at some accelerations."""
+        total = dot(self.push, response.moved[self.node])
+        if self.other != GROUND:
+            return total - dot(self.pull, response.moved[self.other])
+        return total
+
+
+def asked(
+    connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
+) -> Asked:
+    """Row of a connection on its nodes, with the Jacobian J of J·V_rel."""
+    push = jacobian if connection.hangs else wrench_from(inner, jacobian)
+    pull = wrench_from(relative.seat, jacobian)
+    return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
+
+
+def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Any]]:
+    """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
+    count = len(directions)
+    total: list[list[Any]] = [[ZERO] * count for _ in range(count)]
+    for each in rows:
+        if each.node == i and not is_zero(each.stiffness):
+            b = [dot(each.push, s) for s in directions]
+            total = [
+                [fma(each.stiffness * x, y, k) for y, k in zip(b, ks, strict=True)]
+                for x, ks in zip(b, total, strict=True)
+            ]
+    return total
