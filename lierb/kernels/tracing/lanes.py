@@ -26,7 +26,10 @@ INT32 = ir.IntType(32)
 # ---- traced numbers ----------------------------------------------------------------------------
 
 
-def _splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
+def splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
+    """Broadcast a value to `lanes` lanes, unless it has as many."""
+    if _count(value.type) == lanes:
+        return value
     vector = ir.VectorType(value.type, lanes)
     undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, value, ir.Constant(INT32, 0))
@@ -116,35 +119,27 @@ def same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
     def convert(x: Any) -> ir.Value:
         if type(x) is not Lane:
             return constant_of(widest, x)
-        if x.value.type is widest or x.value.type == widest:
-            return x.value
-        return _splat(trace.builder, x.value, widest.count)
+        is_same = x.value.type is widest
+        return x.value if is_same else splat(trace.builder, x.value, _count(widest))
 
     return [convert(x) for x in operands]
 
 
-def _emits(method: str) -> Any:
+def _emits(method: str) -> tuple[Any, Any]:
+    """Operator that emits an instruction, and the reflected operator."""
     emit = getattr(ir.IRBuilder, method)
 
     def operator(self: Lane, other: Any) -> Any:
         if not isinstance(other, (Lane, int, float)):
             return NotImplemented
-        trace = self.trace
-        return Lane(trace, emit(trace.builder, *same_type(trace, self, other)))
+        return Lane(self.trace, emit(self.builder, *same_type(self.trace, self, other)))
 
-    return operator
-
-
-def _emits_reflected(method: str) -> Any:
-    emit = getattr(ir.IRBuilder, method)
-
-    def operator(self: Lane, other: Any) -> Any:
+    def reflected(self: Lane, other: Any) -> Any:
         if not isinstance(other, (int, float)):
             return NotImplemented
-        trace = self.trace
-        return Lane(trace, emit(trace.builder, *same_type(trace, other, self)))
+        return Lane(self.trace, emit(self.builder, *same_type(self.trace, other, self)))
 
-    return operator
+    return operator, reflected
 
 
 def _compares(symbol: str) -> Any:
@@ -202,10 +197,10 @@ class Lane(Traced):
     def lanes(self) -> int:
         return _count(self.value.type)
 
-    __add__, __radd__ = _emits("fadd"), _emits_reflected("fadd")
-    __sub__, __rsub__ = _emits("fsub"), _emits_reflected("fsub")
-    __mul__, __rmul__ = _emits("fmul"), _emits_reflected("fmul")
-    __truediv__, __rtruediv__ = _emits("fdiv"), _emits_reflected("fdiv")
+    __add__, __radd__ = _emits("fadd")
+    __sub__, __rsub__ = _emits("fsub")
+    __mul__, __rmul__ = _emits("fmul")
+    __truediv__, __rtruediv__ = _emits("fdiv")
     __lt__, __le__ = _compares("<"), _compares("<=")
     __gt__, __ge__ = _compares(">"), _compares(">=")
     __eq__ = _compares("==")
@@ -279,9 +274,7 @@ class Lane(Traced):
 
     def widened(self, lanes: int) -> Lane:
         """Broadcast the number to `lanes` lanes."""
-        if self.lanes == lanes:
-            return self
-        return Lane(self.trace, _splat(self.builder, self.value, lanes))
+        return Lane(self.trace, splat(self.builder, self.value, lanes))
 
 
 class Mask(Traced):
@@ -289,22 +282,16 @@ class Mask(Traced):
 
     __slots__ = ()
 
-    def _widened(self, lanes: int) -> ir.Value:
-        if _count(self.value.type) == lanes:
-            return self.value
-        return _splat(self.builder, self.value, lanes)
-
     def _combine(self, other: Any, method: str) -> Mask:
         if isinstance(other, Mask):
             widest = max(_count(self.value.type), _count(other.value.type))
-            both = self._widened(widest), other._widened(widest)
+            both = (splat(self.builder, mask.value, widest) for mask in (self, other))
             return Mask(self.trace, getattr(self.builder, method)(*both))
         neutral = method == "and_"  # True & m = m, False | m = m
         if bool(other) == neutral:
             return self
-        ty = self.value.type
-        bits = [int(other)] * ty.count if isinstance(ty, ir.VectorType) else int(other)
-        return Mask(self.trace, ir.Constant(ty, bits))
+        bits = ir.Constant(BIT, int(other))
+        return Mask(self.trace, splat(self.builder, bits, _count(self.value.type)))
 
     def __and__(self, other: Any) -> Mask:
         return self._combine(other, "and_")
@@ -387,8 +374,6 @@ def _widest_type(numbers: Sequence[Any]) -> ir.Type:
 def _at_end_of(block: ir.Block, x: Any, ty: ir.Type) -> ir.Value:
     if not isinstance(x, Lane):
         return constant_of(ty, x)
-    if x.value.type == ty:
-        return x.value
     builder = ir.IRBuilder(block)
     builder.position_before(block.terminator)
-    return _splat(builder, x.value, ty.count)
+    return splat(builder, x.value, _count(ty))

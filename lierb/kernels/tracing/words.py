@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 
 from lierb.kernels.numbers.arithmetic import floor
-from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, Trace
+from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace, splat
 
 INT64 = ir.IntType(64)
 LOW = 0xFFFFFFFF  # the lower half
@@ -103,10 +103,7 @@ class Words:
 
     def widened(self, other: Any) -> ir.Value:
         """Return the LLVM value, broadcast to the lanes of another word."""
-        ty = other.value.type if isinstance(other, Words) else INT64
-        if self.value.type == ty or not isinstance(ty, ir.VectorType):
+        is_pack = isinstance(other, Words) and isinstance(other.value.type, ir.VectorType)
+        if not is_pack:
             return self.value
-        builder, pack = self.trace.builder, ir.Constant(ty, ir.Undefined)
-        first = builder.insert_element(pack, self.value, INT32(0))
-        mask = ir.Constant(ir.VectorType(INT32, ty.count), [0] * ty.count)
-        return builder.shuffle_vector(first, pack, mask)
+        return splat(self.trace.builder, self.value, other.value.type.count)
