@@ -12,12 +12,7 @@ import numpy as np
 from numba import types
 
 from lierb.compiler.disk_cache import DiskCache
-from lierb.compiler.internals import (
-    ALLOCATES_NOTHING,
-    COMPILER_LOCK,
-    compile_leanly,
-    set_cache,
-)
+from lierb.compiler.internals import ALLOCATES_NOTHING, COMPILER_LOCK, compile_leanly, set_cache
 from lierb.compiler.tags import Tag
 from lierb.compiler.threads import begun
 

@@ -30,11 +30,7 @@ from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Rows
 from lierb.kernels.mechanics.saddle import kinds_of
-from lierb.kernels.mechanics.spatial import (
-    Pose,
-    Rigid,
-    twist_at,
-)
+from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (

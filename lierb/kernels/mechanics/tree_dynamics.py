@@ -23,13 +23,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.mechanics.saddle import less, multipliers_of
 from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
-from lierb.kernels.mechanics.tree import (
-    GROUND,
-    MASSLESS,
-    TreeMotion,
-    combined,
-    joint_space_pays,
-)
+from lierb.kernels.mechanics.tree import GROUND, MASSLESS, TreeMotion, combined, joint_space_pays
 from lierb.kernels.mechanics.tree_rows import Asked, Response, stiffness_of
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.kernels.numbers.number import Number
