@@ -26,7 +26,7 @@ from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, atan2, sincos
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.tracing import lane_by_lane
-from lierb.kernels.tracing.lanes import Lane
+from lierb.kernels.tracing.lanes import Lane, call_intrinsic
 
 HUGE = 2.0**1000  # sums of two larger numbers may overflow
 
@@ -50,7 +50,7 @@ def smooth(
 
 def copysign_of(x: Any, y: Any) -> Any:
     if isinstance(x, Lane) or isinstance(y, Lane):
-        return lanes.call_intrinsic("copysign", plain(x), plain(y))
+        return call_intrinsic("copysign", plain(x), plain(y))
     return np.copysign(plain(x), plain(y))
 
 

@@ -28,7 +28,7 @@ from lierb.kernels.numbers.arithmetic import rint as nearest
 from lierb.kernels.numbers.arithmetic import where as select
 from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.tracing import lane_by_lane
-from lierb.kernels.tracing.lanes import Lane
+from lierb.kernels.tracing.lanes import Lane, call_intrinsic
 
 FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
 WHOLE = 2.0**52  # quotients below it have a floor that is exact
@@ -45,7 +45,7 @@ def _steps(name: str, of: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 
 def _intrinsic(name: str, x: Any) -> Any:
-    return lanes.call_intrinsic(name, x) if isinstance(x, Lane) else getattr(np, name)(plain(x))
+    return call_intrinsic(name, x) if isinstance(x, Lane) else getattr(np, name)(plain(x))
 
 
 floor = _steps("floor", whole)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import HeldBody, Rows, fixed_axes
 from lierb.kernels.numbers.arithmetic import fma, where
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import atan2
 from lierb.kernels.numbers.vec import Vec, dot, norm, row
 from lierb.kernels.numbers.zero import ZERO
@@ -24,10 +23,10 @@ def held_axes(rows: Rows) -> list[int]:
     return {2: [3 - sum(fixed)], 3: [0, 1, 2]}.get(len(fixed), [])
 
 
-def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Any]:
+def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
     """Value h of every row; of an `Omega` row the body's turn about its axis, rad."""
     fixed = fixed_axes(rows)
-    turns: dict[int | None, Any] = {}
+    turns: dict[int | None, Number] = {}
     if len(fixed) == 3:
         turns = dict(enumerate(so3.log(x.q)))
     elif len(fixed) == 2:
@@ -35,7 +34,7 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Any]:
     return [r.value(x, body) if r.has_value else turns[r.fixed_axis] for r in rows]
 
 
-def _tilt(q: Vec, axis: int) -> dict[int | None, Any]:
+def _tilt(q: Vec, axis: int) -> dict[int | None, Number]:
     """Turn, rad, of a body's axis away from the ground's, about each of the two other axes."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     ground_axis = row(q, axis)  # in body axes
@@ -44,18 +43,18 @@ def _tilt(q: Vec, axis: int) -> dict[int | None, Any]:
     return {i: factor * ground_axis[j], j: -factor * ground_axis[i]}
 
 
-def _squares(numbers: list[Any]) -> Any:
-    total: Any = ZERO
+def _squares(numbers: list[Number]) -> Number:
+    total: Number = ZERO
     for x in numbers:
         total = fma(x, x, total)
     return total
 
 
-def position_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
+def position_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Number:
     return _squares([r.value(x, body) for r in rows if r.is_translational])
 
 
-def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
+def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Number:
     """Square of the values of rotational rows, and of Q's entries that `Omega` rows zero."""
     entries = [r.value(x, body) for r in rows if r.has_value and not r.is_translational]
     fixed = fixed_axes(rows)
@@ -72,7 +71,7 @@ def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Any:
 
 def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
-) -> tuple[Any, Any]:
+) -> tuple[Number, Number]:
     """Squares of J V less the prescribed rates, of translational and of rotational rows."""
     rates = [
         (r.is_translational, dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body))

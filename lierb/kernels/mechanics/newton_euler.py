@@ -122,13 +122,13 @@ class BodyConstants(NamedTuple):
         return cross_add(self.first_moment, fall, torque) + force
 
 
-def girth_of(*bodies: tuple[Any, Mat]) -> Any:
+def girth_of(*bodies: tuple[Any, Mat]) -> Number:
     """Square of the radius of gyration, tr Θ / 2m, m², of bodies together.
 
     bodies : mass and inertia about the centre of mass of each.
     """
-    mass: Any = ZERO
-    trace: Any = ZERO
+    mass: Number = ZERO
+    trace: Number = ZERO
     for own, inertia in bodies:
         mass, trace = mass + own, trace + (inertia[0] + inertia[4] + inertia[8])
     return 0.5 * trace / mass
@@ -287,12 +287,12 @@ def unit_inertia(c: Vec) -> Mat:
     return (yy + zz, xy, xz, xy, xx + zz, yz, xz, yz, xx + yy)
 
 
-def kinetic_energy(body: BodyConstants, omega: Vec, com_velocity: Vec) -> Any:
+def kinetic_energy(body: BodyConstants, omega: Vec, com_velocity: Vec) -> Number:
     turning = dot(omega, mat_vec(body.inertia, omega))
     return 0.5 * fma(body.mass, dot(com_velocity, com_velocity), turning)
 
 
-def _potential_energy(body: BodyConstants, com: Vec) -> Any:
+def _potential_energy(body: BodyConstants, com: Vec) -> Number:
     return body.energy_origin - body.mass * dot(body.gravity, com)
 
 
@@ -340,12 +340,12 @@ class SE3:
         return turning + cross_add(velocity[3:], velocity[:3], moving)
 
     @staticmethod
-    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Any:
+    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Number:
         omega = velocity[:3]
         return kinetic_energy(body, omega, cross_add(omega, body.com, velocity[3:]))
 
     @staticmethod
-    def potential_energy(body: BodyConstants, pose: Pose) -> Any:
+    def potential_energy(body: BodyConstants, pose: Pose) -> Number:
         """Potential energy of gravity."""
         return _potential_energy(body, mat_vec_add(pose[0], body.com, pose[1]))
 
@@ -400,11 +400,11 @@ class SO3xR3:
         return turning + to_ground(cross_add(turning, com, bend))
 
     @staticmethod
-    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Any:
+    def kinetic_energy(body: BodyConstants, velocity: Vec) -> Number:
         return kinetic_energy(body, velocity[:3], velocity[3:])
 
     @staticmethod
-    def potential_energy(body: BodyConstants, pose: Pose) -> Any:
+    def potential_energy(body: BodyConstants, pose: Pose) -> Number:
         """Potential energy of gravity."""
         return _potential_energy(body, pose[1])
 

@@ -97,7 +97,7 @@ class Row:
         axis = self.fixed_axis if self.held_axis is None else 3 + self.held_axis
         return None if axis is None else (axis, FIXED)
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         """h."""
         return ZERO
 
@@ -105,11 +105,11 @@ class Row:
         """Row of J, (6,): angular part, translational part."""
         raise NotImplementedError
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         """η."""
         return ZERO
 
-    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Any:
+    def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Number:
         """Prescribed value of J V."""
         return ZERO
 
@@ -189,14 +189,14 @@ class Point(JointRow):
     def held_axis(self) -> int:
         return self.i
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         return x.d[self.i]
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         direction = row(x.q, self.i)
         return cross(x.arm, direction) + x.translation(UNIT[self.i], direction)
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         return -dot(row(x.q, self.i), x.point_bias)
 
 
@@ -210,7 +210,7 @@ class GroundPoint(JointRow):
     def holds_slide(self) -> bool:
         return self.i == 2
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         return mat_t_vec(x.q, x.d)[self.i]
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
@@ -218,7 +218,7 @@ class GroundPoint(JointRow):
         arm = sub(x.arm, mat_t_vec(x.q, x.d))
         return cross(arm, direction) + x.translation(column(x.q, self.i), direction)
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         b = mat_t_vec(x.q, x.d)
         swing = cross(x.omega, b)
         rate = sub(x.point_rate, swing)
@@ -254,13 +254,13 @@ class Cosine(JointRow):
     def holds_turn(self) -> bool:
         return self.i < 2 and self.j < 2
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         return x.q[3 * self.i + self.j]
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
         return cross(UNIT[self.j], row(x.q, self.i)) + ZERO3
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         return -dot(row(x.q, self.i), cross(x.omega, cross(x.omega, UNIT[self.j])))
 
 
@@ -277,7 +277,7 @@ class Screw(JointRow):
         kept = keeps_axis(rows)
         return None if kept else "has a screw row whose axis may tilt; add Omega1 and Omega2"
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         turn = 2.0 * PI * body.pitch
         slip = fma(-body.pitch, atan2(x.q[3], x.q[0]), x.d[2])
         turns = rint(slip / where(turn == 0.0, 1.0, turn))
@@ -288,7 +288,7 @@ class Screw(JointRow):
         # φ̇ = Ω₃, because Ω₁ = Ω₂ = 0
         return (*sliding[:2], sliding[2] - body.pitch, *sliding[3:])
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         return Point(2).acceleration(x, body)
 
 
@@ -304,7 +304,7 @@ class Rod(JointRow):
         held = any(r.is_translational and r != self for r in rows)
         return "has a rod beside rows that hold its end in another way" if held else None
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         return 0.5 * (dot(x.d, x.d) / body.length - body.length)
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
@@ -312,7 +312,7 @@ class Rod(JointRow):
         in_body = mat_t_vec(x.q, direction)
         return cross(x.arm, in_body) + x.translation(direction, in_body)
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         bend = dot(x.point_rate, x.point_rate) + dot(mat_t_vec(x.q, x.d), x.point_bias)
         return -bend / body.length
 
@@ -324,7 +324,7 @@ class ConstantVelocity(JointRow):
     axis_count = 0
     holds_turn = True
 
-    def value(self, x: Kinematics, body: HeldBody) -> Any:
+    def value(self, x: Kinematics, body: HeldBody) -> Number:
         # (Q₂₁ − Q₁₂)/2 = 2wz has no gradient at a half turn; the row of J of 2z is a unit vector
         return 2.0 * quaternion.of_matrix(x.q)[3]
 
@@ -332,7 +332,7 @@ class ConstantVelocity(JointRow):
         p = quaternion.of_matrix(x.q)
         return (-p[2], p[1], p[0]) + ZERO3
 
-    def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
+    def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
         return 0.25 * dot(x.omega, x.omega) * self.value(x, body)
 
 

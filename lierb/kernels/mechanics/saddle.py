@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.newton_euler import BodyConstants, kinetic_energy
-from lierb.kernels.mechanics.rows import Rows
+from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.support import Load, Support
 from lierb.kernels.numbers.arithmetic import (
     absolute,
@@ -63,8 +63,8 @@ def solve(
     body: BodyConstants,
     q: Mat,
     rows: Rows,
-    jacobian: Callable[[Any], Vec],
-    eta: tuple[Any, ...],
+    jacobian: Callable[[Row], Vec],
+    eta: Vec,
     load: Load,
     velocity: Vec | None = None,
     turning: Vec | None = None,
@@ -90,43 +90,51 @@ def solve(
     if turning is None:
         turning = support.turning(load, turns, moves)
     moving = support.moving(load, turning, moves)
-    total, found = load, {}
-    singular: Any = ZERO
-    dropped: Any = ZERO
+    total, multipliers = load, {}
+    singular: Number = ZERO
+    dropped: Number = ZERO
     arms = [jacobian(r) for r in others]
     if others:
-        still = (ZERO,) * len(moves)
-        loads = [
-            Load(cross_add(arm[3:], support.centre, arm[:3]), arm[3:], arm[:3]) for arm in arms
-        ]
-        responses = [support.response(each, ZERO3, still) for each in loads]
         excess = [
             dot(arm, turning + moving) - asked[r] for r, arm in zip(others, arms, strict=True)
         ]
         scales = _Scales(body, support, load, velocity)
-        answers = [turned + shifted for turned, shifted in responses]
-        schur = [[dot(arm, answers[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
-        sizes = [scales.of(arm) for arm in arms]
-        multipliers, singular, dropped = multipliers_of(
-            schur, excess, sizes, lambda i: scales.acceleration(arms[i])
-        )
-        for r, size, each, (turned, moved) in zip(
-            others, multipliers, loads, responses, strict=True
-        ):
+        sizes, responses, singular, dropped = _complement(support, scales, arms, excess)
+        for r, size, (each, turned, moved) in zip(others, sizes, responses, strict=True):
             turning, moving = axpy(-size, turned, turning), axpy(-size, moved, moving)
             total = Load(*(axpy(-size, x, y) for x, y in zip(each, total, strict=True)))
-            found[r] = size
+            multipliers[r] = size
     holding = support.holding(total, turning, moves)
     torques = support.torques(total, turning, holding)
     forces = mat_vec(q, holding) if support.is_point else holding
     for size, i in zip(forces, range(3) if support.is_point else held, strict=True):
-        found[held[i]] = -size
+        multipliers[held[i]] = -size
     for i, r in fixed.items():
-        found[r] = -torques[i]
+        multipliers[r] = -torques[i]
     wrench = torques + support.force(holding)
     for r, arm in zip(others, arms, strict=True):
-        wrench = axpy(-found[r], arm, wrench)
-    return Solution(turning, moving, tuple(found[r] for r in rows), wrench, singular, dropped)
+        wrench = axpy(-multipliers[r], arm, wrench)
+    in_order = tuple(multipliers[r] for r in rows)
+    return Solution(turning, moving, in_order, wrench, singular, dropped)
+
+
+def _complement(
+    support: Support, scales: _Scales, arms: list[Vec], excess: list[Number]
+) -> tuple[list[Number], list[tuple[Load, Vec, Vec]], Number, Number]:
+    """Multipliers of the rows `arms` by the Schur complement on the null space.
+
+    Also returns the load of each row with its α and a, and `singular` and `dropped`.
+    """
+    still = (ZERO,) * len(support.directions)
+    loads = [Load(cross_add(arm[3:], support.centre, arm[:3]), arm[3:], arm[:3]) for arm in arms]
+    responses = [(each, *support.response(each, ZERO3, still)) for each in loads]
+    answers = [turned + moved for _, turned, moved in responses]
+    schur = [[dot(arm, answers[j]) for j in range(i + 1)] for i, arm in enumerate(arms)]
+    sizes = [scales.of(arm) for arm in arms]
+    multipliers, singular, dropped = multipliers_of(
+        schur, excess, sizes, lambda i: scales.acceleration(arms[i])
+    )
+    return multipliers, responses, singular, dropped
 
 
 def has_others(rows: Rows) -> bool:
@@ -134,14 +142,14 @@ def has_others(rows: Rows) -> bool:
     return bool(kinds_of(rows)[2])
 
 
-def kinds_of(rows: Rows) -> tuple[dict[int, Any], dict[int, Any], list[Any]]:
+def kinds_of(rows: Rows) -> tuple[dict[int, Row], dict[int, Row], list[Row]]:
     """Sort rows into those that prescribe a or α along an axis, by axis, and all others.
 
     An axis has one such row: a motor beside `Omega3` is one of the others.
     """
-    held: dict[int, Any] = {}
-    fixed: dict[int, Any] = {}
-    others = []
+    held: dict[int, Row] = {}
+    fixed: dict[int, Row] = {}
+    others: list[Row] = []
     for r in rows:
         if r.held_axis is not None and r.held_axis not in held:
             held[r.held_axis] = r
@@ -164,18 +172,18 @@ class _Scales:
         self.mobility = (*(1.0 / x for x in about_point), *(1.0 / body.mass,) * 3)
         self.body, self.support, self.load, self.velocity = body, support, load, velocity
 
-    def of(self, wrench: Vec) -> Any:
+    def of(self, wrench: Vec) -> Number:
         """Square of the size of a row or of a wrench."""
-        total: Any = ZERO
+        total: Number = ZERO
         for x, easy in zip(wrench, self.mobility, strict=True):
             total = fma(x * x, easy, total)
         return total
 
-    def acceleration(self, arm: Vec) -> Any:
+    def acceleration(self, arm: Vec) -> Number:
         """Bound on the acceleration of a row by load and motion."""
         body, c, load = self.body, self.support.centre, self.load
         forced = sqrt(self.of(cross_add(c, load.force, load.torque) + load.force))
-        moved: Any = ZERO
+        moved: Number = ZERO
         if self.velocity is not None:
             omega = self.velocity[:3]
             com_velocity = cross_add(omega, c, self.velocity[3:])
@@ -285,7 +293,7 @@ def is_other_rank(dropped: Any, before: Any) -> Any:
     return absolute(dropped - before) > 0.5
 
 
-def less(x: Any, left: list[Any], right: list[Any]) -> Any:
+def less(x: Number, left: list[Number], right: list[Number]) -> Number:
     """Return x − left·right."""
     for a, b in zip(left, right, strict=False):
         x = fma(-a, b, x)

@@ -83,7 +83,7 @@ def twist_tolerances(
     )
 
 
-def bearings(rows: Rows, q: Mat) -> list[Any]:
+def bearings(rows: Rows, q: Mat) -> list[Number]:
     """Numbers that are positive where the joint is held the right way round.
 
     Half a turn of an axis that `Omega` rows hold changes no row's value.

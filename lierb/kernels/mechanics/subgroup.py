@@ -12,7 +12,6 @@ zeros in V the general SE(3) formulas reduce to those of H, and no code is writt
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.newton_euler import BodyConstants
@@ -34,7 +33,7 @@ def slots_of(rows: Rows) -> Slots:
 
 def lifted(slots: Slots, nu: Vec, pitch: Number) -> Vec:
     """Return V = N ν, with structural zeros."""
-    components: list[Any] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
+    components: list[Number] = [nu[slot] if slot >= 0 else ZERO for slot in slots]
     if PITCHED in slots:
         components[5] = pitch * components[2]
     return tuple(components)
@@ -61,7 +60,7 @@ def projected(slots: Slots, wrench: Vec, pitch: Number) -> Vec:
     return tuple(parts)
 
 
-def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Any]]:
+def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Number]]:
     """Return Nᵀ M N, from the momenta M N e_j."""
     count = max(slots) + 1
     columns = []
@@ -72,7 +71,7 @@ def reduced_inertia(slots: Slots, body: BodyConstants) -> list[list[Any]]:
     return [[columns[j][i] for j in range(count)] for i in range(count)]
 
 
-def inverse(matrix: list[list[Any]]) -> tuple[Any, ...]:
+def inverse(matrix: list[list[Number]]) -> Vec:
     """Inverse of a symmetric positive definite matrix, row by row, by Gauss–Jordan elimination.
 
     The result is symmetric to the last bit, so that half of it is stored.

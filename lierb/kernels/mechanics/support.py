@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
     UNIT,
     ZERO3,
@@ -122,9 +123,9 @@ class Support:
         alpha = rest * (1.0 / self._inertia(axis, axis))
         return tuple(alpha if i == axis else turns[i] for i in range(3))
 
-    def _inertia(self, i: int, j: int) -> Any:
+    def _inertia(self, i: int, j: int) -> Number:
         """Return K_ij."""
-        sides: Any = ZERO
+        sides: Number = ZERO
         for w in self.levers:
             sides = fma(w[i], w[j], sides)
         return fma(self.body.mass, sides, self.body.inertia[3 * i + j])

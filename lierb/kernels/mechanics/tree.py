@@ -160,7 +160,7 @@ class TreeConstants(NamedTuple):
     girth: Number = ZERO
 
     @property
-    def mass(self) -> Any:
+    def mass(self) -> Number:
         """Mass of some link, a number of the kind that all are."""
         return next(n.rigid.mass for n in self.nodes if n.rigid.mass is not ZERO)
 
@@ -194,7 +194,7 @@ class TreeMotion:
         body: TreeConstants,
         poses: Sequence[Pose],
         velocities: Sequence[Vec],
-        time: Any = ZERO,
+        time: Number = ZERO,
     ) -> None:
         self.nodes, self.body, self.time = tuple(nodes), body, time
         self.steps: list[Pose] = []  # T
@@ -207,7 +207,7 @@ class TreeMotion:
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
         self._above: dict[int, dict[int, Vec]] = {}
-        self._rates: dict[int, Any] = {}  # ν, where V_rel is S ν exactly
+        self._rates: dict[int, Number] = {}  # ν, where V_rel is S ν exactly
         self._biases: dict[int, Vec] = {}
         self._paths: dict[tuple[int, int], tuple[Pose, Vec]] = {}
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
@@ -426,7 +426,7 @@ def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
     directions = []
     for i, slot in enumerate(slots):
         if slot >= 0:
-            unit: list[Any] = [1.0 if j == i else ZERO for j in range(6)]
+            unit: list[Number] = [1.0 if j == i else ZERO for j in range(6)]
             if i == 2 and slots[5] == PITCHED:
                 unit[5] = pitch
             directions.append(tuple(unit))
@@ -450,7 +450,7 @@ def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
     return 60 * sum(above) + sum(free) ** 3 / 6 <= 170 * hanging + blocks
 
 
-def combined(weights: Sequence[Any], vectors: Sequence[Vec], start: Vec = ZERO6) -> Vec:
+def combined(weights: Sequence[Number], vectors: Sequence[Vec], start: Vec = ZERO6) -> Vec:
     total = start
     for weight, v in zip(weights, vectors, strict=True):
         total = axpy(weight, v, total)

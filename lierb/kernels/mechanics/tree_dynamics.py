@@ -44,7 +44,7 @@ class ArticulatedBodies:
         carried: list[Articulated | None] = [None] * len(nodes)
         self.inertias: list[list[Any]] = [[] for _ in nodes]
         self.columns: list[list[Vec]] = [[] for _ in nodes]  # U = I S
-        self.gains: list[tuple[Any, ...]] = [() for _ in nodes]  # (Sᵀ I S)⁻¹
+        self.gains: list[Vec] = [() for _ in nodes]  # (Sᵀ I S)⁻¹
         for i in reversed(range(len(nodes))):
             self.inertias[i] = [part for part in (own[i], carried[i]) if part is not None]
             self.columns[i] = [self.momentum(i, s) for s in self.free[i]]
@@ -129,7 +129,7 @@ class JointSpace:
     def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
-        entries: dict[tuple[int, int], Any] = {}
+        entries: dict[tuple[int, int], Number] = {}
         for i, node in enumerate(nodes):
             if node.link == MASSLESS:
                 continue
@@ -158,7 +158,7 @@ class JointSpace:
         """Accelerations of the nodes under loads; see `ArticulatedBodies.respond`."""
         motion = self.motion
         start: list[Vec] = []  # A at ν̇ = 0
-        forces: list[Any] = [ZERO] * self.count
+        forces: list[Number] = [ZERO] * self.count
         for i, node in enumerate(motion.nodes):
             before = (fall or {}).get(i, ZERO6) if node.parent == GROUND else start[node.parent]
             carried = motion.carry(i, before)
@@ -201,11 +201,11 @@ class Factored:
     are computed once.
     """
 
-    def __init__(self, lower: list[list[Any]]) -> None:
+    def __init__(self, lower: list[list[Number]]) -> None:
         count = len(lower)
-        self.upper: list[list[Any]] = [[] for _ in range(count)]  # of row i, from the last on
-        self.inverses: list[Any] = [ZERO] * count
-        scaled: list[list[Any]] = [[] for _ in range(count)]
+        self.upper: list[list[Number]] = [[] for _ in range(count)]  # of row i, from the last on
+        self.inverses: list[Number] = [ZERO] * count
+        scaled: list[list[Number]] = [[] for _ in range(count)]
         for i in reversed(range(count)):
             for j in reversed(range(i + 1, count)):
                 rest = less(lower[j][i], self.upper[i], scaled[j])
@@ -213,9 +213,9 @@ class Factored:
                 self.upper[i].append(rest * self.inverses[j])
             self.inverses[i] = 1.0 / less(lower[i][i], self.upper[i], scaled[i])
 
-    def solve(self, right: Sequence[Any]) -> list[Any]:
+    def solve(self, right: Sequence[Number]) -> list[Number]:
         count = len(right)
-        y: list[Any] = []  # from the last row on
+        y: list[Number] = []  # from the last row on
         for i in reversed(range(count)):
             y.append(less(right[i], self.upper[i], y))
         solution: list[Number] = []
@@ -252,7 +252,7 @@ def _sum(vectors: list[Vec]) -> Vec:
     return total
 
 
-def _times(matrix: tuple[Any, ...], x: Vec) -> Vec:
+def _times(matrix: Vec, x: Vec) -> Vec:
     n = len(x)
     return tuple(dot(matrix[n * i : n * i + n], x) for i in range(n))
 
@@ -268,9 +268,9 @@ class Solved(NamedTuple):
     """
 
     response: Response
-    multipliers: tuple[Any, ...]
-    singular: Any
-    dropped: Any
+    multipliers: Vec
+    singular: Number
+    dropped: Number
     bias: dict[int, Vec]
 
     def transmitted(self, bodies: Bodies, i: int) -> Vec:
@@ -343,24 +343,24 @@ class _TreeScales:
         rigid = self.motion.body.nodes[i].rigid
         return (*(1.0 / rigid.inertia[4 * k] for k in range(3)), *(1.0 / rigid.mass,) * 3)
 
-    def _square(self, i: int, wrench: Vec) -> Any:
-        total: Any = ZERO
+    def _square(self, i: int, wrench: Vec) -> Number:
+        total: Number = ZERO
         for x, easy in zip(wrench, self._easy(i), strict=True):
             total = fma(x * x, easy, total)
         return total
 
-    def of(self, row: Asked) -> Any:
+    def of(self, row: Asked) -> Number:
         """Square of the size of a row."""
         size = self._square(row.node, row.push)
         return size if row.other == GROUND else size + self._square(row.other, row.pull)
 
-    def acceleration(self, row: Asked) -> Any:
+    def acceleration(self, row: Asked) -> Number:
         """Bound on the acceleration of a row by loads and motion."""
         return sqrt(self.of(row)) * self._forced
 
     @cached_property
-    def _forced(self) -> Any:
-        total: Any = ZERO
+    def _forced(self) -> Number:
+        total: Number = ZERO
         for i, load in self.loads.items():
             total = total + sqrt(self._square(i, load))
         heavy = sum((sqrt(c.rigid.mass) for c in self.motion.body.nodes), start=ZERO)

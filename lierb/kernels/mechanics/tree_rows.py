@@ -43,7 +43,7 @@ class Asked(NamedTuple):
             wrenches[self.other] = scale(-size, self.pull)
         return wrenches
 
-    def of(self, response: Response) -> Any:
+    def of(self, response: Response) -> Number:
         """Left-hand side of the row at some accelerations."""
         total = dot(self.push, response.moved[self.node])
         if self.other != GROUND:
@@ -60,10 +60,10 @@ def asked(
     return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
-def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Any]]:
+def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Number]]:
     """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
     count = len(directions)
-    total: list[list[Any]] = [[ZERO] * count for _ in range(count)]
+    total: list[list[Number]] = [[ZERO] * count for _ in range(count)]
     for each in rows:
         if each.node == i and not is_zero(each.stiffness):
             b = [dot(each.push, s) for s in directions]
