@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 import lierb
 from lierb.analysis import comparing, reference
-from lierb.analysis.comparison import ESCAPED
+from lierb.analysis.comparison_tables import ESCAPED
 from lierb.errors import (
     ArgumentError,
     FailedTrajectoryWarning,
@@ -239,9 +239,9 @@ def test_saturated_errors_have_no_order(exact):
     )
     assert column(found.table, "error.rotation") == pytest.approx(2.4, rel=1e-3)  # RK4's: 4e-4
     assert np.isnan(found.order("RK4", quantity="error.rotation"))
-    told = {each.quantity: each.told for each in found.orders}
-    assert told["error.rotation"] == "–"
-    assert told["error.omega"].startswith(("3.", "4."))
+    texts = {each.quantity: each.text for each in found.orders}
+    assert texts["error.rotation"] == "–"
+    assert texts["error.omega"].startswith(("3.", "4."))
 
 
 # ---- work --------------------------------------------------------------------------------------

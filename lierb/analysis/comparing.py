@@ -15,7 +15,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from lierb.analysis.comparison import FLOOR, QUANTITIES, Comparison, comparison
+from lierb.analysis.comparison import Comparison, comparison
+from lierb.analysis.comparison_orders import FLOOR
+from lierb.analysis.comparison_tables import QUANTITIES
 from lierb.analysis.magnitudes import kinds_of
 from lierb.analysis.reference import (
     ERRORS,

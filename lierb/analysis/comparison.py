@@ -1,4 +1,4 @@
-"""What a comparison of methods found: its table, observed orders, and what is written of them."""
+"""Comparison of methods: its table, observed orders, and files of both."""
 
 from __future__ import annotations
 
@@ -10,90 +10,30 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lierb.analysis.convergence import EXACT, Order, fitted_order, verdict
+from lierb.analysis.comparison_orders import FLOOR, Observed, observed_orders
+from lierb.analysis.comparison_tables import (
+    ORDERS_NOTE,
+    UNITS,
+    TextTable,
+    in_latex,
+    in_markdown,
+    table_of_orders,
+    table_of_runs,
+)
 from lierb.analysis.reference import ERRORS
 from lierb.errors import ArgumentError, require_name
 from lierb.methods import ButcherTableau
 from lierb.support.extras import is_installed, require
 from lierb.support.files import folder_of, naming, write_whole
-from lierb.support.shown import Lines, Shown, counted, rounded
+from lierb.support.shown import Lines, Shown, counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-QUANTITIES = {
-    **{f"error.{name}": unit for name, unit in ERRORS.items()},
-    "drift.position": "m", "drift.rotation": "1", "drift.energy": "J",
-}  # fmt: skip
-FLOOR = ".floor"  # after a quantity's name: the column of what it has to exceed to be believed
-UNITS = {
-    "dt": "s", "rtol": "1", "step": "s", "steps": "1", "rejected": "1", "evaluations": "1",
-    "cpu_time": "s", "trajectories": "1", "failed": "1", **QUANTITIES,
-}  # fmt: skip
-LABELS = {
-    "method": "method", "cspace": "c-space", "dt": "dt", "rtol": "rtol", "steps": "steps",
-    "rejected": "rejected", "evaluations": "evaluations", "cpu_time": "CPU time",
-    "failed": "failed", "error.rotation": "rotation", "error.position": "position",
-    "error.omega": "ω", "error.v": "v", "drift.position": "joint position",
-    "drift.rotation": "joint rotation", "drift.energy": "energy",
-}  # fmt: skip
-MATH_NAMES = {"SE3": "$SE(3)$", "SO3xR3": r"$SO(3)\times\mathbb{R}^3$"}
-ESCAPED = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
-    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "ω": r"$\omega$", "≥": r"$\geq$", "×": r"$\times$", "≤": r"$\leq$", "²": "$^2$", "–": "--",
-    "−": "$-$", "…": r"\ldots{}",
-}  # fmt: skip
-NAME = "comparison"  # of the files of one
-
-
-@dataclass(frozen=True)
-class Observed:
-    """Observed order of a quantity, for a method on a c-space.
-
-    Attributes
-    ----------
-    method : str
-        Name of the method.
-    cspace : str
-        Configuration space.
-    control : {"dt", "rtol"}
-        Setting that the steps follow.
-    quantity : str
-        A column of the comparison's table, such as "error.position".
-    order : Order or None
-        The order; None where all errors are rounding or below the reference's own.
-    of_method : int or None
-        Order of the method, where it is known.
-    runs : int
-        Number of runs.
-    verdict : str
-        "exact", "order 4", "drifts" …; see `lierb.analysis.convergence`.
-    """
-
-    method: str
-    cspace: str
-    control: str
-    quantity: str
-    order: Order | None
-    of_method: int | None
-    runs: int
-    verdict: str
-
-    @property
-    def told(self) -> str:
-        """The order, and from how many of the runs: `3.99 (4 of 5)`."""
-        if self.order is None:
-            return EXACT if self.quantity.startswith("drift.") else "–"
-        if self.order.lower_bound:
-            return f"≥ {self.order.slope:.2f}"
-        if math.isnan(self.order.slope):
-            return "does not fall" if self.order.steps else "–"
-        return f"{self.order.slope:.2f} ({len(self.order.steps)} of {self.runs})"
+NAME = "comparison"  # of the files
 
 
 @dataclass(frozen=True, repr=False)
@@ -184,11 +124,8 @@ class Comparison(Shown):
         str
             The text.
         """
-        parts = []
-        for header, rows in self.told(columns):
-            lines = [header, ["---"] * len(header), *rows]
-            parts.append("\n".join(f"| {' | '.join(map(_in_markdown, line))} |" for line in lines))
         notes = (*self.notes, *((ORDERS_NOTE,) if self.orders else ()))
+        parts = [*map(in_markdown, self.text_tables(columns))]
         parts.append("\n".join(f"- {note}" for note in notes))
         return "\n\n".join(parts) + "\n"
 
@@ -206,54 +143,14 @@ class Comparison(Shown):
             The text.
         """
         captions = (" ".join(self.notes), ORDERS_NOTE)
-        each = zip(self.told(columns), captions, strict=False)
-        return "\n".join(_latex_table(*table, caption) for table, caption in each)
+        tables = zip(self.text_tables(columns), captions, strict=False)
+        return "\n".join(in_latex(table, caption) for table, caption in tables)
 
-    def told(
-        self, columns: Iterable[str] | None = None
-    ) -> Iterator[tuple[list[str], list[list[str]]]]:
-        """Header and rows of the runs, and of the orders if there are any, as texts."""
-        yield self._runs(columns)
+    def text_tables(self, columns: Iterable[str] | None = None) -> Iterator[TextTable]:
+        """Yield the table of the runs and, if there are any, that of the orders, as text."""
+        yield table_of_runs(self.table, columns)
         if self.orders:
-            yield self._orders()
-
-    def _runs(self, columns: Iterable[str] | None) -> tuple[list[str], list[list[str]]]:
-        if columns is None:
-            names = [name for name in LABELS if self._has(name)]
-        else:
-            names = [columns] if isinstance(columns, str) else list(columns)
-            for name in names:
-                require_name("columns", name, self.table.column_names)
-        cells = [self._cells(name) for name in names]
-        return [_header(name) for name in names], [list(row) for row in zip(*cells, strict=True)]
-
-    def _has(self, name: str) -> bool:
-        column = self.table[name]
-        if name in ("rejected", "failed"):
-            return any(column.to_pylist())
-        return bool(column.null_count < len(column))
-
-    def _cells(self, name: str) -> list[str]:
-        values = self.table[name].to_pylist()
-        if name not in QUANTITIES:
-            return [_cell(name, value) for value in values]
-        floors = self.table[name + FLOOR].to_pylist()
-        return [
-            _cell(name, value) if value is None or not value or value > floor
-            else f"({rounded(value)})"
-            for value, floor in zip(values, floors, strict=True)
-        ]  # fmt: skip
-
-    def _orders(self) -> tuple[list[str], list[list[str]]]:
-        quantities = list(dict.fromkeys(each.quantity for each in self.orders))
-        keys = list(dict.fromkeys((e.method, e.cspace, e.control) for e in self.orders))
-        header = ["method", "c-space", "over", *(LABELS[each] for each in quantities)]
-        rows = []
-        for key in keys:
-            own = {e.quantity: e for e in self.orders if (e.method, e.cspace, e.control) == key}
-            control = "dt" if key[2] == "dt" else "mean step"
-            rows.append([*key[:2], control, *(own[q].told for q in quantities)])
-        return header, rows
+            yield table_of_orders(self.orders)
 
     # ---- pictures and files ----
 
@@ -324,22 +221,13 @@ class Comparison(Shown):
     def _shown(self) -> tuple[str, Lines]:
         title = f"lierb.Comparison: {counted(self.table.num_rows, 'run')}"
         rows: list[tuple[str, str]] = []
-        header, orders = self._orders()
+        header, orders = table_of_orders(self.orders)
         for row in orders:
-            seen = [f"{q} {order}" for q, order in zip(header[3:], row[3:]) if order != "–"]
+            known = [f"{q} {order}" for q, order in zip(header[3:], row[3:]) if order != "–"]
             adaptive = "" if row[2] == "dt" else ", adaptive"
-            rows.append(
-                (f"{row[0]}, {row[1]}{adaptive}", f"order of {', '.join(seen)}" if seen else "–")
-            )
+            text = f"order of {', '.join(known)}" if known else "–"
+            rows.append((f"{row[0]}, {row[1]}{adaptive}", text))
         return title, [*rows, ("notes", "\n".join(self.notes))]
-
-
-ORDERS_NOTE = (
-    "Orders are slopes of log error over log step, least squares from the finest step on as far as "
-    "the slope stays the same; (3 of 4) counts the runs that were taken, with 2 none was left to "
-    "say whether it does. Errors that are rounding, or at least half as large as what they are "
-    "errors of, show no order."
-)
 
 
 def comparison(
@@ -350,45 +238,17 @@ def comparison(
     notes: Iterable[str],
     metadata: dict[str, Any],
 ) -> Comparison:
-    """Comparison made of the rows of its table.
+    """Make a comparison from the rows of its table.
 
-    sizes : by quantity that the problem has, the size of what its errors are errors of.
+    sizes : size of each quantity that the problem has, to which its errors are relative.
     """
     notes = tuple(notes)
-    orders = tuple(_observed(rows, {each.name: each.order for each in tableaus}, sizes))
+    orders = tuple(observed_orders(rows, {each.name: each.order for each in tableaus}, sizes))
     columns = list(rows[0])
-    metadata = metadata | {"notes": list(notes), "orders": [_as_json(each) for each in orders]}
+    metadata = metadata | {"notes": list(notes), "orders": [each.as_json() for each in orders]}
     schema = pa.schema([_field(each) for each in columns], {"lierb": json.dumps(metadata)})
     table = pa.Table.from_pydict({c: [row[c] for row in rows] for c in columns}, schema)
     return Comparison(table, orders, name, notes)
-
-
-def _observed(
-    rows: Sequence[dict[str, Any]], known: dict[str, int | None], sizes: dict[str, float]
-) -> Iterator[Observed]:
-    """Runs with failures say nothing: who is left differs from step to step."""
-    keyed: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for row in rows:
-        keyed.setdefault((row["method"], row["cspace"], _control(row)), []).append(row)
-    for (method, cspace, control), of in keyed.items():
-        by_step = {row["step"]: row for row in of if row["step"] is not None}
-        steps, of = list(by_step), list(by_step.values())
-        if len(steps) < 2:
-            continue
-        for quantity, size in sizes.items():
-            errors = np.array([_number(r[quantity]) if not r["failed"] else np.nan for r in of])
-            floors = np.array([_number(row[quantity + FLOOR]) for row in of])
-            order = fitted_order(steps, errors, size, floors)  # type: ignore[arg-type]
-            told = verdict(errors, order)  # type: ignore[arg-type]
-            yield Observed(method, cspace, control, quantity, order, known[method], len(of), told)
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else float(value)
-
-
-def _control(row: dict[str, Any]) -> str:
-    return "rtol" if row["dt"] is None else "dt"
 
 
 def _field(name: str) -> pa.Field:
@@ -397,17 +257,6 @@ def _field(name: str) -> pa.Field:
         return pa.field(name, pa.dictionary(pa.int32(), pa.string()))
     kind = pa.int64() if plain in ("trajectories", "failed") else pa.float64()
     return pa.field(name, kind, metadata={"unit": UNITS[plain]})
-
-
-def _as_json(each: Observed) -> dict[str, Any]:
-    order = None
-    if each.order is not None and math.isfinite(each.order.slope):
-        order = {
-            "slope": each.order.slope, "lower_bound": each.order.lower_bound,
-            "steps": list(each.order.steps),
-        }  # fmt: skip
-    named = ("method", "cspace", "control", "quantity", "of_method", "runs", "verdict")
-    return {name: getattr(each, name) for name in named} | {"order": order}
 
 
 def _parquet(table: pa.Table) -> bytes:
@@ -422,62 +271,3 @@ def _picture(figure: Figure, kind: str) -> bytes:
     content = BytesIO()
     save(figure, content, kind)
     return content.getvalue()
-
-
-# ---- texts -------------------------------------------------------------------------------------
-
-
-def _header(name: str) -> str:
-    label, unit = LABELS.get(name, name), UNITS.get(name.removesuffix(FLOOR), "1")
-    unit = "ms" if name == "cpu_time" else unit
-    return label if unit == "1" else f"{label}, {unit}"
-
-
-def _cell(name: str, value: Any) -> str:
-    if value is None:
-        return "–"
-    if isinstance(value, str):
-        return value
-    if name == "cpu_time":
-        return f"{1e3 * value:.3g}"
-    if name in ("dt", "rtol", "step"):
-        return f"{value:.6g}"
-    if name in ("steps", "rejected", "evaluations", "trajectories", "failed"):
-        return f"{value:.0f}"
-    return rounded(value)
-
-
-def _in_markdown(text: str) -> str:
-    return text.replace("|", r"\|")
-
-
-def _in_latex(text: str) -> str:
-    """Escaped; numbers such as 1.2e-05 as powers of ten, c-spaces as mathematics."""
-    if text in MATH_NAMES:
-        return MATH_NAMES[text]
-    inner = text.strip("()")
-    mantissa, e, exponent = inner.partition("e")
-    try:
-        float(inner)
-    except ValueError:
-        return "".join(ESCAPED.get(letter, letter) for letter in text)
-    shown = rf"${mantissa}\cdot 10^{{{int(exponent)}}}$" if e else f"${inner}$"
-    return text.replace(inner, shown)
-
-
-def _latex_table(header: list[str], rows: list[list[str]], caption: str) -> str:
-    words = sum(name in ("method", "c-space", "over") for name in header)
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\begin{{tabular}}{{{'l' * words}{'r' * (len(header) - words)}}}",
-        r"\toprule",
-        rf"{' & '.join(map(_in_latex, header))} \\",
-        r"\midrule",
-        *(rf"{' & '.join(map(_in_latex, row))} \\" for row in rows),
-        r"\bottomrule",
-        r"\end{tabular}",
-        rf"\caption{{{_in_latex(caption)}}}",
-        r"\end{table}",
-    ]
-    return "\n".join(lines) + "\n"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from lierb.analysis.comparison_orders import FLOOR
 from lierb.results.colours import colours_of
 from lierb.results.panels import (
     MOST_KEYS,
@@ -32,7 +33,6 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from lierb.results.plots import MATH_NAMES  # noqa: E402
 
-FLOOR = ".floor"
 AXES = {
     "error.rotation": "rotation error [rad]", "error.position": "position error [m]",
     "error.omega": "error of ω [rad/s]", "error.v": "error of v [m/s]",
@@ -48,7 +48,7 @@ NO_RUN = "nothing to draw: no run got to its end"
 class Line:
     """Runs of a method on a c-space, from the coarsest to the finest.
 
-    order : of the method, where it is known and its steps are fixed.
+    order : order of the method, if it is known and the steps are fixed.
     """
 
     key: Key
@@ -57,7 +57,7 @@ class Line:
     order: int | None
 
     def column(self, name: str) -> Array:
-        """NaN where there is none."""
+        """Return a column as floats, NaN where it has no value."""
         return np.asarray(self.rows[name].to_numpy(zero_copy_only=False).astype(float))
 
 
@@ -66,7 +66,7 @@ def comparison_figure(
 ) -> Figure:
     """Draw a comparison's table, one panel for each quantity on the abscissa, and for each drift.
 
-    orders : of the methods, by name.   quantity : of the error, without "error.".
+    orders : orders of the methods, by name.   quantity : error to draw, without "error.".
     """
     lines = list(_lines(table, orders))
     error = f"error.{quantity or _first(table)}"
@@ -85,7 +85,7 @@ def comparison_figure(
 
 
 def _first(table: pa.Table) -> str:
-    """The position, unless all of its errors are at rounding."""
+    """Return "position", or "rotation" if all position errors are rounding."""
     errors, floors = (table[f"error.position{end}"].to_pylist() for end in ("", FLOOR))
     seen = any(e is not None and e > floor for e, floor in zip(errors, floors, strict=True))
     return "position" if seen else "rotation"
@@ -141,7 +141,7 @@ def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
     panel.set_xlabel(AXES[across])
     panel.set_ylabel(AXES[quantity])
     log_axes(panel, "xy", zeros, NO_RUN)
-    if ends:  # where errors are at rounding an order's line would go on; zeros are told below
+    if ends:  # room below for the labels of errors that are zero
         low, high = min(lowest for *_, lowest in ends), panel.get_ylim()[1]
         panel.set_ylim(bottom=0.3 * low / (high / low) ** (0.07 * len(zeros)))
     if len(lines) > MOST_KEYS and ends:

@@ -129,7 +129,7 @@ def compare(
             comparison.to_markdown() if form == "markdown" else comparison.to_latex(), nl=False
         )
     else:
-        for header, rows in comparison.told():
+        for header, rows in comparison.text_tables():
             print_whole(_table(header, rows))
             click.echo()
         for note in comparison.notes:

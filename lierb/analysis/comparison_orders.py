@@ -1,0 +1,103 @@
+"""Observed orders of a comparison of methods."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lierb.analysis.convergence import EXACT, Order, fitted_order, verdict
+
+FLOOR = ".floor"  # suffix of a column with the smallest error that exceeds rounding
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Observed order of a quantity, for a method on a c-space.
+
+    Attributes
+    ----------
+    method : str
+        Name of the method.
+    cspace : str
+        Configuration space.
+    control : {"dt", "rtol"}
+        Setting that the steps follow.
+    quantity : str
+        A column of the comparison's table, such as "error.position".
+    order : Order or None
+        The order; None where all errors are rounding or below the reference's own.
+    of_method : int or None
+        Order of the method, where it is known.
+    runs : int
+        Number of runs.
+    verdict : str
+        "exact", "order 4", "drifts" …; see `lierb.analysis.convergence`.
+    """
+
+    method: str
+    cspace: str
+    control: str
+    quantity: str
+    order: Order | None
+    of_method: int | None
+    runs: int
+    verdict: str
+
+    @property
+    def text(self) -> str:
+        """Order and number of runs that it is fitted to: `3.99 (4 of 5)`."""
+        if self.order is None:
+            return EXACT if self.quantity.startswith("drift.") else "–"
+        if self.order.lower_bound:
+            return f"≥ {self.order.slope:.2f}"
+        if math.isnan(self.order.slope):
+            return "does not fall" if self.order.steps else "–"
+        return f"{self.order.slope:.2f} ({len(self.order.steps)} of {self.runs})"
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the order as plain data."""
+        order = None
+        if self.order is not None and math.isfinite(self.order.slope):
+            order = {
+                "slope": self.order.slope, "lower_bound": self.order.lower_bound,
+                "steps": list(self.order.steps),
+            }  # fmt: skip
+        named = ("method", "cspace", "control", "quantity", "of_method", "runs", "verdict")
+        return {name: getattr(self, name) for name in named} | {"order": order}
+
+
+def observed_orders(
+    rows: Sequence[dict[str, Any]], known: dict[str, int | None], sizes: dict[str, float]
+) -> Iterator[Observed]:
+    """Yield the observed orders of a comparison's rows.
+
+    known : orders of the methods, by name.   sizes : of what the errors are errors of, by quantity.
+
+    Runs with failures are left out: the trajectories that remain differ from step to step.
+    """
+    keyed: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        keyed.setdefault((row["method"], row["cspace"], _control(row)), []).append(row)
+    for (method, cspace, control), of in keyed.items():
+        by_step = {row["step"]: row for row in of if row["step"] is not None}
+        steps, of = list(by_step), list(by_step.values())
+        if len(steps) < 2:
+            continue
+        for quantity, size in sizes.items():
+            errors = np.array([_number(r[quantity]) if not r["failed"] else np.nan for r in of])
+            floors = np.array([_number(row[quantity + FLOOR]) for row in of])
+            order = fitted_order(steps, errors, size, floors)  # type: ignore[arg-type]
+            words = verdict(errors, order)  # type: ignore[arg-type]
+            yield Observed(method, cspace, control, quantity, order, known[method], len(of), words)
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
+
+
+def _control(row: dict[str, Any]) -> str:
+    return "rtol" if row["dt"] is None else "dt"
