@@ -35,7 +35,7 @@ pytestmark = pytest.mark.skipif(
 FALL = """
 import json, sys
 import lierb
-from lierb.kernels.stepping.driver import integrate_blocks
+from lierb.kernels.loops.blocks import integrate_blocks
 
 def fall(method="Euler"):
     body = lierb.Body(mass=2.0, inertia=(1.0, 1.0, 1.0))
@@ -329,7 +329,7 @@ def test_warm_process_imports_no_package_that_it_does_not_use(warm):
 PUSH = """
 import json
 import lierb
-from lierb.kernels.stepping.driver import integrate_blocks
+from lierb.kernels.loops.blocks import integrate_blocks
 
 scale = {scale}
 

@@ -18,7 +18,7 @@ from command import invoke
 
 # Says how many kernels the process has compiled, and how many it has found in the disk cache.
 COUNT = """
-from lierb.kernels.stepping.driver import integrate_blocks as driver
+from lierb.kernels.loops.blocks import integrate_blocks as driver
 print(sum(driver.stats.cache_misses.values()), sum(driver.stats.cache_hits.values()))
 """
 WARM_UP = "import lierb; lierb.warmup(['revolute'], methods=['Euler'], cspaces=['SO3xR3'])" + COUNT
