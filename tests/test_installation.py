@@ -90,9 +90,9 @@ def test_warmup_spares_another_process_the_compile_and_info_counts_it(tmp_path):
     count = "import lierb; print(lierb.info()['cache']['kernels'])"
     assert run(f"{count}\n{WARM_UP}", tmp_path) == ["0", "1", "0"]
     assert run(count + INTEGRATE, tmp_path) == ["1", "0", "1"]
-    (kernel,) = tmp_path.rglob("driver.integrate_blocks-*.nbc")
+    (kernel,) = tmp_path.rglob("blocks.integrate_blocks-*.nbc")
     _, stamp, digest = kernel.name.split("-")
-    kernel.rename(kernel.with_name(f"driver.integrate_blocks-{stamp[::-1]}-{digest}"))
+    kernel.rename(kernel.with_name(f"blocks.integrate_blocks-{stamp[::-1]}-{digest}"))
     told = run(f"{count}; from lierb.cli import cli; cli(['cache', '--clear'])", tmp_path)
     assert told[:4] == ["0", "Deleted", "2", "files,"]  # the loop over blocks has a file, too
     assert not list(tmp_path.rglob("*.nbc"))
