@@ -120,7 +120,7 @@ def solve(
 
 def _complement(
     support: Support, scales: _Scales, arms: list[Vec], excess: list[Number]
-) -> tuple[list[Number], list[tuple[Load, Vec, Vec]], Number, Number]:
+) -> tuple[Vec, list[tuple[Load, Vec, Vec]], Number, Number]:
     """Multipliers of the rows `arms` by the Schur complement on the null space.
 
     Also returns the load of each row with its α and a, and `singular` and `dropped`.
