@@ -308,9 +308,8 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     check_rotations(argument, poses[..., :3, :3])
     first = 0
     for part in slices(_unequal(poses.reshape(-1, 4, 4))):
-        off = np.flatnonzero((part[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))
-        if off.size:
-            label = body_label(argument, first + int(off[0]), poses.size // 16)
+        for body in np.flatnonzero((part[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=-1))[:1]:
+            label = body_label(argument, first + int(body), poses.size // 16)
             raise PoseError(f"{label} is no homogeneous matrix: its last row must be (0, 0, 0, 1)")
         first += len(part)
     return poses
@@ -338,24 +337,17 @@ def check_rotations(argument: str, matrices: Array) -> None:
     """Raise PoseError unless all matrices are orthogonal and right-handed."""
     first = 0
     for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
-        _check_rotations(argument, part, first, matrices.size // 9)
+        with np.errstate(all="ignore"):  # large entries overflow
+            r = components(part, 2)
+            excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(mat_t_mat(r, r)))
+            errors = np.sqrt(dot(excess, excess))
+            bad = ~((errors <= ROTATION_TOLERANCE) & (np.linalg.det(part) > 0.0))  # NaN is bad
+        for body in np.flatnonzero(bad)[:1]:
+            error = errors[body]
+            size = f"{error:.2g}" if np.isfinite(error) else "beyond all numbers"
+            what = "is a reflection" if error <= ROTATION_TOLERANCE else f"has ‖RᵀR − I‖ = {size}"
+            raise PoseError(
+                f"the rotation of {body_label(argument, first + int(body), matrices.size // 9)} "
+                f"{what}; expected a rotation matrix to {ROTATION_TOLERANCE:g}"
+            )
         first += len(part)
-
-
-@np.errstate(all="ignore")  # large entries overflow
-def _check_rotations(argument: str, matrices: Array, first: int, count: int) -> None:
-    r = components(matrices, 2)
-    gram = mat_t_mat(r, r)
-    excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(gram))
-    errors = np.sqrt(dot(excess, excess))
-    handed = np.linalg.det(matrices)
-    bad = np.flatnonzero(~((errors <= ROTATION_TOLERANCE) & (handed > 0.0)))  # false for NaN
-    if bad.size:
-        body = int(bad[0])
-        far = f"{errors[body]:.2g}" if np.isfinite(errors[body]) else "beyond all numbers"
-        is_mirrored = errors[body] <= ROTATION_TOLERANCE
-        what = "is a reflection" if is_mirrored else f"has ‖RᵀR − I‖ = {far}"
-        raise PoseError(
-            f"the rotation of {body_label(argument, first + body, count)} {what}; "
-            f"expected a rotation matrix to {ROTATION_TOLERANCE:g}"
-        )

@@ -42,11 +42,14 @@ def as_text(title: str, rows: Lines) -> str:
 
 def as_html(title: str, rows: Lines) -> str:
     """Write a description as an HTML table, with all texts escaped."""
-    lines = "".join(
-        f'<tr><th style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(label)}</th>'
-        f'<td style="{CELL}{f"; {LOUD}" if label == FAILED else ""}">{html.escape(text)}</td></tr>'
-        for label, text in rows
-    )
+    lines = ""
+    for label, text in rows:
+        style = f"{CELL}; {LOUD}" if label == FAILED else CELL
+        cells = (
+            f'<{tag} style="{style}">{html.escape(x)}</{tag}>'
+            for tag, x in (("th", label), ("td", text))
+        )
+        lines += f"<tr>{''.join(cells)}</tr>"
     return f"<div><b>{html.escape(title)}</b><table>{lines}</table></div>"
 
 

@@ -1,1 +1,1 @@
-"""Functions of the user's: checked, traced, or called lane by lane."""
+"""Users' functions: checked, traced, or called lane by lane."""

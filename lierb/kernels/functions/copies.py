@@ -24,12 +24,13 @@ from lierb.kernels.functions.references import (
     references,
 )
 from lierb.kernels.functions.refusals import ALONE, NO_ORDER
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.functions.source_lines import MARK
 
 Replace = Callable[[Any], Any]
 
 
-def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
+def traceable(function: UserFunction) -> UserFunction:
     """Copy a function and its callees, with `math` and NumPy replaced by those for traced numbers.
 
     Objects that it refers to are copied: later changes of them do not matter.
@@ -37,7 +38,7 @@ def traceable(function: Callable[..., Any]) -> Callable[..., Any]:
     return _Copier(lambda helper: helper, _for_traces, _frozen).function(function)
 
 
-def compilable(function: Callable[..., Any]) -> Callable[..., Any]:
+def compilable(function: UserFunction) -> UserFunction:
     """Copy a function as `traceable` does, its callees compiled by Numba."""
     return _Copier(partial(numba.njit, **COMPILED), lambda known: known, _constant).function(
         function

@@ -183,8 +183,8 @@ def power(base: Any, exponent: Any) -> Any:
     ):
         return _whole_power(base, int(exponent))
     if isinstance(exponent, float) and abs(exponent) == 0.5:
-        found = choice(raw(base) == -math.inf, math.inf, sqrt(base + 0.0))  # of −0 it is +0
-        return found if exponent > 0.0 else 1.0 / found
+        root_of = choice(raw(base) == -math.inf, math.inf, sqrt(base + 0.0))  # +0 of −0
+        return root_of if exponent > 0.0 else 1.0 / root_of
     if not (isinstance(base, Dual) or isinstance(exponent, Dual)):
         return _library("pow", base, exponent)
     x, n = value_of(base), value_of(exponent)
@@ -218,9 +218,9 @@ def hypot(*numbers: Any) -> Any:
     largest = reduce(lambda a, b: select(b > a, b, a), sizes)
     down, up = largest > 2.0**500, largest < 2.0**-500
     scale = UserNumber(select(down, 2.0**-600, select(up, 2.0**600, 1.0)))
-    found = sqrt(sum((x * scale) * (x * scale) for x in numbers)) / scale
+    size = sqrt(sum((x * scale) * (x * scale) for x in numbers)) / scale
     is_infinite = reduce(lambda a, b: a | b, [size == math.inf for size in sizes])
-    return choice(is_infinite, math.inf, found)
+    return choice(is_infinite, math.inf, size)
 
 
 def log10(x: Any) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,11 +25,12 @@ from lierb.kernels.functions.references import (
     undecorated,
 )
 from lierb.kernels.functions.refusals import require_pure
+from lierb.kernels.functions.shapes import UserFunction
 
 LITERALS = (type(None), bool, int, float, complex, str, bytes, slice, range, type(...))
 
 
-def fingerprint(function: Callable[..., Any]) -> str:
+def fingerprint(function: UserFunction) -> str:
     """Digest of a function's code and of all that it refers to."""
     require_pure(function, [])
     description = _described_function(function, [function])

@@ -25,7 +25,7 @@ from lierb.kernels.functions.object_arrays import numbers
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.refusals import NO_CHANGE
 from lierb.kernels.functions.returned_values import as_result, brief, dictionary_of
-from lierb.kernels.functions.shapes import Shape, Shapes
+from lierb.kernels.functions.shapes import Shape, Shapes, UserFunction
 from lierb.kernels.functions.signals import NAMES, NO_SIGNALS, Noise, Signals
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers.arithmetic import flatten, plain
@@ -59,7 +59,7 @@ class Function:
     shapes: Shapes
     results: tuple[Shape, ...]
     is_traced: bool
-    python: Callable[..., Any] = field(compare=False, repr=False)
+    python: UserFunction = field(compare=False, repr=False)
     references: tuple[Reference, ...] = field(compare=False, repr=False, default=())
     modules: tuple[str, ...] = field(compare=False, repr=False, default=())
     states: Shapes = ()

@@ -17,17 +17,21 @@ from lierb.kernels.functions.user_number import choice, raw
 MOST_ROWS = 4  # of an inverted matrix: the n! terms of its determinant are written out
 
 
+def _each(function: Callable[..., Any], *arrays: Any) -> Any:
+    """Apply a function of numbers element by element."""
+    return np.frompyfunc(function, len(arrays), 1)(*map(objects, arrays))
+
+
 def _where(condition: Any, a: Any = None, b: Any = None) -> Any:
     if a is None or b is None:
         raise UntraceableError(
             "np.where with a condition alone selects bodies; write np.where(condition, a, b)"
         )
-    return np.frompyfunc(choice, 3, 1)(*map(objects, (condition, a, b)))
+    return _each(choice, condition, a, b)
 
 
-def _clip(x: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **given: Any) -> Any:
-    lower, upper = given.get("min", a_min), given.get("max", a_max)
-    return np.frompyfunc(steps.clipped, 3, 1)(*map(objects, (x, lower, upper)))
+def _clip(x: Any, a_min: Any = None, a_max: Any = None, out: Any = None, **bounds: Any) -> Any:
+    return _each(steps.clipped, x, bounds.get("min", a_min), bounds.get("max", a_max))
 
 
 def _interp(
@@ -35,9 +39,8 @@ def _interp(
 ) -> Any:
     if period is not None:
         raise UntraceableError("np.interp with a period: write np.interp(x % period, xp, fp)")
-    return np.frompyfunc(
-        lambda one: steps.interpolated(one, list(xp), list(fp), left, right), 1, 1
-    )(objects(x))
+    xs, ys = list(xp), list(fp)
+    return _each(lambda one: steps.interpolated(one, xs, ys, left, right), x)
 
 
 def _select(conditions: Any, choices: Any, default: Any = 0.0) -> Any:
@@ -55,24 +58,24 @@ def _piecewise(x: Any, conditions: Any, functions: Any, *given: Any) -> Any:
 
 
 def _einsum(subscripts: Any, *operands: Any, **options: Any) -> Any:
-    arrays = [np.asarray(objects(x)) for x in operands]
-    return np.einsum(subscripts, *arrays)
+    return np.einsum(subscripts, *(np.asarray(objects(x)) for x in operands))
 
 
 def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> Any:
     x = numbers(x)
     is_vector = isinstance(axis, int) or (axis is None and x.ndim == 1)
     if ord in (None, "fro") or (ord == 2 and is_vector):
-        square = (x.ravel() @ x.ravel()) if axis is None else None
-        return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims) if square is None else square)
+        if axis is None:
+            return np.sqrt(x.ravel() @ x.ravel())
+        return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims))
     if is_vector and ord in (1, np.inf, -np.inf):
         of: Any = {1: np.add, np.inf: np.maximum, -np.inf: np.minimum}[ord]
         return of.reduce(abs(x), axis=-1 if axis is None else axis, keepdims=keepdims)
     raise UntraceableError(f"np.linalg.norm has ord {ord!r} for constants only; write it out")
 
 
-def _matrix(given: Any) -> Any:
-    a = np.asarray(objects(given))
+def _matrix(values: Any) -> Any:
+    a = np.asarray(objects(values))
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
         raise UnfitFunctionError(f"a square matrix is needed, not an array of shape {a.shape}")
     if len(a) > MOST_ROWS:
@@ -80,10 +83,6 @@ def _matrix(given: Any) -> Any:
             f"a {len(a)}×{len(a)} matrix of numbers of many bodies: at most {MOST_ROWS}×{MOST_ROWS}"
         )
     return a
-
-
-def _det(given: Any) -> Any:
-    return _determinant(_matrix(given))
 
 
 def _determinant(a: Any) -> Any:
@@ -94,18 +93,14 @@ def _determinant(a: Any) -> Any:
     return reduce(lambda x, y: x + y, terms)
 
 
-def _inv(given: Any) -> Any:
-    a = _matrix(given)
+def _inv(values: Any) -> Any:
+    a = _matrix(values)
     rest = np.arange(len(a))
     adjugate = np.empty_like(a)
     for i in rest.tolist():
         for j in rest.tolist():
             adjugate[j, i] = _determinant(a[rest != i][:, rest != j]) * (-1.0) ** (i + j)
     return adjugate * (1.0 / (a[0] @ adjugate[:, 0]))
-
-
-def _solve(a: Any, b: Any) -> Any:
-    return _inv(a) @ np.asarray(objects(b))
 
 
 def _cross(
@@ -120,16 +115,8 @@ def _cross(
     return product if a.shape[-1] == b.shape[-1] == 2 else np.moveaxis(product, -1, axisc)
 
 
-def _all(x: Any, axis: Any = None, **options: Any) -> Any:
-    return np.logical_and.reduce(numbers(x), axis=axis, **options)
-
-
-def _any(x: Any, axis: Any = None, **options: Any) -> Any:
-    return np.logical_or.reduce(numbers(x), axis=axis, **options)
-
-
-def _largest(of: Any) -> Callable[..., Any]:
-    return lambda x, axis=None, **options: of.reduce(numbers(x), axis=axis, **options)
+def _reduction(ufunc: Any) -> Callable[..., Any]:
+    return lambda x, axis=None, **options: ufunc.reduce(numbers(x), axis=axis, **options)
 
 
 def _sinc(x: Any) -> Any:
@@ -137,15 +124,11 @@ def _sinc(x: Any) -> Any:
         y = math.pi * choice(raw(x) == 0.0, 1e-20, x)
         return elementary.sin(y) / y
 
-    return np.frompyfunc(one, 1, 1)(objects(x))
+    return _each(one, x)
 
 
 def _round(x: Any, decimals: int = 0, out: Any = None) -> Any:
-    return np.frompyfunc(lambda one: steps.rounded(one, decimals), 1, 1)(objects(x))
-
-
-def _fix(x: Any, out: Any = None) -> Any:
-    return np.trunc(numbers(x))
+    return _each(lambda one: steps.rounded(one, decimals), x)
 
 
 def _isclose(
@@ -154,18 +137,12 @@ def _isclose(
     return abs(numbers(a) - numbers(b)) <= atol + rtol * abs(numbers(b))
 
 
-def _allclose(a: Any, b: Any, *given: Any, **options: Any) -> Any:
-    return np.all(_isclose(a, b, *given, **options))
-
-
 def _linspace(start: Any, stop: Any, num: int = 50) -> Any:
     return start + np.arange(num) * ((stop - start) / (num - 1))
 
 
 def _nan_to_num(x: Any, copy: bool = True, nan: float = 0.0, **_: Any) -> Any:
-    return np.frompyfunc(
-        lambda one: choice(steps.isnan(one), nan, steps.clipped(one, *_FINITE)), 1, 1
-    )(objects(x))
+    return _each(lambda one: choice(steps.isnan(one), nan, steps.clipped(one, *_FINITE)), x)
 
 
 _FINITE = (-np.finfo(float).max, np.finfo(float).max)
@@ -175,20 +152,21 @@ def _filled_like(value: Any) -> Callable[..., Any]:
     return lambda x, *_, **__: filled(np.shape(x), value)
 
 
-def _full_like(x: Any, value: Any, *_: Any, **__: Any) -> Any:
-    return filled(np.shape(x), value)
-
-
 SPELLED_OUT: dict[Any, Callable[..., Any]] = {
     np.where: _where, np.clip: _clip, np.interp: _interp, np.select: _select,
     np.piecewise: _piecewise, np.einsum: _einsum, np.linalg.norm: _norm, np.linalg.inv: _inv,
-    np.linalg.det: _det, np.linalg.solve: _solve, np.cross: _cross, np.all: _all, np.any: _any,
-    np.max: _largest(np.maximum), np.min: _largest(np.minimum), np.amax: _largest(np.maximum),
-    np.amin: _largest(np.minimum), np.sinc: _sinc, np.round: _round, np.around: _round,
-    np.fix: _fix, np.isclose: _isclose, np.allclose: _allclose, np.linspace: _linspace,
-    np.nan_to_num: _nan_to_num,
+    np.linalg.det: lambda a: _determinant(_matrix(a)),
+    np.linalg.solve: lambda a, b: _inv(a) @ np.asarray(objects(b)), np.cross: _cross,
+    np.all: _reduction(np.logical_and), np.any: _reduction(np.logical_or),
+    np.max: _reduction(np.maximum), np.min: _reduction(np.minimum),
+    np.amax: _reduction(np.maximum), np.amin: _reduction(np.minimum),
+    np.sinc: _sinc, np.round: _round, np.around: _round,
+    np.fix: lambda x, out=None: np.trunc(numbers(x)), np.isclose: _isclose,
+    np.allclose: lambda a, b, *given, **options: np.all(_isclose(a, b, *given, **options)),
+    np.linspace: _linspace, np.nan_to_num: _nan_to_num,
     np.zeros_like: _filled_like(0.0), np.ones_like: _filled_like(1.0),
-    np.empty_like: _filled_like(None), np.full_like: _full_like,  # called by NumPy's functions
+    np.empty_like: _filled_like(None),  # called by NumPy's functions, as is np.full_like
+    np.full_like: lambda x, value, *_, **__: filled(np.shape(x), value),
     np.real: lambda x: x, np.imag: lambda x: 0.0 * x,
     np.dot: lambda a, b, out=None: np.dot(np.asarray(objects(a)), np.asarray(objects(b))),
 }  # fmt: skip

@@ -27,31 +27,25 @@ from lierb.kernels.functions.user_number import Float
 SPELLED_OUT.update(numpy_functions.SPELLED_OUT)
 
 
-def _zeros(shape: Any, dtype: Any = None, **_: Any) -> Any:
-    return _made(np.zeros, shape, dtype)
+def _made(of: Callable[..., Any]) -> Callable[..., Any]:
+    """Replace a constructor: an array of floats holds objects."""
 
+    def made(shape: Any, dtype: Any = None, **_: Any) -> Any:
+        if dtype is not None and not is_real(dtype):
+            return of(shape, dtype)
+        return of(shape).astype(object).view(Numbers)
 
-def _ones(shape: Any, dtype: Any = None, **_: Any) -> Any:
-    return _made(np.ones, shape, dtype)
-
-
-def _full(shape: Any, value: Any, dtype: Any = None, **_: Any) -> Any:
-    return filled(shape, value)
+    return made
 
 
 def _eye(rows: int, columns: int | None = None, k: int = 0, dtype: Any = None, **_: Any) -> Any:
     return np.eye(rows, columns, k).astype(object).view(Numbers)
 
 
-def _made(of: Any, shape: Any, dtype: Any) -> Any:
-    if dtype is not None and not is_real(dtype):
-        return of(shape, dtype)
-    return of(shape).astype(object).view(Numbers)
-
-
 MADE: dict[Any, Callable[..., Any]] = {
     np.array: array_of, np.asarray: array_of, np.asanyarray: array_of,
-    np.ascontiguousarray: array_of, np.zeros: _zeros, np.ones: _ones, np.full: _full,
+    np.ascontiguousarray: array_of, np.zeros: _made(np.zeros), np.ones: _made(np.ones),
+    np.full: lambda shape, value, dtype=None, **_: filled(shape, value),
     np.eye: _eye, np.identity: _eye,
 }  # fmt: skip
 _FLOATS: dict[type, type] = {np.float64: Float}

@@ -150,7 +150,9 @@ def is_real(dtype: Any) -> bool:
 def _no_function(function: Any, method: str = "") -> str:
     module = (getattr(function, "__module__", None) or "numpy").replace("numpy", "np", 1)
     name = f"{'np' if module.startswith('np._') else module}.{function.__name__}{method}"
-    return f"{name} does not take numbers of many bodies; {_remedy(function.__name__)}"
+    return (
+        f"{name} does not take numbers of many bodies; {REMEDIES.get(function.__name__, REWRITE)}"
+    )
 
 
 REMEDIES = {
@@ -165,8 +167,7 @@ REMEDIES = {
 }  # fmt: skip
 
 
-def _remedy(name: str) -> str:
-    return REMEDIES.get(name, "write it with operators, np.where and what docs/forces.md lists")
+REWRITE = "write it with operators, np.where and what docs/forces.md lists"
 
 
 SPELLED_OUT: dict[Any, Callable[..., Any]] = {}  # filled by `numpy_library`

@@ -80,18 +80,18 @@ def refusal_of_call(value: Any, name: str) -> str | None:
     if top in CLOCKS or value is np.datetime64:  # by "now"
         return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
     bare = getattr(value, "__name__", "")
-    if top == "numpy" and bare in TEXT_NUMPY and value is getattr(np, bare, None):
+    is_builtin = top == "builtins" and value is getattr(builtins, bare, None)
+    is_numpys = top == "numpy" and value is getattr(np, bare, None)
+    if is_numpys and bare in TEXT_NUMPY:
         return TEXT
-    outside = (
-        (top == "builtins" and value is getattr(builtins, bare, None) and bare in OUTSIDE)
-        or (module in ("io", "_io"))
-        or (top == "numpy" and bare in OUTSIDE_NUMPY and value is getattr(np, bare, None))
+    if (
+        (is_builtin and bare in OUTSIDE)
+        or (is_numpys and bare in OUTSIDE_NUMPY)
         or (top == "numba" and bare == "objmode")
         or (top in sys.stdlib_module_names and top not in COMPUTING)
-    )
-    if outside:
+    ):
         return f"it uses {name}; {ALONE}: make what it reads a parameter"
-    if top == "builtins" and bare in HIDDEN and value is getattr(builtins, bare):
+    if is_builtin and bare in HIDDEN:
         return f"it uses {name}, which hides what it refers to from lierb"
     return None
 
@@ -103,9 +103,8 @@ def _origin(value: Any) -> str:
     owner = getattr(value, "__self__", None)
     if callable(value) and owner is not None and not isinstance(owner, types.ModuleType):
         value = owner
-    if not (isinstance(value, type) or callable(value)):
-        value = type(value)
-    if not isinstance(value, type) and not isinstance(getattr(value, "__module__", None), str):
+    has_module = callable(value) and isinstance(getattr(value, "__module__", None), str)
+    if not (isinstance(value, type) or has_module):
         value = type(value)
     return str(getattr(value, "__module__", ""))
 
@@ -155,9 +154,8 @@ def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -
 
 def _is_outside(step: Any, free: frozenset[str]) -> bool:
     """Return whether an instruction reads a variable from outside of the function."""
-    return getattr(step, "opname", "") == "LOAD_GLOBAL" or (
-        getattr(step, "opname", "") == "LOAD_DEREF" and step.argval in free
-    )
+    name = getattr(step, "opname", "")
+    return name == "LOAD_GLOBAL" or (name == "LOAD_DEREF" and step.argval in free)
 
 
 def _makes_set(step: Any) -> bool:

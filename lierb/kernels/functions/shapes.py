@@ -1,7 +1,12 @@
-"""Shapes of arguments, parameters and results of users' functions."""
+"""Types of users' functions, and shapes of their arguments, parameters and results."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 Shape = tuple[int, ...]
 Shapes = tuple[tuple[str, Shape], ...]
 ANY: Shape = (-1,)  # a vector of as many components as there are
+
+UserFunction = Callable[..., Any]

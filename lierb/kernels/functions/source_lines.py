@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import linecache
 import types
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from traceback import walk_tb
-from typing import Any
+
+from lierb.kernels.functions.shapes import UserFunction
 
 MARK = "__lierb_traced__"  # global name in the copies of users' functions
 
@@ -24,7 +25,7 @@ def where_it_was(error: BaseException) -> str | None:
     return lines[-1] if lines else None
 
 
-def line_that_raised(error: Exception, functions: Iterable[Callable[..., Any]]) -> str | None:
+def line_that_raised(error: Exception, functions: Iterable[UserFunction]) -> str | None:
     """Describe the line of users' functions at which compiled code raised, if Numba reports it.
 
     Numba adds a frame with the file and the line of the function, and nothing else of it.

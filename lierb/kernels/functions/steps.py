@@ -196,8 +196,8 @@ sign = _steps("sign", _signum)
 def heaviside(x: Any, at_zero: Any) -> Any:
     """Step function: 0 below zero, 1 above, `at_zero` at zero."""
     step = _signum(raw(x))
-    found = choice(step > 0.0, 1.0, choice(step < 0.0, 0.0, choice(step == 0.0, at_zero, step)))
-    return UserNumber(found) if isinstance(found, Lane) else found
+    value = choice(step > 0.0, 1.0, choice(step < 0.0, 0.0, choice(step == 0.0, at_zero, step)))
+    return UserNumber(value) if isinstance(value, Lane) else value
 
 
 def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) -> Any:
@@ -221,10 +221,10 @@ def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) 
                 choice(beyond, new, old) for new, old in zip(line, (at, value, slope), strict=True)
             )
     (first, start), (last, end) = points[0], points[-1]
-    found = value + slope * (x - at)
-    found = choice(raw(x) < raw(first), start if left is None else left, found)
-    found = choice(raw(x) == raw(last), end, found)
-    return choice(raw(x) > raw(last), end if right is None else right, found)
+    result = value + slope * (x - at)
+    result = choice(raw(x) < raw(first), start if left is None else left, result)
+    result = choice(raw(x) == raw(last), end, result)
+    return choice(raw(x) > raw(last), end if right is None else right, result)
 
 
 def _reflected(function: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:

@@ -5,8 +5,8 @@
     problem = lierb.Problem(body, joint, forces=[lierb.forces.drag(linear=0.1)])
 
 Every parameter is one value for all bodies or one for each: (n,), (n, 3). The name of a point or
-direction tells its frame; the default point is that frame's origin. `lierb.wrench` makes a force of
-a function.
+direction includes its frame; the default point is that frame's origin. `lierb.wrench` makes a
+force of a function.
 
 A force is a class with its name, its parameters and its formulas, and the function of that name
 that makes it. Studies use the same names.

@@ -23,7 +23,8 @@ class AtJoint(BuiltIn, is_abstract=True):
 
     def place(self, x: Motion, middle: Any) -> Any:
         """Angle from the middle, or coordinate along the axis."""
-        return _turn(x, middle)
+        turn = atan2(x.q[3], x.q[0]) - middle
+        return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 
     def pushed(self, size: Any) -> Wrench:
         return (ZERO, ZERO, size), ZERO3
@@ -46,9 +47,3 @@ class AlongJoint(AtJoint, is_abstract=True):
 
     def pushed(self, size: Any) -> Wrench:
         return ZERO3, (ZERO, ZERO, size)
-
-
-def _turn(x: Motion, angle: Any) -> Any:
-    """Angle of the body about e₃ from a given one, in [−π, π]."""
-    turn = atan2(x.q[3], x.q[0]) - angle
-    return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)

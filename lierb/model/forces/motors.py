@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, told
 from lierb.kernels.functions.function import Function
-from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.mechanics.elements import Wrench
 from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
@@ -90,10 +89,10 @@ class SpeedRow(AddedRow):
 
 
 def motor(
-    torque: ArrayLike | Callable[..., Any] | None = None,
+    torque: ArrayLike | UserFunction | None = None,
     *,
-    speed: ArrayLike | Callable[..., Any] | None = None,
-    force: ArrayLike | Callable[..., Any] | None = None,
+    speed: ArrayLike | UserFunction | None = None,
+    force: ArrayLike | UserFunction | None = None,
     **parameters: ArrayLike,
 ) -> Force:
     """Drive the joint axis by a torque or a speed about it, or by a force along it.

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import require_name
-from lierb.kernels.functions.shapes import ANY
+from lierb.kernels.functions.shapes import ANY, UserFunction
 from lierb.kernels.functions.trials import trial
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
@@ -26,7 +26,7 @@ class Constraint(Element):
 class ConstraintFunction(Decorated):
     """Function decorated by `lierb.constraint`: residuals of constraint rows."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         unit = defaults.pop("unit", "m")
         require_name("unit", unit, ("m", "1"))
         super().__init__(function, defaults)
@@ -43,12 +43,12 @@ class ConstraintFunction(Decorated):
 
 
 @overload
-def constraint(function: Callable[..., Any], /) -> ConstraintFunction: ...
+def constraint(function: UserFunction, /) -> ConstraintFunction: ...
 @overload
 def constraint(
     *, unit: str = "m", **defaults: ArrayLike
-) -> Callable[[Callable[..., Any]], ConstraintFunction]: ...
-def constraint(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+) -> Callable[[UserFunction], ConstraintFunction]: ...
+def constraint(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     """Make a function a constraint: `@lierb.constraint`, or with defaults as `lierb.wrench`.
 
     The function is called with (R, r, params), and `body` as in `lierb.wrench`, and returns h, one

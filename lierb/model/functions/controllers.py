@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, unknown_name
 from lierb.kernels.functions.function import Function
-from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.shapes import Shapes, UserFunction
 from lierb.kernels.functions.trials import outputs_of
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
@@ -25,13 +25,7 @@ from lierb.model.functions.named_values import (
     shapes_of,
     values_of,
 )
-from lierb.model.functions.tracing import (
-    MOTION,
-    SIGNALS,
-    described,
-    form_of_any,
-    why_untraced,
-)
+from lierb.model.functions.tracing import MOTION, SIGNALS, described, form_of_any, why_untraced
 from lierb.support.arrays import as_positive
 
 
@@ -72,7 +66,7 @@ class Controller(NamedValues):
 class ControllerFunction(Decorated):
     """Function decorated by `lierb.controller`: outputs at sampled times."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         parameters = dict(defaults)
         self.every = parameters.pop("every", None)
         if self.every is not None:
@@ -122,7 +116,7 @@ def untraceable(function: Function, reason: str) -> ForceError:
 
 
 @overload
-def controller(function: Callable[..., Any], /) -> ControllerFunction: ...
+def controller(function: UserFunction, /) -> ControllerFunction: ...
 @overload
 def controller(
     *,
@@ -130,8 +124,8 @@ def controller(
     memory: Mapping[str, ArrayLike] = ...,
     unit: Mapping[str, str] = ...,
     **defaults: ArrayLike,
-) -> Callable[[Callable[..., Any]], ControllerFunction]: ...
-def controller(function: Callable[..., Any] | None = None, /, **given: Any) -> Any:
+) -> Callable[[UserFunction], ControllerFunction]: ...
+def controller(function: UserFunction | None = None, /, **given: Any) -> Any:
     """Make a function a sampled controller: `@lierb.controller(every=0.1)`.
 
     The function takes any of t, R, r, omega, v, params, body, states, controls and memory, by these

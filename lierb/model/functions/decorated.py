@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from functools import update_wrapper
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, ForceError, told, unknown_name
-from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.support.arrays import as_floats
 
 MOST_NAME, MOST_UNIT = 100, 40  # characters
@@ -24,7 +23,7 @@ class Decorated:
 
     own: tuple[str, ...] = ()
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         self.function, self.defaults = function, defaults
         update_wrapper(self, function)  # type: ignore[arg-type]
 
@@ -54,7 +53,7 @@ def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) ->
     return kind(require_function(function), defaults)
 
 
-def require_function(function: Any) -> Callable[..., Any]:
+def require_function(function: Any) -> UserFunction:
     """Return the function; raise ForceError for another object."""
     if not inspect.isfunction(function):
         raise ForceError(f"expected a function to decorate, got {told(function)}")

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, told
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
 from lierb.model.functions.elements import Element
@@ -67,7 +68,7 @@ class Event(Element):
 class EventFunction(Decorated):
     """Function decorated by `lierb.event`: a number whose zeros are events."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)
         if isinstance(direction, bool) or direction not in (-1, 0, 1):
             raise ArgumentError(
@@ -90,12 +91,12 @@ class EventFunction(Decorated):
 
 
 @overload
-def event(function: Callable[..., Any], /) -> EventFunction: ...
+def event(function: UserFunction, /) -> EventFunction: ...
 @overload
 def event(
     *, direction: int = 0, terminal: bool = False, **defaults: ArrayLike
-) -> Callable[[Callable[..., Any]], EventFunction]: ...
-def event(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+) -> Callable[[UserFunction], EventFunction]: ...
+def event(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     """Make a function an event: `@lierb.event(terminal=True)`, with defaults as in `wrench`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
 
+from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated, require_unit
 from lierb.model.functions.elements import Element
@@ -63,7 +64,7 @@ class Observable(Element):
 class ObservableFunction(Decorated):
     """Function decorated by `lierb.observable`: a number recorded along the motion."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         unit = require_unit("unit", defaults.pop("unit", "1"))
         super().__init__(function, defaults)
         self.unit = unit
@@ -78,12 +79,12 @@ class ObservableFunction(Decorated):
 
 
 @overload
-def observable(function: Callable[..., Any], /) -> ObservableFunction: ...
+def observable(function: UserFunction, /) -> ObservableFunction: ...
 @overload
 def observable(
     *, unit: str = "1", **defaults: ArrayLike
-) -> Callable[[Callable[..., Any]], ObservableFunction]: ...
-def observable(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+) -> Callable[[UserFunction], ObservableFunction]: ...
+def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError
-from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.shapes import Shapes, UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated
 from lierb.model.functions.named_values import (
@@ -38,7 +38,7 @@ class ExtraStates(NamedValues):
 class StatesFunction(Decorated):
     """Function decorated by `lierb.states`: derivatives of extra states."""
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         initial = dict(defaults)
         units, parameters = initial.pop("unit", {}), initial.pop("params", {})
         self.initial, self.states = initial, shapes_of("a state", initial)
@@ -63,15 +63,15 @@ class StatesFunction(Decorated):
 
 
 @overload
-def states(function: Callable[..., Any], /) -> StatesFunction: ...
+def states(function: UserFunction, /) -> StatesFunction: ...
 @overload
 def states(
     *,
     unit: Mapping[str, str] = ...,
     params: Mapping[str, ArrayLike] = ...,
     **initial: ArrayLike,
-) -> Callable[[Callable[..., Any]], StatesFunction]: ...
-def states(function: Callable[..., Any] | None = None, /, **given: Any) -> Any:
+) -> Callable[[UserFunction], StatesFunction]: ...
+def states(function: UserFunction | None = None, /, **given: Any) -> Any:
     """Make a function the equations of extra states: `@lierb.states(wheel=(0.0, 0.0, 0.0))`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names

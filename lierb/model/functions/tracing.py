@@ -15,7 +15,7 @@ from lierb.kernels.functions.fingerprint import fingerprint, modules_named, watc
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.refusals import TEXT
-from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.source_lines import where_it_was
 from lierb.kernels.functions.trials import compile_alone, trial
 
@@ -31,12 +31,12 @@ _warned: set[str] = set()  # fingerprints of functions that run body by body
 
 
 def user_function(
-    function: Callable[..., Any],
+    function: UserFunction,
     arguments: tuple[str, ...],
     shapes: dict[str, Shape],
     results: tuple[Shape, ...],
     because: str | None = None,
-    form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]] | None = None,
+    form: Callable[[UserFunction, str, bool], tuple[str, ...]] | None = None,
 ) -> Function:
     """Make a user's function one for kernels: traced if it can be, else compiled by Numba.
 
@@ -49,11 +49,11 @@ def user_function(
 
 
 def described(
-    function: Callable[..., Any],
+    function: UserFunction,
     arguments: tuple[str, ...],
     shapes: dict[str, Shape],
     results: tuple[Shape, ...],
-    form: Callable[[Callable[..., Any], str, bool], tuple[str, ...]],
+    form: Callable[[UserFunction, str, bool], tuple[str, ...]],
     **fields: Any,
 ) -> Function:
     """Make a user's function one to be traced, without a trial.
@@ -74,9 +74,7 @@ def described(
     )  # fmt: skip
 
 
-def runnable(
-    traced: Function, function: Callable[..., Any], because: str | None = None
-) -> Function:
+def runnable(traced: Function, function: UserFunction, because: str | None = None) -> Function:
     """Try the function: return it if it can be traced, else one that Numba compiles.
 
     function : user's function that `traced` is made of.   because : as for `user_function`.
@@ -135,7 +133,7 @@ def _frames_of_lierb() -> int:
 
 
 def form_of_any(
-    signals: tuple[str, ...], function: Callable[..., Any], name: str, has_parameters: bool
+    signals: tuple[str, ...], function: UserFunction, name: str, has_parameters: bool
 ) -> tuple[str, ...]:
     """Arguments of the function in its order: any of ARGUMENTS, params, body and signals."""
     signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
@@ -160,7 +158,7 @@ by_name = partial(form_of_any, SIGNALS)
 
 def form_of(
     arguments: tuple[str, ...],
-    function: Callable[..., Any],
+    function: UserFunction,
     name: str,
     has_parameters: bool,
     others: tuple[str, ...] = ("body",),

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, overload
 from numpy.typing import ArrayLike
 
 from lierb.errors import unknown_name
-from lierb.kernels.functions.shapes import Shape
+from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, decorated, require_function
 from lierb.model.functions.elements import Element
@@ -28,9 +28,9 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 class Wrench(Decorated):
     """Function decorated by `lierb.wrench`: the torque and the force on a body."""
 
-    _potential: Callable[..., Any] | None = None
+    _potential: UserFunction | None = None
 
-    def __init__(self, function: Callable[..., Any], defaults: dict[str, Any]) -> None:
+    def __init__(self, function: UserFunction, defaults: dict[str, Any]) -> None:
         names = defaults.pop("discontinuities", ())
         self.discontinuities = (names,) if isinstance(names, str) else tuple(names)
         for name in self.discontinuities:
@@ -50,7 +50,7 @@ class Wrench(Decorated):
         values = self.defaults | parameters
         return Force.of(self.function.__name__, kind, values, made_by=self)
 
-    def potential(self, function: Callable[..., Any]) -> Callable[..., Any]:
+    def potential(self, function: UserFunction) -> UserFunction:
         """Decorate the wrench's potential, (R, r, params) → J, which counts in the energy.
 
         It may be the potential of a part of the wrench; the rest counts as work. It is
@@ -61,12 +61,12 @@ class Wrench(Decorated):
 
 
 @overload
-def wrench(function: Callable[..., Any], /) -> Wrench: ...
+def wrench(function: UserFunction, /) -> Wrench: ...
 @overload
 def wrench(
     *, discontinuities: str | Iterable[str] = (), **defaults: ArrayLike
-) -> Callable[[Callable[..., Any]], Wrench]: ...
-def wrench(function: Callable[..., Any] | None = None, /, **defaults: Any) -> Any:
+) -> Callable[[UserFunction], Wrench]: ...
+def wrench(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
 
     The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
