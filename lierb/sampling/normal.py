@@ -22,8 +22,6 @@ from lierb.sampling.truncated import quantiles_of_truncated_normal
 from lierb.support.arrays import Array
 
 FARTHEST_Z = 8.3  # std, of the largest uniform
-
-
 SEMIDEFINITE = 1e-14  # pivot, relative to the variance, below which it is zero
 SYMMETRY_TOLERANCE = 1e-12  # relative to the largest entry
 

@@ -82,71 +82,31 @@ def _sine_or_cosine(name: str, x: Any) -> Any:
 
 
 sin: Callable[[Any], Any] = smooth("sin", partial(_sine_or_cosine, "sin"), lambda x, y: cos(x))
-
-
 cos: Callable[[Any], Any] = smooth("cos", partial(_sine_or_cosine, "cos"), lambda x, y: -sin(x))
-
-
 tan = smooth("tan", partial(_library, "tan"), lambda x, y: 1.0 + y * y)
-
-
 exp = smooth("exp", partial(_library, "exp"), lambda x, y: y)
-
-
 expm1 = smooth("expm1", partial(_library, "expm1"), lambda x, y: y + 1.0)
-
-
 log = smooth("log", partial(_library, "log"), lambda x, y: 1.0 / x)
-
-
 log1p = smooth("log1p", partial(_library, "log1p"), lambda x, y: 1.0 / (1.0 + x))
-
-
 sqrt = smooth("sqrt", root, lambda x, y: 0.5 / y)
-
-
 sinh: Callable[[Any], Any] = smooth("sinh", partial(_library, "sinh"), lambda x, y: cosh(x))
-
-
 cosh: Callable[[Any], Any] = smooth("cosh", partial(_library, "cosh"), lambda x, y: sinh(x))
-
-
 tanh = smooth("tanh", partial(_library, "tanh"), lambda x, y: 1.0 - y * y)
-
-
 arcsin = smooth("arcsin", partial(_library, "asin"), lambda x, y: 1.0 / sqrt((1.0 - x) * (1.0 + x)))
-
-
 arccos = smooth(
     "arccos", partial(_library, "acos"), lambda x, y: -1.0 / sqrt((1.0 - x) * (1.0 + x))
 )
-
-
 arctan = smooth("arctan", lambda x: _angle(x, 1.0), lambda x, y: 1.0 / (1.0 + x * x))
-
-
 arcsinh = smooth("arcsinh", partial(_library, "asinh"), lambda x, y: 1.0 / sqrt(1.0 + x * x))
-
-
 arccosh = smooth(
     "arccosh", partial(_library, "acosh"), lambda x, y: 1.0 / sqrt((x - 1.0) * (x + 1.0))
 )
-
-
 arctanh = smooth("arctanh", partial(_library, "atanh"), lambda x, y: 1.0 / ((1.0 - x) * (1.0 + x)))
-
-
 cbrt = smooth("cbrt", partial(_library, "cbrt"), lambda x, y: 1.0 / (3.0 * y * y))
-
-
 exp2 = smooth("exp2", partial(_library, "exp2"), lambda x, y: math.log(2.0) * y)
-
-
 erf: Callable[[Any], Any] = smooth(
     "erf", partial(_library, "erf"), lambda x, y: 2.0 / math.sqrt(math.pi) * exp(-(x * x))
 )
-
-
 erfc: Callable[[Any], Any] = smooth(
     "erfc", partial(_library, "erfc"), lambda x, y: -2.0 / math.sqrt(math.pi) * exp(-(x * x))
 )

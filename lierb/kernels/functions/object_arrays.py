@@ -165,11 +165,7 @@ REMEDIES = {
     "eig": "write out what you need of it", "eigh": "write out what you need of it",
     "svd": "write out what you need of it",
 }  # fmt: skip
-
-
 REWRITE = "write it with operators, np.where and what docs/forces.md lists"
-
-
 SPELLED_OUT: dict[Any, Callable[..., Any]] = {}  # filled by `numpy_library`
 
 

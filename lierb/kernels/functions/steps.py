@@ -124,17 +124,9 @@ def _fraction(x: Any) -> Any:
 
 
 fraction = smooth("fraction", _fraction, lambda x, y: 1.0)
-
-
 remainder = _of_two(_remainder, lambda x, y: (1.0, -_floor_divide(x, y)))
-
-
 fmod = _of_two(_fmod, lambda x, y: (1.0, -_intrinsic("trunc", x / y)))
-
-
 floor_divide = _of_two(_floor_divide, lambda x, y: (0.0, 0.0))
-
-
 copysign = _of_two(copysign_of, lambda x, y: (copysign_of(1.0, x) * copysign_of(1.0, y), 0.0))
 
 

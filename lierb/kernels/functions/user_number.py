@@ -206,8 +206,6 @@ def _is_number(x: Any) -> bool:
 
 # Names in messages to users.
 UserNumber.__name__ = UserNumber.__qualname__ = "number"
-
-
 Condition.__name__ = Condition.__qualname__ = "condition"
 
 
