@@ -169,7 +169,7 @@ CLEAR, SILENT, HEARD, STOPPED = 0, 1, 2, 3  # marks; larger ones are addresses o
 class Marks:
     """Exception flags of a block, a number for each lane in the emitted function's memory.
 
-    CLEAR: users' functions are called. SILENT: they are suppressed, as for a body that has failed.
+    CLEAR: users' functions are called. SILENT: they are not, as for a body that has failed.
     A function that raises sets the flag to the address of its exception, or to STOPPED for
     StopIteration, which has none; HEARD: the exception was collected. Numba's own way, a status
     that each caller propagates, would end the other lanes too.
