@@ -16,6 +16,7 @@ from lierb.support.files import folder_of
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from lierb.analysis.comparison import Comparison
     from lierb.studies.description.study import Study
 
 MOST_BODIES = 64  # unless --n is given
@@ -124,19 +125,23 @@ def compare(
         )  # fmt: skip
         progress(0, 1, "files")
         files = comparison.save(folder)
-    if form is not None:
-        click.echo(
-            comparison.to_markdown() if form == "markdown" else comparison.to_latex(), nl=False
-        )
-    else:
-        for header, rows in comparison.text_tables():
-            print_whole(_table(header, rows))
-            click.echo()
-        for note in comparison.notes:
-            click.echo(wrapped(note))
+    _print(comparison, form)
     click.echo(
         f"Written to {folder}: {', '.join(path.name for path in files)}", err=form is not None
     )
+
+
+def _print(comparison: Comparison, form: str | None) -> None:
+    """Print the tables as Markdown, as LaTeX, or for a terminal with notes."""
+    if form is not None:
+        text = comparison.to_markdown() if form == "markdown" else comparison.to_latex()
+        click.echo(text, nl=False)
+        return
+    for header, rows in comparison.text_tables():
+        print_whole(_table(header, rows))
+        click.echo()
+    for note in comparison.notes:
+        click.echo(wrapped(note))
 
 
 def _control(study: Study, dts: list[float], rtols: list[float]) -> dict[str, Any]:
