@@ -259,7 +259,7 @@ if __name__ == "__main__":
 JOINING = """
 import os, signal, sys
 import lierb
-from lierb.studies import cluster
+from lierb.studies.execution import cluster
 from studies import study
 
 cluster.CONNECT_SECONDS = cluster.LOST_SECONDS = 3
