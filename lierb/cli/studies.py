@@ -84,19 +84,17 @@ SET = click.option(
 @click.command()
 @STUDY
 @SET
-@click.option("--n", type=int, help="Bodies: as --set sample.n=N.")
-@click.option("--seed", type=int, help="Of the sampling: as --set sample.seed=SEED.")
+@click.option("--n", type=int, help="Number of bodies: as --set sample.n=N.")
+@click.option("--seed", type=int, help="Seed of the sampling: as --set sample.seed=SEED.")
 @click.option(
-    "--stop-when",
-    "stop_when",
-    metavar="RULE",
-    help='Once "width of 95% of COLUMN < 2%" or the like: as --set sample.stop_when=RULE.',
-)
+    "--stop-when", metavar="RULE",
+    help='Stop by a rule, as "width of 95% of COLUMN < 2%": as --set sample.stop_when=RULE.',
+)  # fmt: skip
 @click.option(
     "--out", type=UserPath(file_okay=False),
     help="Folder for the results.  [default: results/NAME]",
 )  # fmt: skip
-@click.option("--resume", is_flag=True, help="Go on with what an earlier run has left.")
+@click.option("--resume", is_flag=True, help="Continue an earlier run.")
 @click.option(
     "--threads", type=click.IntRange(min=1),
     help="Threads to use, in each worker of a cluster.  [default: all that it has]",
@@ -134,7 +132,7 @@ def run(
 ) -> None:
     """Run a Monte Carlo STUDY, a TOML file (- for standard input), into a folder of Parquet parts.
 
-    A run that was stopped, however, goes on with --resume; its results are the same, bit for bit.
+    --resume continues a run that was stopped in any way; its results are the same, bit for bit.
     """
     require("study")
     if report:
@@ -206,15 +204,20 @@ def _client(workers: int | None, scheduler: str | None) -> Iterator[Client | Non
         yield client
 
 
-@click.command()
-@FOLDER
-def show(folder: Path) -> None:
-    """Print the summary of a study's results in FOLDER, finished or not."""
+def _results_in(folder: Path) -> Dataset:
     require("study")
     from lierb.studies.dataset import Dataset
 
     dataset = Dataset(folder)
     dataset.read()
+    return dataset
+
+
+@click.command()
+@FOLDER
+def show(folder: Path) -> None:
+    """Print the summary of a study's results in FOLDER, finished or not."""
+    dataset = _results_in(folder)
     _show(dataset)
     _end_with_failures(dataset)
 
@@ -223,13 +226,10 @@ def show(folder: Path) -> None:
 @FOLDER
 def plot(folder: Path) -> None:
     """Draw figures of a study's results in FOLDER, as PNG and SVG in FOLDER/figures."""
-    require("study")
+    dataset, figures = _results_in(folder), folder / "figures"
     require("plot")
-    from lierb.studies.dataset import Dataset
     from lierb.studies.pages.figures import draw_all, omitted
 
-    dataset, figures = Dataset(folder), folder / "figures"
-    dataset.read()
     with naming(figures, "written", "make room there, and draw them again"):
         drawn = draw_all(dataset, figures)
     for path in drawn:
@@ -246,11 +246,7 @@ def plot(folder: Path) -> None:
 )  # fmt: skip
 def report_page(folder: Path, out: Path | None) -> None:
     """Write a study's results in FOLDER as one HTML page, which opens without a network."""
-    require("study")
-    from lierb.studies.dataset import Dataset
-
-    dataset = Dataset(folder)
-    dataset.read()
+    dataset = _results_in(folder)
     _report(dataset, out or folder / "report.html")
 
 
@@ -260,7 +256,7 @@ def report_page(folder: Path, out: Path | None) -> None:
 def predict(study: Path, changes: Changes) -> None:
     """Print which constraints of a STUDY's joints each configuration space keeps, and why.
 
-    Of its first body: where the joint is on the body can make a difference.
+    The first body is used: the place of the joint on the body can make a difference.
     """
     require("study")
     from lierb.analysis.prediction import joint_by_joint

@@ -72,7 +72,7 @@ def _beside(study: Study, setting: Setting) -> list[Setting]:
 def replayed(study: Study, picked: Chosen) -> Animation:
     """Integrate the chosen trajectories again, each as in the study, and animate them.
 
-    See `lierb.studies.execution.running.replay`.
+    See `lierb.studies.execution.replaying.replay`.
     """
     views = []
     for what, trajectory in picked.trajectories.items():
