@@ -20,9 +20,9 @@ class Baumgarte(Section):
 
 
 class IntegrateSection(Section):
-    """As `lierb.integrate` takes it; cspace, method, dt and rtol may be lists, run as a product.
+    """Arguments of `lierb.integrate`; cspace, method, dt and rtol may be lists, run as a product.
 
-    With rtol or atol steps are adaptive, and dt is the first of them.
+    Steps are adaptive with rtol or atol, and dt is the first step.
     """
 
     model_config = SECTION | ConfigDict(
