@@ -1,1 +1,1 @@
-"""Studies: files, parts, results on the disk, and what is found in them."""
+"""Studies: description, parts, results on the disk, and their evaluation."""

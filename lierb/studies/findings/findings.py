@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -29,9 +28,6 @@ from lierb.studies.findings.statistics import (
 from lierb.studies.storage.results import Results
 from lierb.support.arrays import Array
 
-if TYPE_CHECKING:
-    pass
-
 ERRORS = {
     "position": "position_error_max",
     "rotation": "rotation_error_max",
@@ -46,12 +42,11 @@ NEGLIGIBLE = 1e-18  # error that counts as zero, relative to the problem's scale
 class SettingErrors:
     """Errors of the bodies in one setting of a study.
 
-    bodies : finished ones.   failed : those of them whose status is not ok.
-    quantiles : of each of ERRORS, in the order of QUANTILES, over the bodies that are ok; NaN where
-        there are none, and for an error that the joint has no rows for.
-    sizes : of what each of ERRORS is an error of; see `lierb.studies.findings.sizes`.
-    intervals : of each quantile but the largest, the two ends of its confidence interval; see
-        `lierb.studies.findings.statistics`.
+    bodies : number of finished bodies.   failed : number of those whose status is not ok.
+    quantiles : of each of ERRORS, at QUANTILES, over the bodies that are ok; NaN if there are none,
+        or if the joint has no rows of that error.
+    sizes : scale of each of ERRORS; see `lierb.studies.findings.sizes`.
+    intervals : confidence interval of each quantile but the largest.
     """
 
     setting: Setting
