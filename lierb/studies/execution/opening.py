@@ -25,7 +25,7 @@ def loaded(
 ) -> tuple[Study, str]:
     """Load and change a study; return it with the text of its file.
 
-    Without changes that is the user's own text, with his comments.
+    Without changes this is the file's own text, comments included.
     """
     if isinstance(study, Study):
         given = study.changed(changes or {})

@@ -15,7 +15,7 @@ from lierb.results.columns import as_array
 from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_of
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
-from lierb.studies.findings.columns import ok_columns, rows_of
+from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
 from lierb.studies.storage.results import IS_FINE, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
@@ -47,7 +47,7 @@ def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
         for how in KEEPS
     ]
     schema = dataset.table().schema
-    return {name: (schema.field(name).metadata or {}).get(b"unit", b"1").decode() for name in names}
+    return {name: field_unit(schema.field(name)) for name in names}
 
 
 def spreads(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pyarrow as pa
 
+from lierb.studies.findings.columns import field_unit
+
 AXES = {
     "position": "position error [m]",
     "rotation": "rotation error",
@@ -26,6 +28,5 @@ def other_columns(schema: pa.Schema, known: set[str]) -> list[pa.Field]:
 
 
 def axis_label(field: pa.Field) -> str:
-    unit = (field.metadata or {}).get(b"unit", b"").decode()
-    title = field.name.replace("_", " ")
+    unit, title = field_unit(field), field.name.replace("_", " ")
     return f"{title} [{unit}]" if unit not in ("", "1") else title
