@@ -75,7 +75,7 @@ __all__ = [
     "wrench",
 ]
 
-# The modules that users import by these names: `from lierb.joints import revolute`.
+# Public names of modules: `from lierb.joints import revolute`.
 for _module in (animation, bodies, forces, joints, noise):
     sys.modules[f"lierb.{_module.__name__.rpartition('.')[2]}"] = _module
 
@@ -88,13 +88,13 @@ _STUDIES = {
 
 
 def __dir__() -> list[str]:
-    """What is public, and no module that is not; studies where what they need is installed."""
+    """Public names; those of studies if `lierb[study]` is installed."""
     underscored = [name for name in globals() if name.startswith("__")]
     return sorted([*__all__, *underscored, *(_STUDIES if is_installed("study") else ())])
 
 
 def __getattr__(name: str) -> Any:
-    """What needs `lierb[study]`, imported when it is first asked for."""
+    """Import names of studies, which need `lierb[study]`, at their first use."""
     if name not in _STUDIES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     require("study")

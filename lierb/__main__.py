@@ -8,7 +8,7 @@ from lierb.support.extras import MissingExtraError, require
 
 
 def main() -> None:
-    """Run the command line; without its packages, say how to get them."""
+    """Run the command line, or exit with a message if its packages are not installed."""
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot show "ü" shows "?" instead of a traceback.
         if hasattr(stream, "reconfigure"):
@@ -19,12 +19,12 @@ def main() -> None:
         sys.exit(str(error))
     from lierb.cli import cli
 
-    warnings.showwarning = _tell
+    warnings.showwarning = _show_warning
     cli(prog_name="lierb")
 
 
-def _tell(message: Warning | str, *_: Any, **__: Any) -> None:
-    """A warning in its own words: nobody who types a command asks for a line of Python."""
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Print a warning without the line of Python that caused it."""
     print(f"Warning: {message}", file=sys.stderr)
 
 

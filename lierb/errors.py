@@ -99,7 +99,7 @@ class StiffStepWarning(UserWarning):
 
 
 class ScalarFunctionWarning(UserWarning):
-    """A function of the user's runs body by body, because it cannot run for many at once."""
+    """A user's function runs body by body, because it cannot run for many at once."""
 
 
 class StudyWarning(UserWarning):
@@ -118,7 +118,7 @@ class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 
 
-MOST_ITEMS = 10**6  # of an argument's that is run over: an iterator may have no end
+MOST_ITEMS = 10**6  # of an iterable argument, which may be infinite
 
 _short = Repr()
 _short.maxstring = _short.maxother = _short.maxlong = 100
@@ -126,19 +126,19 @@ _short.maxlevel = 3
 
 
 def told(given: object) -> str:
-    """`given` for a message: on one line, short, whatever it is."""
+    """Return a short description of any object, on one line, for a message."""
     try:
         words = " ".join(_short.repr(given).split())
-    except Exception:  # of objects of the user's, and of integers of more than 4300 digits
+    except Exception:  # a user's object may raise any, as do integers of more than 4300 digits
         words = f"<{type(given).__name__}>"
     return words if len(words) <= 200 else f"{words[:100]} … {words[-80:]}"
 
 
 def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
-    """What `given` runs over. Raises ArgumentError where it does not, or has no end in sight."""
+    """Return the items of an iterable; raise ArgumentError if it is none, or too long."""
     try:
         items = tuple(islice(given, MOST_ITEMS + 1))
-    except Exception as error:  # of objects of the user's, any
+    except Exception as error:  # a user's object may raise any
         raise ArgumentError(f"{argument}={told(given)}; expected {expected}") from error
     if len(items) > MOST_ITEMS:
         raise ArgumentError(
@@ -148,13 +148,13 @@ def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
 
 
 def require_name(argument: str, got: object, known: Iterable[str]) -> None:
-    """Raise UnknownNameError for what is none of these strings; an array is none of them."""
+    """Raise UnknownNameError for any object that is none of these strings."""
     if not (isinstance(got, str) and got in known):
         raise unknown_name(argument, got, known)
 
 
 def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNameError:
-    """The error for a name outside `known`, with the nearest one suggested."""
+    """Return the error for a name outside `known`, with the nearest one suggested."""
     names = list(known)
     lowered = {name.lower(): name for name in names}
     asked = got[:100].lower() if isinstance(got, str) else ""
@@ -166,18 +166,18 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNam
 
 
 def two_readings(argument: str, shape: tuple[int, ...], **ways: str) -> ArgumentError:
-    """The error for a shape that may mean two things; ways: how to say each, by what it is."""
+    """Return the error for an ambiguous shape. ways : expression for each meaning, by meaning."""
     listed = ", ".join(f"{way} for {meaning.replace('_', ' ')}" for meaning, way in ways.items())
     return ArgumentError(f"{argument} has shape {shape}, which may mean two things; give {listed}")
 
 
 def body_label(argument: str, body: int, count: int) -> str:
-    """`twist0[17]`, or `twist0` where there is only one."""
+    """Name of a body's argument in messages: `twist0[17]`, or `twist0` if there is one body."""
     return f"{argument}[{body}]" if count > 1 else argument
 
 
 def beyond_numbers(label: str, what: str) -> str:
-    """Of a start whose error is no number to compare."""
+    """Message on a start whose error overflows."""
     return (
         f"{label} has a {what} beyond all numbers: the squares of what it is made of overflow; "
         "give smaller numbers, or choose larger units"

@@ -1,4 +1,4 @@
-"""What lierb runs with here, and kernels made ready ahead of time."""
+"""Description of the installation, and compilation of kernels ahead of time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ VECTOR_FEATURES = ("sse2", "avx", "avx2", "avx512f", "neon", "sve")
 def info() -> dict[str, Any]:
     """Describe the installation: versions, CPU, lanes, threads and the disk cache.
 
-    `lierb info` prints it. The call starts Numba's threads, to see which layer they run on.
+    `lierb info` prints it. The call starts Numba's threads, to determine their layer.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def info() -> dict[str, Any]:
 
 
 def _cache() -> dict[str, Any]:
-    """Where compiled kernels are kept, and those of this version of lierb that are there."""
+    """Return the folder of compiled kernels, and the number of this version's kernels in it."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
     caches: list[DiskCache] = [cache_of(integrate_blocks), cache_of(apply)]
@@ -81,10 +81,10 @@ def _cache() -> dict[str, Any]:
 
 
 def clear_cache() -> dict[Path, int]:
-    """Delete all compiled code of lierb on the disk, of any version; the files and their bytes.
+    """Delete all compiled code of lierb on the disk, of any version; return the files' bytes.
 
-    Processes that run keep theirs; the next ones compile anew. Raises OSError for a file that may
-    not be deleted.
+    Running processes keep their code; later ones compile again. Raises OSError for a file that
+    cannot be deleted.
     """
     return disk_cache.clear()
 
@@ -96,7 +96,7 @@ ANY_BODY = Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
 
 @dataclass(frozen=True)
 class Kernel:
-    """A kernel that is ready now, and the seconds that it took."""
+    """Kernel that is ready, and the seconds that it took."""
 
     joint: str
     method: str
@@ -155,7 +155,7 @@ def warmup(
     """
     if not (progress is None or callable(progress)):
         raise ArgumentError(f"progress={told(progress)}; expected None or a function")
-    tell = progress or (lambda done, total, what: None)
+    report = progress or (lambda done, total, what: None)
     if not isinstance(multipliers, bool):
         raise ArgumentError(f"multipliers={told(multipliers)}; expected True or False")
     joints = _several("joints", joints, Joint)
@@ -175,7 +175,7 @@ def warmup(
     ]
     ready: list[Kernel] = []
     for joint, tableau, cspace, update in wanted:
-        tell(len(ready), len(wanted), f"{joint.name}, {tableau.name}, {cspace}, {update}")
+        report(len(ready), len(wanted), f"{joint.name}, {tableau.name}, {cspace}, {update}")
         began = time.perf_counter()
         integrate(
             Problem(ANY_BODY, joint), twist0=(0.0,) * 6, dt=1.0, t_end=1.0, method=tableau,
@@ -185,12 +185,12 @@ def warmup(
         )  # fmt: skip
         seconds = time.perf_counter() - began
         ready.append(Kernel(joint.name, tableau.name, cspace, update, seconds))
-    tell(len(ready), len(wanted), "")
+    report(len(ready), len(wanted), "")
     return ready
 
 
 def _several(argument: str, given: Any, *single: type) -> tuple[Any, ...]:
-    """One name or thing, or many of them."""
+    """Return one item or several as a tuple."""
     is_one = isinstance(given, (str, *single))
     return (given,) if is_one else items_of(argument, given, "names")
 

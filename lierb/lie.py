@@ -1,4 +1,4 @@
-"""The Lie groups on their own, on arrays with any leading batch shape.
+"""Lie groups on arrays with any leading batch shape.
 
 `lierb.lie.so3`, `.se3` and `.so3xr3` share one interface. Vectors of the algebra hold the angular
 part first (rad, then m); elements of the group are matrices, R (…, 3, 3) or C (…, 4, 4). For
@@ -235,7 +235,7 @@ class Group:
         return np.eye(self.size)
 
     def _matrix(self, function: str, first: Any, item_axes: int) -> Array:
-        """The matrix of a linear function, column by column."""
+        """Matrix of a linear function, column by column."""
         element = self._operand(function, "g" if item_axes == 2 else "x", first)
         columns = self._call(function, np.expand_dims(element, -1 - item_axes), np.eye(self.dim))
         return np.ascontiguousarray(np.swapaxes(columns, -1, -2))

@@ -1,9 +1,9 @@
 """C-space of a mechanism for `lierb.analysis.completion`: configurations, rows, Jacobians.
 
-A configuration has a pose for each node of the tree that is integrated, and the group is the direct
-product of the nodes'. Absolute nodes have the pose of the joint's frame on their link, seen from
-one frame of the ground; reduced ones the pose that their joint's coordinates are of. Several
-configurations are looked at together.
+A configuration has a pose for each node of the integrated tree, and the group is the direct product
+of the nodes' groups. The pose of an absolute node is that of its link's joint frame in one frame of
+the ground; the pose of a reduced node is the relative pose D of its joint. All functions take
+several configurations at once.
 """
 
 from __future__ import annotations
@@ -32,16 +32,13 @@ from lierb.support.arrays import Array, Pose, assembled, components, pose_compon
 if TYPE_CHECKING:
     from lierb.model.mechanism.mechanism import Mechanism
 
-Configurations = Array  # (n, nodes, 12): rotations row by row, places
-Motions = dict[int, tuple[Pose, Vec]]  # of nodes: their frames, (n, 1), and twists, (n, freedoms)
+Configurations = Array  # (n, nodes, 12): rotations row by row, positions
+Motions = dict[int, tuple[Pose, Vec]]  # frames, (n, 1), and twists, (n, freedoms), by node
 GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
 class Place(NamedTuple):
-    """Of rows between two nodes: their frames on both, and what they are made of.
-
-    inner, outer : seen from the nodes' own frames; `outer` of the ground, where it is one of it.
-    """
+    """Rows between two nodes. inner, outer : joint frames in the frames of `body` and `parent`."""
 
     at: Connection
     body: int
@@ -52,12 +49,12 @@ class Place(NamedTuple):
     rows: Rows
 
 
-class Seen(NamedTuple):
-    """Of all rows at some configurations; lengths in units of the mechanism's own.
+class RowValues(NamedTuple):
+    """Values and gradients of all rows at n configurations, in units of the mechanism's length.
 
-    values : h, (n, rows).   gradients : (n, rows, freedoms), over their `lengths` as rows on D,
-    (n, rows).   far : ‖d‖, (n, rows).   upright : (n, places), whether no joint is held half a turn
-    the wrong way round, which no row sees.
+    values : h, (n, rows).   gradients : (n, rows, freedoms), divided by `lengths`.
+    lengths : (n, rows), of the rows' Jacobians with respect to D.   far : ‖d‖, (n, rows).
+    upright : (n, places), False for a joint that is half a turn off, at which rows vanish too.
     """
 
     values: Array
@@ -68,9 +65,9 @@ class Seen(NamedTuple):
 
 
 class Space:
-    """Lengths are in units of the mechanism's own, so that nothing depends on the unit of length.
+    """C-space of a mechanism, with lengths in units of the mechanism's length.
 
-    length : m.   rows : that say something of the pose, of all places.
+    length : m.   rows : holonomic rows of all places.
     """
 
     def __init__(self, mechanism: Mechanism, cspace: str) -> None:
@@ -96,31 +93,31 @@ class Space:
         self.bases = [self._basis(node) for node in self.tree]
         ends = np.cumsum([0, *(len(basis) for basis in self.bases)])
         self.columns = [slice(*pair) for pair in pairwise(ends)]
-        self.freedoms = max(int(ends[-1]), 1)  # of links that are all fixed one that moves nothing
+        self.freedoms = max(int(ends[-1]), 1)  # one column of zeros if all links are fixed
         acting = tuple(at for at in mechanism.places if at.rows)
         self.places = [self._place(at) for at in (*mechanism.joints, *acting)]
         self.rows: Rows = tuple(r for place in self.places for r in place.rows)
         translational = [r.is_translational for r in self.rows]
         self.row_units = np.where(np.array(translational, dtype=bool), self.length, 1.0)
 
-    # ---- what does not move --------------------------------------------------------------------
+    # ---- constants -----------------------------------------------------------------------------
 
     def _length(self) -> float:
-        """The largest length of a link, m: with the arms from its centre of mass to all joints."""
+        """Largest length of a link, m, with the arms from its centre of mass to all joints."""
         mechanism = self.mechanism
-        found = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
+        lengths = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
         for at in mechanism.joints:
             if at.parent >= 0:
                 other = mechanism.parameters(mechanism.joints[at.parent])
-                found.append(length_of(other._replace(body=mechanism.parameters(at).ground)))
-        return float(max(found))
+                lengths.append(length_of(other._replace(body=mechanism.parameters(at).ground)))
+        return float(max(lengths))
 
     def _outer(self, link: int, frame: Pose) -> Pose:
-        """A frame on a link, or on the ground, seen from the node's own."""
+        """Return a frame on a link or the ground, seen from the node's own frame."""
         return se3.compose(se3.inverse(self.ground if link < 0 else self.frames[link]), frame)
 
     def _hang(self, i: int) -> Pose:
-        """A reduced node's joint frame on what it hangs on."""
+        """Return a reduced node's joint frame on its parent."""
         node = self.tree[i]
         if node.parent >= 0 and self.tree[node.parent].link == MASSLESS:
             return HERE
@@ -129,11 +126,11 @@ class Space:
         return self._outer(at.parent, pose_components(at.joint.ground_frame))
 
     def _basis(self, node: Node) -> Array:
-        """Unit velocities, (k, 6), of a node's algebra."""
-        found = np.eye(6)[[slot >= 0 for slot in node.slots]]
+        """Return a basis of unit velocities, (k, 6), of a node's algebra."""
+        basis = np.eye(6)[[slot >= 0 for slot in node.slots]]
         if PITCHED in node.slots:
-            found[:, 5] = found[:, 2] * self.mechanism.links[node.link].joint.pitch / self.length
-        scaled: Array = found / np.linalg.norm(found, axis=1, keepdims=True)
+            basis[:, 5] = basis[:, 2] * self.mechanism.links[node.link].joint.pitch / self.length
+        scaled: Array = basis / np.linalg.norm(basis, axis=1, keepdims=True)
         return scaled
 
     def _place(self, at: Connection) -> Place:
@@ -146,7 +143,7 @@ class Space:
         return Place(at, *nodes, inner, outer, self.mechanism.constants(at), rows)
 
     def path(self, place: Place) -> list[int]:
-        """The nodes that its rows depend on."""
+        """Return the nodes that the rows depend on."""
         if self.cspace != "reduced":
             return sorted(i for i in (place.body, place.parent) if i != GROUND)
         above = [set(self._above(i)) for i in (place.body, place.parent)]
@@ -158,27 +155,27 @@ class Space:
     # ---- configurations ------------------------------------------------------------------------
 
     def of_poses(self, poses: list[Pose]) -> Configurations:
-        """The one of the links' poses in the ground's frame, on the subgroups of their joints."""
-        seats: dict[int, Pose] = {GROUND: HERE}
-        found: list[Pose] = []
+        """Return the configuration of the links' poses, projected to the joints' subgroups."""
+        frames: dict[int, Pose] = {GROUND: HERE}
+        configuration: list[Pose] = []
         for i, node in enumerate(self.tree):
             if node.link == MASSLESS:
                 continue  # with the node after it
-            seat = self._outer(GROUND, se3.compose(poses[node.link], self.frames[node.link]))
+            frame = self._outer(GROUND, se3.compose(poses[node.link], self.frames[node.link]))
             if node.cspace == "SO3xR3":
-                seat = seat[0], self._outer(GROUND, poses[node.link])[1]
-            own = self._factors(i, seat, seats) if node.is_reduced else [seat]
+                frame = frame[0], self._outer(GROUND, poses[node.link])[1]
+            own = self._factors(i, frame, frames) if node.is_reduced else [frame]
             for k, pose in enumerate(own, i + 1 - len(own)):
-                base = self._base(k, seats) if node.is_reduced else HERE
-                seats[k] = se3.compose(base, pose)
-            found += own
-        return np.array([[assembled(q + d) for q, d in found]])
+                base = self._base(k, frames) if node.is_reduced else HERE
+                frames[k] = se3.compose(base, pose)
+            configuration += own
+        return np.array([[assembled(q + d) for q, d in configuration]])
 
-    def _factors(self, i: int, seat: Pose, seats: dict[int, Pose]) -> list[Pose]:
-        """D of a reduced node, or of both that make up its joint."""
+    def _factors(self, i: int, frame: Pose, frames: dict[int, Pose]) -> list[Pose]:
+        """Return D of a reduced node, or of the two nodes of a product joint."""
         joint = self.mechanism.links[self.tree[i].link].joint
-        base = self._base(i - 1 if joint.factors else i, seats)
-        relative = se3.compose(se3.inverse(base), seat)
+        base = self._base(i - 1 if joint.factors else i, frames)
+        relative = se3.compose(se3.inverse(base), frame)
         motions = motions_of(joint)
         if motions is None:
             return [relative if len(self.bases[i]) else HERE]
@@ -187,28 +184,28 @@ class Space:
             return [f.motion(x) for f, x in zip(joint.factors, numbers, strict=True)]
         return [motions.pose(numbers)]
 
-    def _base(self, i: int, seats: Mapping[int, Pose]) -> Pose:
-        """The frame that a reduced node's pose is seen from."""
-        return se3.compose(seats[self.tree[i].parent], self.hangs[i])
+    def _base(self, i: int, frames: Mapping[int, Pose]) -> Pose:
+        """Return the frame in which a reduced node's pose is given."""
+        return se3.compose(frames[self.tree[i].parent], self.hangs[i])
 
     def moved(self, at: Configurations, motions: Array) -> Configurations:
-        """C exp X, node by node; motions are (n, 6 nodes)."""
-        found = []
+        """Return C exp X, node by node; motions are (n, 6 nodes)."""
+        moved = []
         for i, node in enumerate(self.tree):
             group = GROUPS[node.cspace]
             x = components(motions[:, 6 * i : 6 * i + 6] * self.units)
             pose = components(at[:, i, :9]), components(at[:, i, 9:])
             q, d = group.compose(pose, group.exp(x))
-            found.append(assembled(q + d))
-        return np.stack(found, axis=1)
+            moved.append(assembled(q + d))
+        return np.stack(moved, axis=1)
 
     def lifted(self, velocities: Array) -> Array:
-        """(n, freedoms) → (n, 6 nodes)."""
+        """Map velocities from (n, freedoms) to (n, 6 nodes)."""
         parts = [velocities[:, c] @ b for c, b in zip(self.columns, self.bases, strict=True)]
         return np.hstack(parts)
 
     def bracket(self, a: Array, b: Array) -> Array:
-        """Of elements of the algebra, (n, 6 nodes) each."""
+        """Return the brackets of elements of the algebra, (n, 6 nodes) each."""
         parts = []
         for i, node in enumerate(self.tree):
             x, y = (components(v[:, 6 * i : 6 * i + 6]) for v in (a, b))
@@ -218,8 +215,8 @@ class Space:
     # ---- rows ----------------------------------------------------------------------------------
 
     def _motions(self, at: Configurations) -> Motions:
-        """Of every node its frame, and how unit velocities move it, body-fixed."""
-        found: Motions = {GROUND: (HERE, ZERO6)}
+        """Return each node's frame, and its body-fixed twists by unit velocities."""
+        motions: Motions = {GROUND: (HERE, ZERO6)}
         for i, node in enumerate(self.tree):
             pose: Pose = components(at[:, None, i, :9]), components(at[:, None, i, 9:])
             columns = np.zeros((1, self.freedoms, 6))
@@ -232,22 +229,22 @@ class Space:
                 pose = pose[0], mat_vec_add(pose[0], arm, pose[1])
             elif node.is_reduced:
                 carrying = se3.inverse(se3.compose(self.hangs[i], pose))
-                own = add(own, se3.Ad(carrying, found[node.parent][1]))
-                pose = se3.compose(se3.compose(found[node.parent][0], self.hangs[i]), pose)
-            found[i] = pose, own
-        return found
+                own = add(own, se3.Ad(carrying, motions[node.parent][1]))
+                pose = se3.compose(se3.compose(motions[node.parent][0], self.hangs[i]), pose)
+            motions[i] = pose, own
+        return motions
 
     def _between(self, place: Place, motions: Motions) -> tuple[Pose, Vec]:
-        """D, and how unit velocities move it, D⁻¹Ḋ."""
+        """Return D, and its twists D⁻¹Ḋ by unit velocities."""
         (body, moving), (parent, carrying) = motions[place.body], motions[place.parent]
-        seen = se3.inverse(se3.compose(parent, place.outer))
-        relative = se3.compose(seen, se3.compose(body, place.inner))
+        to_parent = se3.inverse(se3.compose(parent, place.outer))
+        relative = se3.compose(to_parent, se3.compose(body, place.inner))
         carried = se3.inverse(se3.compose(place.outer, relative))
         own = se3.Ad(se3.inverse(place.inner), moving)
         return relative, sub(own, se3.Ad(carried, carrying))
 
-    def at(self, at: Configurations) -> Seen:
-        """All rows there."""
+    def at(self, at: Configurations) -> RowValues:
+        """Evaluate all rows."""
         n, motions = len(at), self._motions(at)
         values, gradients, lengths, far = [], [], [], []
         upright = np.ones((n, len(self.places)), dtype=bool)
@@ -265,7 +262,7 @@ class Space:
                 values.append(h)
                 lengths.append(size)
                 far.append(away)
-        return Seen(
+        return RowValues(
             self._columns(n, values) / self.row_units,
             np.swapaxes(self._columns(n, gradients, self.freedoms), 1, 2),
             self._columns(n, lengths) / self.row_units,
@@ -274,21 +271,23 @@ class Space:
         )
 
     def _columns(self, n: int, of_rows: list[Any], *shape: int) -> Array:
-        """(n, rows), or (n, freedoms, rows), from what may be the same for all configurations."""
-        found = np.zeros((n, *(shape or (1,)), len(of_rows)))
+        """Stack the rows' numbers, batched or not, to (n, rows) or (n, shape, rows)."""
+        stacked = np.zeros((n, *(shape or (1,)), len(of_rows)))
         for number, column in enumerate(of_rows):
-            found[..., number] = plain(column)
-        return found if shape else found[:, 0]
+            stacked[..., number] = plain(column)
+        return stacked if shape else stacked[:, 0]
 
     def rounding(self, poses: list[Pose]) -> Array:
-        """What rounding may leave of every row, (rows,): places are rounded as far away as they
-        are, which rows of joints see where loops ask for one thing twice."""
-        found = []
+        """Bounds of the rows' rounding errors, (rows,), which grow with the distance of the links.
+
+        Rows of joints have such errors in redundant loops only.
+        """
+        bounds = []
         for place in self.places:
             joint = self.mechanism.joints[place.at.body]
             total = rounding_of(self.mechanism.parameters(joint), poses[place.at.body])
             if place.at.parent >= 0:
                 total = total + ROUNDING * norm(poses[place.at.parent][1])
-            is_seen = len(self.mechanism.loops) > 0
-            found += [float(total) * (is_seen or not r.is_of_joint) for r in place.rows]
-        return np.array(found) / self.length
+            has_loops = len(self.mechanism.loops) > 0
+            bounds += [float(total) * (has_loops or not r.is_of_joint) for r in place.rows]
+        return np.array(bounds) / self.length

@@ -1,4 +1,4 @@
-"""How large a problem's lengths and energies are: rounding is told from error relative to them."""
+"""Characteristic lengths and energies of a problem, to which errors and rounding are relative."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lierb.support.arrays import Array, components, pose_components
 
 
 def kinds_of(problem: Problem | Mechanism) -> set[str]:
-    """The kinds of errors that its joints have rows for."""
-    held = (problem,) if isinstance(problem, Problem) else problem.held
-    return {kind for each in held for kind in each.joint.error_kinds}
+    """Return the kinds of constraint error of the joints: "position", "rotation"."""
+    jointed = (problem,) if isinstance(problem, Problem) else problem.held
+    return {kind for each in jointed for kind in each.joint.error_kinds}
 
 
 def magnitudes(problem: Problem | Mechanism, poses: Any, twists: Any) -> tuple[Array, Array]:
-    """Of each body in its own pose and motion: m and J; poses None for the closed joint."""
-    with np.errstate(all="ignore"):  # a body that runs away is ok as long as it is finite
+    """Return the length, m, and the energy, J, of each member; poses None: the closed joint."""
+    with np.errstate(all="ignore"):  # a diverging body is accepted as long as it is finite
         if isinstance(problem, Mechanism):
             return _of_links(problem, poses, twists)
         placed = problem.joint.closed_pose if poses is None else poses
@@ -33,8 +33,8 @@ def magnitudes(problem: Problem | Mechanism, poses: Any, twists: Any) -> tuple[A
 def _of_links(
     mechanism: Mechanism, poses: dict[str, Array], twists: dict[str, Array]
 ) -> tuple[Array, Array]:
-    """The largest length of the links, and the sum of their energies, but for those of springs."""
-    reach, total = np.zeros(1), np.zeros(1)
+    """Largest length of the links, and the sum of their energies without springs."""
+    size, total = np.zeros(1), np.zeros(1)
     for link, at in zip(mechanism.links, mechanism.joints, strict=False):
         pose, twist, body = poses[link.name], twists[link.name], link.body
         parameters, omega, v = mechanism.parameters(at), twist[:, :3], twist[:, 3:]
@@ -47,8 +47,8 @@ def _of_links(
         gravity = np.broadcast_to(mechanism.gravity, v.shape)
         height = np.abs(np.einsum("ni,ni->n", gravity, place))
         total = total + kinetic + mass * (height + np.linalg.norm(gravity, axis=1) * length)
-        reach = np.maximum(reach, length + np.linalg.norm(pose[:, :3, 3], axis=1))
-    return reach, total
+        size = np.maximum(size, length + np.linalg.norm(pose[:, :3, 3], axis=1))
+    return size, total
 
 
 def _of_body(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Array]:
@@ -63,5 +63,5 @@ def _of_body(problem: Problem, poses: Array, twists: Array) -> tuple[Array, Arra
         *(e.energy(own, motion) for e, own in zip(problem.kinds, body.elements, strict=True)),
     ]
     total = sum(np.abs(plain(energy)) for energy in energies)
-    reach = length + norm(components(poses[..., :3, 3]))
-    return reach, np.broadcast_to(total, len(twists))
+    size = length + norm(components(poses[..., :3, 3]))
+    return size, np.broadcast_to(total, len(twists))
