@@ -39,41 +39,12 @@ if TYPE_CHECKING:
 
 __version__ = package_version()
 __all__ = [
-    "TABLEAUS",
-    "Body",
-    "ButcherTableau",
-    "Link",
-    "Loop",
-    "Mechanism",
-    "Problem",
-    "Result",
-    "animate",
-    "animation",
-    "baumgarte",
-    "bodies",
-    "clip",
-    "constraint",
-    "controller",
-    "convergence",
-    "errors",
-    "event",
-    "forces",
-    "info",
-    "integrate",
-    "joints",
-    "lie",
-    "log",
-    "noise",
-    "observable",
-    "predict",
-    "quaternion",
-    "sampling",
-    "states",
-    "table",
-    "warmup",
-    "where",
-    "wrench",
-]
+    "TABLEAUS", "Body", "ButcherTableau", "Link", "Loop", "Mechanism", "Problem", "Result",
+    "animate", "animation", "baumgarte", "bodies", "clip", "constraint", "controller",
+    "convergence", "errors", "event", "forces", "info", "integrate", "joints", "lie", "log",
+    "noise", "observable", "predict", "quaternion", "sampling", "states", "table", "warmup",
+    "where", "wrench",
+]  # fmt: skip
 
 # Public names of modules: `from lierb.joints import revolute`.
 for _module in (animation, bodies, forces, joints, noise):

@@ -12,25 +12,11 @@ from reprlib import Repr
 from typing import Any
 
 __all__ = [
-    "LierbError",
-    "ArgumentError",
-    "UnknownNameError",
-    "InertiaError",
-    "ForceError",
-    "PoseError",
-    "TwistError",
-    "StudyError",
-    "StudyFileError",
-    "TimeGridError",
-    "MemoryLimitError",
-    "InconsistentStateWarning",
-    "FailedTrajectoryWarning",
-    "ScalarFunctionWarning",
-    "StudyWarning",
-    "StiffStepWarning",
-    "LeftOutWarning",
-    "ForkError",
-]
+    "LierbError", "ArgumentError", "UnknownNameError", "InertiaError", "ForceError", "PoseError",
+    "TwistError", "StudyError", "StudyFileError", "TimeGridError", "MemoryLimitError",
+    "InconsistentStateWarning", "FailedTrajectoryWarning", "ScalarFunctionWarning", "StudyWarning",
+    "StiffStepWarning", "LeftOutWarning", "ForkError",
+]  # fmt: skip
 
 
 def __dir__() -> list[str]:

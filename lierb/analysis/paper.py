@@ -154,14 +154,11 @@ def run_paper(
             drawings = [(example, figure) for example in chosen for figure in example.figures]
     total = len(plan) + len(drawings)
 
-    def announce(done: int, what: str) -> None:
-        if progress is not None:
-            progress(done, total, what)
-
+    announce = progress or (lambda done, total, what: None)
     runs = []
     warned: dict[str, None] = {}  # an ordered set
     for done, (example, cspace, dt) in enumerate(plan):
-        announce(done, f"{example.title}: {cspace}, dt = {dt:g} s")
+        announce(done, total, f"{example.title}: {cspace}, dt = {dt:g} s")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             runs.append(_run(example, cspace, dt, t_end, gravity, update))
@@ -180,9 +177,9 @@ def run_paper(
     if out is not None:
         files += _write_tables(report, Path(out))
         for done, (example, figure) in enumerate(drawings, start=len(plan)):
-            announce(done, f"figure {figure.number}: {example.title}")
+            announce(done, total, f"figure {figure.number}: {example.title}")
             files += _draw(report, example, figure, Path(out))
-    announce(total, "done")
+    announce(total, total, "done")
     return replace(report, files=tuple(files))
 
 

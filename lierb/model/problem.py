@@ -11,20 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import (
-    ArgumentError,
-    PoseError,
-    body_label,
-)
+from lierb.errors import ArgumentError, PoseError, body_label
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.constraints import residuals
-from lierb.kernels.mechanics.newton_euler import (
-    SE3,
-    BodyConstants,
-    Parameters,
-    SO3xR3,
-)
+from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.saddle import solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
@@ -225,14 +216,11 @@ class Problem(Model):
             return self._closed(poses)
 
     def _closed(self, poses: Array) -> Array:
-        rows, parameters, body = self.rows, self.parameters(), self.in_joint_axes(SE3)
+        rows, parameters = self.rows, self.parameters()
         placed, at_rest = SE3.to_joint_axes(parameters, pose_components(poses), (0.0,) * 6)
         length = length_of(parameters)
         small = CLOSED * length  # m
-        stout = body.mass * (LEAST_GYRATION * length) ** 2
-        trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
-        added = where(trace < stout, stout, 0.0 * stout)
-        body = body._replace(inertia=add(body.inertia, diagonal((added, added, added))))
+        body = _stout(self.in_joint_axes(SE3), length)
         # Positions in users' functions are relative to the origins of the users' frames.
         rounding = rounding_of(parameters, pose_components(poses))
         for _ in range(NEWTON_STEPS):
@@ -314,3 +302,11 @@ class Problem(Model):
             velocity = add(velocity, change.turning + change.moving)
         _, projected = SE3.to_user_axes(parameters, placed, velocity)
         return assembled(projected)
+
+
+def _stout(body: BodyConstants, length: Any) -> BodyConstants:
+    """Return the body with a radius of gyration of at least LEAST_GYRATION of the length."""
+    least = body.mass * (LEAST_GYRATION * length) ** 2
+    trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
+    added = where(trace < least, least, 0.0 * least)
+    return body._replace(inertia=add(body.inertia, diagonal((added, added, added))))

@@ -7,12 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import (
-    ArgumentError,
-    items_of,
-    told,
-    unknown_name,
-)
+from lierb.errors import ArgumentError, items_of, told, unknown_name
 from lierb.kernels.mechanics.rows import JOINT_ROWS, JointRow, Row, parameters_of
 from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.joints.joint_type import JOINTS, JointType

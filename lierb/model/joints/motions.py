@@ -14,16 +14,7 @@ from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS, PITCHED, Rows
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.numbers.trigonometry import atan2
-from lierb.kernels.numbers.vec import (
-    ZERO3,
-    Vec,
-    add,
-    dot,
-    mat_t_vec,
-    mat_vec,
-    neg,
-    row,
-)
+from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, mat_t_vec, mat_vec, neg, row
 from lierb.kernels.numbers.zero import ZERO
 from lierb.support.arrays import Array, Pose
 

@@ -252,12 +252,15 @@ def _projected(part: Part, t0: float) -> list[Array]:
     contradicted = (residual > np.max(allowed, axis=1, keepdims=True)) & is_driven[:, None]
     for member, row in np.argwhere(contradicted)[:1].tolist():
         at = [s.at for s in states for _ in s.at.rows][row]
-        raise TwistError(
-            f"{part.label('twist', member)}: no twist satisfies {name_of(part.mechanism, at)} "
-            "beside the other joints and motors, which contradict each other; leave out a speed, "
-            "or give one that fits"
-        )
+        raise _contradiction(part.label("twist", member), name_of(part.mechanism, at))
     return [np.broadcast_to(assembled(twist), (system.count, 6)) for twist in twists]
+
+
+def _contradiction(label: str, connection: str) -> TwistError:
+    return TwistError(
+        f"{label}: no twist satisfies {connection} beside the other joints and motors, which "
+        "contradict each other; leave out a speed, or give one that fits"
+    )
 
 
 def _rates(system: System, poses: list[Pose], twists: list[Vec], t0: float) -> Array:
