@@ -91,7 +91,7 @@ def measured(name: str, cspace: str) -> dict[str, dict[str, dict[str, float]]]:
         ).summary
         assert set(run["status"].to_pylist()) == {"ok"}, (name, cspace)
         runs.append(run)
-    joints = [each.name for each in mechanism.held]
+    joints = [each.name for each in mechanism.links_and_loops]
     return {
         joint: {
             kind: _told(*(run[f"{joint}.{kind}_error_max"].to_numpy() for run in runs))

@@ -17,7 +17,7 @@ from lierb.support.arrays import Array, components, pose_components
 
 def kinds_of(problem: Problem | Mechanism) -> set[str]:
     """Return the kinds of constraint error of the joints: "position", "rotation"."""
-    jointed = (problem,) if isinstance(problem, Problem) else problem.held
+    jointed = (problem,) if isinstance(problem, Problem) else problem.links_and_loops
     return {kind for each in jointed for kind in each.joint.error_kinds}
 
 

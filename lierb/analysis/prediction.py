@@ -326,7 +326,7 @@ def _projection(space: Space, algebra: Array, path: Sequence[int]) -> tuple[str,
 
 def _why(space: Space, place: Place, group: str) -> str:
     mechanism, at = space.mechanism, place.at
-    held: dict[str, Link | Loop] = {each.name: each for each in mechanism.held}
+    held: dict[str, Link | Loop] = {each.name: each for each in mechanism.links_and_loops}
     body, *parent = (mechanism.names[i] for i in (at.body, at.parent) if i >= 0)
     if space.cspace == "reduced":
         if isinstance(held.get(at.name), Link) and at.joint is not None:

@@ -147,7 +147,7 @@ def event_row_bytes(problem: Problem | Mechanism) -> int:
 def _rows_of(problem: Problem | Mechanism) -> int:
     if isinstance(problem, Problem):
         return len(problem.rows)
-    held = sum(len(each.joint.rows) for each in problem.held)
+    held = sum(len(each.joint.rows) for each in problem.links_and_loops)
     return held + sum(len(each.rows) for each in problem.places)
 
 
@@ -281,7 +281,7 @@ def _links_of(problem: Problem | Mechanism) -> list[str]:
 
 def _joints_of(problem: Problem | Mechanism) -> list[str]:
     """Names of the joints whose errors have columns of their own: of links, then of loops."""
-    return [each.name for each in problem.held] if isinstance(problem, Mechanism) else []
+    return [each.name for each in problem.links_and_loops] if isinstance(problem, Mechanism) else []
 
 
 def _multipliers_of(
@@ -291,7 +291,9 @@ def _multipliers_of(
     if isinstance(problem, Problem):
         yield "lambda", found, ", ".join(row.unit for row in problem.rows)
         return
-    held: list[tuple[str, Rows]] = [(each.name, each.joint.rows) for each in problem.held]
+    held: list[tuple[str, Rows]] = [
+        (each.name, each.joint.rows) for each in problem.links_and_loops
+    ]
     held += [(problem.name_of(k), c.rows) for k, c in enumerate(problem.places)]
     first = 0
     for name, rows in held:

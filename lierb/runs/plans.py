@@ -78,7 +78,7 @@ def mechanism_plan_of(
         )
         for i, c in enumerate(mechanism.joints)
     ]
-    numbers = {each.name: i for i, each in enumerate(mechanism.held)}
+    numbers = {each.name: i for i, each in enumerate(mechanism.links_and_loops)}
     acting = []
     for k, (element, c) in enumerate(zip(mechanism.elements, mechanism.places, strict=True)):
         number = numbers[element.at[0]] if element.kind.needs_axis else NONE

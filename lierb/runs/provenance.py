@@ -168,7 +168,7 @@ def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:
 
 def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
     held = {}
-    for each in mechanism.held:
+    for each in mechanism.links_and_loops:
         is_loop = isinstance(each, Loop)
         numbers = {} if is_loop else {name: getattr(each.body, name) for name in BODY}
         numbers |= {name: getattr(each.joint, name) for name in JOINT}

@@ -21,12 +21,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.mechanism.links import GROUND, NOWHERE, Connection, Link, Loop
-from lierb.support.arrays import (
-    Array,
-    Which,
-    as_numbers,
-    taken,
-)
+from lierb.support.arrays import Array, Which, as_numbers, taken
 from lierb.support.shown import Lines, counted, quantity
 
 BODY = {"mass": 0, "inertia": 2, "com": 1}  # axes of an item, by the name of the array
@@ -71,7 +66,7 @@ class Tree(Model):
         if not self.links:
             raise ArgumentError("links is empty; a mechanism has one link at least")
         owners: dict[str, str] = {}
-        for each in self.held:
+        for each in self.links_and_loops:
             what = "link" if isinstance(each, Link) else "loop"
             name = each.name.lower()  # SQL, in which their columns are named, is blind to case
             if name in owners:
@@ -109,7 +104,7 @@ class Tree(Model):
         return names
 
     @property
-    def held(self) -> tuple[Link | Loop, ...]:
+    def links_and_loops(self) -> tuple[Link | Loop, ...]:
         """Links, then loops: the objects with a joint."""
         return (*self.links, *self.loops)
 
@@ -178,7 +173,7 @@ class Tree(Model):
         numbers: dict[str, Array] = {"gravity": self.gravity}
         for i, link in enumerate(self.links):
             numbers |= {f"{i}.{name}": getattr(link.body, name) for name in BODY}
-        for i, each in enumerate(self.held):
+        for i, each in enumerate(self.links_and_loops):
             numbers |= {f"{i}.{name}": getattr(each.joint, name) for name in JOINT}
         for k, element in enumerate(self.elements):
             numbers |= {f"element{k}.{name}": x for name, x in element.parameters.items()}
@@ -189,10 +184,10 @@ class Tree(Model):
     @cached_property
     def joints(self) -> tuple[Connection, ...]:
         """Joints of the links, in their order, then of the loops."""
-        ends = [x.name if isinstance(x, Link) else x.body for x in self.held]
+        ends = [x.name if isinstance(x, Link) else x.body for x in self.links_and_loops]
         return tuple(
             Connection(x.name, self.numbers[body], self.numbers[x.parent], x.joint, x.joint.rows)
-            for x, body in zip(self.held, ends, strict=True)
+            for x, body in zip(self.links_and_loops, ends, strict=True)
         )
 
     @cached_property
@@ -247,7 +242,7 @@ class Tree(Model):
         return element
 
     def _require_joint(self, label: str, element: Element) -> None:
-        owners = {x.name: x.joint for x in self.held}
+        owners = {x.name: x.joint for x in self.links_and_loops}
         if len(element.at) > 1:
             raise ArgumentError(
                 f"{label}, {element.name}, is on {' and '.join(element.at)}, but acts about the "
@@ -276,7 +271,7 @@ class Tree(Model):
         entries: dict[str, tuple[Array, int]] = {"gravity": (self.gravity, 1)}
         for link in self.links:
             entries |= {f"{link.name}.{k}": (getattr(link.body, k), n) for k, n in BODY.items()}
-        for each in self.held:
+        for each in self.links_and_loops:
             entries |= {f"{each.name}.{k}": (getattr(each.joint, k), n) for k, n in JOINT.items()}
         for number, element in enumerate(self.elements):
             for name, entry in element.batched().items():

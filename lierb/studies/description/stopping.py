@@ -75,7 +75,7 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
     names += [*COUNTS, "dt_last", "t"] if has_lane_clocks else []
     if isinstance(problem, Mechanism):
         kept = [f"{measure.name}_{how}" for measure, how in JOINT_KEPT]
-        names += [f"{each.name}.{name}" for each in problem.held for name in kept]
+        names += [f"{each.name}.{name}" for each in problem.links_and_loops for name in kept]
     if column != FAILED and column not in names:
         raise StudyError(f"sample.stop_when: {unknown_name('column', column, names)}")
     limit = float(bound) / (100.0 if percent else 1.0)
