@@ -99,16 +99,16 @@ class Comparison(Shown):
             moves = any(self.table["error.position"].to_pylist())
             quantity = "error.position" if moves else "error.rotation"
         require_name("quantity", quantity, dict.fromkeys(each.quantity for each in self.orders))
-        found = [
+        matching = [
             each for each in self.orders
             if each.method == method and each.quantity == quantity and cspace in (None, each.cspace)
         ]  # fmt: skip
         if cspace is not None:
             require_name("cspace", cspace, dict.fromkeys(each.cspace for each in self.orders))
-        if len({each.cspace for each in found}) > 1:
-            names = ", ".join(dict.fromkeys(each.cspace for each in found))
-            raise ArgumentError(f"{method} was run on {names}; give cspace= as well")
-        order = found[0].order
+        cspaces = dict.fromkeys(each.cspace for each in matching)
+        if len(cspaces) > 1:
+            raise ArgumentError(f"{method} was run on {', '.join(cspaces)}; give cspace= as well")
+        order = matching[0].order
         return math.nan if order is None else order.slope
 
     def to_markdown(self, columns: Iterable[str] | None = None) -> str:

@@ -77,9 +77,11 @@ def comparison_figure(
     panels.append(partial(_draw, lines, "step", error))
     if table["rtol"].null_count < table.num_rows:
         panels.append(partial(_draw, lines, "rtol", error))
-    drifts = ("drift.position", "drift.rotation", "drift.energy")
-    seen = [drift for drift in drifts if table[drift].null_count < table.num_rows]
-    panels += [partial(_draw, lines, "step", drift) for drift in seen]
+    panels += [
+        partial(_draw, lines, "step", drift)
+        for drift in ("drift.position", "drift.rotation", "drift.energy")
+        if table[drift].null_count < table.num_rows
+    ]
     title = "work and precision; hollow: no more than rounding, or than the reference's own error"
     return figure_of(Sheet(title, panels, [line.key for line in lines], across=3), named)
 
@@ -87,8 +89,8 @@ def comparison_figure(
 def _first(table: pa.Table) -> str:
     """Return "position", or "rotation" if all position errors are rounding."""
     errors, floors = (table[f"error.position{end}"].to_pylist() for end in ("", FLOOR))
-    seen = any(e is not None and e > floor for e, floor in zip(errors, floors, strict=True))
-    return "position" if seen else "rotation"
+    exceeds = any(e is not None and e > floor for e, floor in zip(errors, floors, strict=True))
+    return "position" if exceeds else "rotation"
 
 
 def _lines(table: pa.Table, orders: Mapping[str, int | None]) -> Iterator[Line]:
@@ -120,15 +122,17 @@ def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
             if np.isfinite(x).any() and np.nanmax(errors, initial=-1.0) == 0.0:
                 zeros.append(line.key.label)
             continue
-        seen = errors > floors
+        visible = errors > floors
         width = 1.2 + 1.2 * (len(lines) - 1 - n) / len(lines)  # lines on each other show both
         panel.plot(x, drawn, color=line.key.colour, linestyle=line.key.dash, linewidth=width)
         style: dict[str, Any] = {"linestyle": "none", "marker": line.marker, "markersize": 5.0}
-        panel.plot(x[seen], drawn[seen], color=line.key.colour, **style)
-        panel.plot(x[~seen], drawn[~seen], color=line.key.colour, markerfacecolor="white", **style)
+        panel.plot(x[visible], drawn[visible], color=line.key.colour, **style)
+        panel.plot(
+            x[~visible], drawn[~visible], color=line.key.colour, markerfacecolor="white", **style
+        )
         ends.append((line.key.label, line.key.colour, float(x[-1]), float(np.nanmin(drawn))))
-        if across == "step" and line.order and seen.any():
-            last = int(np.flatnonzero(seen)[-1])
+        if across == "step" and line.order and visible.any():
+            last = int(np.flatnonzero(visible)[-1])
             at_last = drawn[last] * (x[-1] / x[last]) ** line.order
             below[line.order] = min(below.get(line.order, np.inf), at_last)
             dts = x if x.size > dts.size else dts

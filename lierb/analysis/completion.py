@@ -243,8 +243,8 @@ def _pure_translations(algebra: Array) -> Array:
     """Return a basis, (k, 3), of the velocities without rotation."""
     turning = algebra[:, :3]
     _, sizes, mixed = np.linalg.svd(turning.T, full_matrices=True)
-    still = mixed[int((sizes > RANK_TOLERANCE).sum()) :]
-    return row_space(still @ algebra[:, 3:])
+    without_turn = mixed[int((sizes > RANK_TOLERANCE).sum()) :]
+    return row_space(without_turn @ algebra[:, 3:])
 
 
 def _drift(algebra: Array, shifts: Array) -> float:

@@ -21,7 +21,7 @@ from lierb.analysis.completion import Completion, OpenError, SingularError, grou
 from lierb.analysis.completion_space import Place, Space
 from lierb.errors import ArgumentError, PoseError, told
 from lierb.kernels.mechanics.newton_euler import CSPACES
-from lierb.model.mechanism.links import Link, Loop
+from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import name_of
 from lierb.model.problem import Problem
@@ -80,7 +80,7 @@ class JointPredictions(dict[str, Prediction]):
 
     Attributes
     ----------
-    found : Mapping of str to Prediction
+    predictions : Mapping of str to Prediction
         Prediction for each joint, by name; the object itself is this mapping.
     dimension : int
         Dimension of the completion group of the whole mechanism.
@@ -90,8 +90,8 @@ class JointPredictions(dict[str, Prediction]):
         True if all joints' rotational rows are kept exactly.
     """
 
-    def __init__(self, found: Mapping[str, Prediction], dimension: int) -> None:
-        super().__init__(found)
+    def __init__(self, predictions: Mapping[str, Prediction], dimension: int) -> None:
+        super().__init__(predictions)
         self.dimension = dimension
 
     @property
@@ -120,14 +120,15 @@ class MechanismPredictions(dict[str, JointPredictions]):
 
 
 def joint_by_joint(
-    found: Predictions | MechanismPredictions,
+    predictions: Predictions | MechanismPredictions,
 ) -> Iterator[tuple[str, Prediction]]:
     """Yield each prediction with the name of its joint, which is empty for one body."""
-    if isinstance(found, Predictions):
-        yield from (("", each) for each in found.values())
+    if isinstance(predictions, Predictions):
+        yield from (("", each) for each in predictions.values())
     else:
-        names = dict.fromkeys(name for joints in found.values() for name in joints)
-        yield from ((name, joints[name]) for name in names for joints in found.values())
+        cspaces = predictions.values()
+        names = dict.fromkeys(name for joints in cspaces for name in joints)
+        yield from ((name, joints[name]) for name in names for joints in cspaces)
 
 
 HEAD = ("c-space", "completion group", "dim", "position", "rotation", "kept / drifting rows")
@@ -205,10 +206,10 @@ def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | Me
     >>> wheel = lierb.Link("wheel", box, lierb.joints.revolute(axis=(0, 0, 1)))
     >>> hung = lierb.joints.revolute(axis=(1, 0, 0), body_point=(0, 0, 0.2), parent_point=(1, 0, 0))
     >>> pendulum = lierb.Link("pendulum", box, hung, parent="wheel")
-    >>> found = lierb.predict(lierb.Mechanism([wheel, pendulum]))
-    >>> found["SE3"]["wheel"].position_exact, found["SE3"]["pendulum"].position_exact
-    (True, False)
-    >>> found["reduced"].position_exact
+    >>> predictions = lierb.predict(lierb.Mechanism([wheel, pendulum]))
+    >>> [joint.position_exact for joint in predictions["SE3"].values()]
+    [True, False]
+    >>> predictions["reduced"].position_exact
     True
     """
     if isinstance(problem, Mechanism):
@@ -230,7 +231,7 @@ def _of_one_body(problem: Problem, pose0: Any) -> Predictions:
         raise ArgumentError(f"pose0 has shape {pose.shape}; predict takes one pose, (4, 4)")
     link = Link("body", problem.body, problem.joint)
     alone = Mechanism(link, gravity=problem.gravity, constraints=problem.constraints)
-    found = Predictions()
+    predictions = Predictions()
     for cspace in _cspaces(alone)[1:]:
         space = Space(alone, cspace)
         try:
@@ -240,11 +241,11 @@ def _of_one_body(problem: Problem, pose0: Any) -> Predictions:
                 f"pose0 does not close the {problem.joint.name} joint; problem.close(pose0) does"
             ) from None
         group = group_name(cspace, completion.algebra)
-        found[cspace] = _prediction(
+        predictions[cspace] = _prediction(
             cspace, group, len(completion.algebra), space.rows, completion.exact,
             f"completion group K = {group}",
         )  # fmt: skip
-    return found
+    return predictions
 
 
 def _of_mechanism(mechanism: Mechanism, pose0: Any) -> MechanismPredictions:
@@ -257,11 +258,8 @@ def _of_mechanism(mechanism: Mechanism, pose0: Any) -> MechanismPredictions:
     placed = mechanism.poses("pose0", given)
     if any(np.ndim(pose[0][0]) for pose in placed):
         raise ArgumentError("pose0 is of a batch; predict takes one pose of each link, (4, 4)")
-    found = MechanismPredictions()
-    for cspace in _cspaces(mechanism):
-        space = Space(mechanism, cspace)
-        found[cspace] = _of_space(space, placed)
-    return found
+    cspaces = _cspaces(mechanism)
+    return MechanismPredictions({c: _of_space(Space(mechanism, c), placed) for c in cspaces})
 
 
 def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
@@ -272,7 +270,7 @@ def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
             f"pose0 does not close {name_of(space.mechanism, error.place.at)}; "
             "mechanism.close(pose0) does"
         ) from None
-    found: dict[str, Prediction] = {}
+    predictions: dict[str, Prediction] = {}
     first = 0
     for number, place in enumerate(space.places):
         exact = completion.exact[first : first + len(place.rows)]
@@ -280,10 +278,10 @@ def _of_space(space: Space, placed: list[Pose]) -> JointPredictions:
         if number >= len(space.mechanism.joints) and not place.rows:
             continue  # the rows of motors are of velocities
         group, dimension = _projection(space, completion.algebra, space.path(place))
-        found[_key(place, found)] = _prediction(
+        predictions[_key(place, predictions)] = _prediction(
             space.cspace, group, dimension, place.rows, exact, _why(space, place, group)
         )
-    return JointPredictions(found, len(completion.algebra))
+    return JointPredictions(predictions, len(completion.algebra))
 
 
 def _completion(space: Space, placed: list[Pose]) -> Completion:
@@ -326,10 +324,9 @@ def _projection(space: Space, algebra: Array, path: Sequence[int]) -> tuple[str,
 
 def _why(space: Space, place: Place, group: str) -> str:
     mechanism, at = space.mechanism, place.at
-    held: dict[str, Link | Loop] = {each.name: each for each in mechanism.links_and_loops}
     body, *parent = (mechanism.names[i] for i in (at.body, at.parent) if i >= 0)
     if space.cspace == "reduced":
-        if isinstance(held.get(at.name), Link) and at.joint is not None:
+        if at.name in mechanism.names and at.joint is not None:
             if not space.tree[place.body].rows:
                 return f"{at.name}'s joint has its own coordinates, in {group}"
             return (

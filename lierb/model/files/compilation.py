@@ -7,13 +7,16 @@ from contextlib import suppress
 from operator import attrgetter
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
 from lierb.errors import ArgumentError, told
 from lierb.model.files import inertials, urdf
 from lierb.model.files.welded_bodies import WORLD
 from lierb.support.extras import remedy
+
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjSpec
 
 CONTACT = ("geom_contype", "geom_conaffinity")
 DISABLED = {  # fields of the model that each bit of mjtDisableBit sets to zero
@@ -29,7 +32,7 @@ DISABLED = {  # fields of the model that each bit of mjtDisableBit sets to zero
 }
 
 
-def compiled(path: Any, language: str) -> tuple[Any, list[str]]:
+def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
     """Return the model of a file, and the elements of the file that it lacks.
 
     language : "MJCF" or "URDF".   Raises ArgumentError for a file that MuJoCo refuses.
@@ -86,17 +89,17 @@ def _elements_at_line(path: Any, message: str) -> str:
     return f" (on this line: {', '.join(dict.fromkeys(names))})" if names else ""
 
 
-def _bodies_with_mesh(spec: Any, message: str) -> str:
+def _bodies_with_mesh(spec: MjSpec | None, message: str) -> str:
     """Names of the bodies whose mesh file is in MuJoCo's message."""
-    meshes = [] if spec is None else [mesh for mesh in spec.meshes if mesh.file]
-    names = {mesh.name for mesh in meshes if mesh.file in message}
-    bodies = {
-        geom.parent.name: 0 for geom in (spec.geoms if names else ()) if geom.meshname in names
-    }
+    if spec is None:
+        return ""
+    names = {mesh.name for mesh in spec.meshes if mesh.file and mesh.file in message}
+    geoms = spec.geoms if names else ()
+    bodies = dict.fromkeys(geom.parent.name for geom in geoms if geom.meshname in names)
     return f" (a mesh of body {', '.join(bodies)})" if bodies else ""
 
 
-def _apply_disable_flags(model: Any, bits: Any) -> None:
+def _apply_disable_flags(model: MjModel, bits: Any) -> None:
     """Set the fields to zero that the flags of the file disable."""
     for name, fields in DISABLED.items():
         bit = getattr(bits, f"mjDSBL_{name}", None)  # releases differ

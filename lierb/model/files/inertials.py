@@ -7,11 +7,14 @@ model. `lierb.model.files.welded_bodies` checks each moving body with all that i
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from lierb.support.arrays import Array
+
+if TYPE_CHECKING:
+    from mujoco import MjModel, MjsBody, MjsCompiler, MjSpec
 
 SMALL = 1e-12  # kg or kg m², well above mjMINVAL
 HEAVIER = 2.0**60  # a power of two, so that nothing is rounded
@@ -21,12 +24,12 @@ TRIANGLE = 1e-6  # well above the rounding by which flat bodies break A + B ≥ 
 class SetAside(NamedTuple):
     """Inertial of the file. inertia : (3, 3), about the centre of mass, in the inertial frame."""
 
-    body: Any
+    body: MjsBody
     mass: float
     inertia: Array
 
 
-def compiled(spec: Any) -> Any:
+def compiled(spec: MjSpec) -> MjModel:
     """Compile a specification to a model with the specification's own inertials."""
     import mujoco
 
@@ -48,7 +51,7 @@ def compiled(spec: Any) -> Any:
     return model
 
 
-def _set_aside(spec: Any) -> list[SetAside]:
+def _set_aside(spec: MjSpec) -> list[SetAside]:
     """Replace inertials that MuJoCo may refuse, or round, by a unit one, and return them."""
     from mujoco import mjtInertiaFromGeom
 
@@ -67,7 +70,7 @@ def _set_aside(spec: Any) -> list[SetAside]:
     return aside
 
 
-def _inertial(body: Any) -> tuple[float, Array]:
+def _inertial(body: MjsBody) -> tuple[float, Array]:
     if not body.explicitinertial:
         return 0.0, np.zeros((3, 3))
     if np.isnan(body.fullinertia[0]):
@@ -81,7 +84,7 @@ def _is_doubtful(mass: float, inertia: Array) -> bool:
     return bool(min(mass, least) < SMALL or most > (1.0 - TRIANGLE) * (least + middle))
 
 
-def _adopt(spec: Any) -> bool:
+def _adopt(spec: MjSpec) -> bool:
     """Turn the inertias of geoms into inertials; return False in releases that cannot."""
     from mujoco import mjtInertiaFromGeom
 
@@ -97,7 +100,7 @@ def _adopt(spec: Any) -> bool:
     return True
 
 
-def _put_back(model: Any, compiler: Any, aside: SetAside) -> None:
+def _put_back(model: MjModel, compiler: MjsCompiler, aside: SetAside) -> None:
     """Give a compiled body its own inertial, within the bounds that the file sets."""
     from mujoco import mju_mat2Quat, mju_mulQuat
 

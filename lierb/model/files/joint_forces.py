@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lierb.model import forces
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
+
+if TYPE_CHECKING:
+    from mujoco import MjModel
 
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint
 WITH_FORCES = {  # kinds of MuJoCo's joints, and joints about or along whose axis forces act
@@ -23,7 +26,7 @@ WITH_FORCES = {  # kinds of MuJoCo's joints, and joints about or along whose axi
 class JointForces:
     """Forces in joint j of the model, which is part of the joint of a link."""
 
-    model: Any
+    model: MjModel
     j: int
     link: str
     joint: Joint

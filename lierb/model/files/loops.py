@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +11,11 @@ from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import pose_of
 from lierb.support.arrays import Array
 
+if TYPE_CHECKING:
+    from mujoco import MjModel
 
-def add_loops(model: Any, placed: list[Placed], parts: Parts) -> None:
+
+def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
     """Add a loop for each equality/connect and weld. placed : by number of the body."""
     import mujoco
 
@@ -43,7 +46,7 @@ def add_loops(model: Any, placed: list[Placed], parts: Parts) -> None:
         parts.loops.append((title, joint, ends[0].link, ends[1].link))
 
 
-def _end(model: Any, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
+def _end(model: MjModel, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
     """Return the link, and in it the frame, of body or site i."""
     if not is_by_sites:
         return placed[i]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from os import fspath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from lierb.model.files.loops import add_loops
 from lierb.model.files.parts import GROUND, Parts, Placed
 from lierb.model.files.welded_bodies import WORLD, label_of, moving_body, pose_of, rigid_groups
 from lierb.support.arrays import as_positive
+
+if TYPE_CHECKING:
+    from mujoco import MjModel
 
 READ_OPTIONS = ("gravity", "density", "viscosity", "disableflags")
 
@@ -48,7 +51,7 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
 
 
 def _add_links(
-    model: Any, parts: Parts, merge_fixed: bool, limit_stiffness: float | None
+    model: MjModel, parts: Parts, merge_fixed: bool, limit_stiffness: float | None
 ) -> list[Placed]:
     """Add the links and their forces; return the link of each body of the file."""
     placed = [Placed(GROUND, np.eye(4))]
@@ -87,11 +90,11 @@ def _add_links(
     return placed
 
 
-def _simple_joint(model: Any, j: int) -> SimpleJoint:
+def _simple_joint(model: MjModel, j: int) -> SimpleJoint:
     return SimpleJoint(KINDS[model.jnt_type[j]], model.jnt_axis[j].copy(), model.jnt_pos[j].copy())
 
 
-def _lacking(model: Any) -> Iterator[str]:
+def _lacking(model: MjModel) -> Iterator[str]:
     """Elements of the file that the mechanism lacks, with their numbers."""
     import mujoco
 

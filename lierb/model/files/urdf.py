@@ -11,12 +11,15 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from os import PathLike, fspath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lierb.errors import ArgumentError, told
 from lierb.support.arrays import Array
+
+if TYPE_CHECKING:
+    from mujoco import MjsBody, MjSpec
 
 Element = ElementTree.Element
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
@@ -37,7 +40,7 @@ class Robot:
     left_out : messages on elements that no mechanism has.
     """
 
-    spec: Any
+    spec: MjSpec
     world_mass: float = 0.0
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
@@ -54,7 +57,7 @@ def read(path: str | PathLike[str]) -> Robot:
     settings = root.find("mujoco")  # MuJoCo's extension of URDF: <compiler> and <option>
     text = "<mujoco/>" if settings is None else ElementTree.tostring(settings, encoding="unicode")
     robot = Robot(mujoco.MjSpec.from_string(text))
-    bodies: dict[str, Any] = {}
+    bodies: dict[str, MjsBody] = {}
     for link, joint in _in_order(links, joints):
         inertial = _inertial(f"link {link}", links[link])
         if joint is not None:
@@ -138,7 +141,7 @@ def _end(joint: Element, end: str, name: str, links: dict[str, Element]) -> str:
 # ---- links and joints --------------------------------------------------------------------------
 
 
-def _add_body(robot: Robot, parent: Any, link: str, joint: str, element: Element) -> Any:
+def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Element) -> MjsBody:
     """Add the body of a link to MuJoCo's specification, with its joints."""
     import mujoco
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,10 +10,13 @@ from lierb.errors import ArgumentError, InertiaError, LierbError
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array
 
+if TYPE_CHECKING:
+    from mujoco import MjModel
+
 WORLD = 0  # MuJoCo's number of the ground
 
 
-def label_of(model: Any, i: int) -> str:
+def label_of(model: MjModel, i: int) -> str:
     """Name of body i in the file."""
     return model.body(i).name or f"body{i}"
 
@@ -28,7 +31,7 @@ def pose_of(position: Array, quaternion: Array) -> Array:
     return pose
 
 
-def moving_body(model: Any, i: int, members: list[int]) -> Body:
+def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
     """Return the body of a link. members : i, and the bodies merged with it.
 
     Raises ArgumentError with the names where the mass is zero or the inertia is not physical.
@@ -47,7 +50,7 @@ def moving_body(model: Any, i: int, members: list[int]) -> Body:
         raise ArgumentError(f"body {label}{welded}: {error}") from error
 
 
-def _sum(model: Any, i: int, members: list[int]) -> Body:
+def _sum(model: MjModel, i: int, members: list[int]) -> Body:
     """Sum of the members in the frame of body i."""
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for k in members:
@@ -61,7 +64,7 @@ def _sum(model: Any, i: int, members: list[int]) -> Body:
     return Body(mass, 0.5 * (inertia + inertia.T), moment / mass)
 
 
-def _pose_in(model: Any, i: int, k: int) -> Array:
+def _pose_in(model: MjModel, i: int, k: int) -> Array:
     """Pose of body k in the frame of i, to which it is welded."""
     if k == i:
         return np.eye(4)
@@ -70,7 +73,7 @@ def _pose_in(model: Any, i: int, k: int) -> Array:
     )
 
 
-def _refusal(model: Any, i: int, members: list[int]) -> str:
+def _refusal(model: MjModel, i: int, members: list[int]) -> str:
     """Message of the InertiaError of the members; empty if their inertia is physical."""
     try:
         _sum(model, i, members)
@@ -79,11 +82,11 @@ def _refusal(model: Any, i: int, members: list[int]) -> str:
     return ""
 
 
-def _weighs(model: Any, i: int) -> bool:
+def _weighs(model: MjModel, i: int) -> bool:
     return bool(model.body_mass[i] or np.any(model.body_inertia[i]))
 
 
-def rigid_groups(model: Any, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
+def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
     """Return the bodies of each link by the number of its first body, and messages on merging.
 
     Each welded body is a link unless `merge_fixed`. A welded body without mass, or with an inertia
