@@ -5,7 +5,9 @@ from __future__ import annotations
 import ast
 import doctest
 import importlib
+import inspect
 import re
+from collections import ChainMap
 from pathlib import Path
 
 import pytest
@@ -50,7 +52,7 @@ def _resolved(name: str):
         if hasattr(found, part):
             found = getattr(found, part)
         elif isinstance(found, type):
-            found = found.__annotations__[part]
+            found = ChainMap(*map(inspect.get_annotations, found.__mro__))[part]
         else:
             found = importlib.import_module(path)
     return found
