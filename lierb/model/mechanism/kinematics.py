@@ -19,7 +19,7 @@ from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
 from lierb.model.base import numbers_of, parameters_of
 from lierb.model.joints import coordinates as joint_coordinates
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
-from lierb.model.mechanism.links import NOWHERE, Connection
+from lierb.model.mechanism.links import NOWHERE, ByLink, Connection
 from lierb.model.mechanism.tree import Tree
 from lierb.support.arrays import (
     Array,
@@ -115,7 +115,7 @@ class TreeKinematics(Tree):
     # ---- coordinates of joints -------------------------------------------------------------------
 
     @_quiet
-    def pose(self, coordinates: Mapping[str, Any] | None = None) -> dict[str, Array]:
+    def pose(self, coordinates: ByLink | None = None) -> dict[str, Array]:
         """Compute the poses of all links from the coordinates of their joints; loops may stay open.
 
         `close` then closes the loops.
@@ -165,7 +165,7 @@ class TreeKinematics(Tree):
         return _alike({n: pose_matrix(poses[i]) for i, n in enumerate(self.names)}, "pose", 2)
 
     @_quiet
-    def coordinates(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+    def coordinates(self, pose: ByLink) -> dict[str, Array]:
         """Compute the coordinates of the joints, as `lierb.joints.Joint.coordinates` does.
 
         Parameters
@@ -191,7 +191,7 @@ class TreeKinematics(Tree):
 
     @_quiet
     def twist(
-        self, velocities: Mapping[str, Any] | None = None, pose: Mapping[str, Any] | None = None
+        self, velocities: ByLink | None = None, pose: ByLink | None = None
     ) -> dict[str, Array]:
         """Compute the twists of all links from the rates of their joints' coordinates.
 
@@ -247,9 +247,7 @@ class TreeKinematics(Tree):
         return _alike({n: assembled(twists[i]) for i, n in enumerate(self.names)}, "twist", 1)
 
     @_quiet
-    def velocities(
-        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None
-    ) -> dict[str, Array]:
+    def velocities(self, twist: ByLink, pose: ByLink | None = None) -> dict[str, Array]:
         """Compute the rates of the joints' coordinates, in the order of `coordinate_names`.
 
         Parameters

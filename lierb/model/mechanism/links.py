@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from lierb.support.shown import Lines, Shown
 
 GROUND = "ground"
 NOWHERE = -1  # number of the ground
+ByLink = Mapping[str, Any]  # values by name of the link: poses, twists, coordinates or rates
 
 
 @dataclass(frozen=True, eq=False, repr=False)

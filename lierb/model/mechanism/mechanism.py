@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from lierb.errors import LeftOutWarning
 from lierb.model.files import mujoco as model_files
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
 from lierb.model.mechanism.kinematics import TreeKinematics
-from lierb.model.mechanism.links import Link, Loop
+from lierb.model.mechanism.links import ByLink, Link, Loop
 from lierb.support.arrays import Array, as_number, finite
 
 
@@ -165,7 +164,7 @@ class Mechanism(TreeKinematics):
 
     # ---- closing ---------------------------------------------------------------------------------
 
-    def close(self, pose: Mapping[str, Any]) -> dict[str, Array]:
+    def close(self, pose: ByLink) -> dict[str, Array]:
         """Find poses that close all joints and loops near given ones, by Newton's method.
 
         Every step is the motion of least kinetic energy that closes the joints, as in
@@ -212,7 +211,7 @@ class Mechanism(TreeKinematics):
         return self._checked("the closed pose", poses)
 
     def project(
-        self, twist: Mapping[str, Any], pose: Mapping[str, Any] | None = None, *, t0: float = 0.0
+        self, twist: ByLink, pose: ByLink | None = None, *, t0: float = 0.0
     ) -> dict[str, Array]:
         """Return the nearest twists that satisfy all joints and loops, in kinetic energy.
 
@@ -257,7 +256,7 @@ class Mechanism(TreeKinematics):
         pairs = zip(self.names, arrays, strict=True)
         return {name: finite(f"{what} of {name}", array) for name, array in pairs}
 
-    def freedoms(self, pose: Mapping[str, Any] | None = None) -> Mobility:
+    def freedoms(self, pose: ByLink | None = None) -> Mobility:
         """Count the freedoms that joints and loops leave at a pose, and the redundant rows.
 
         Parameters
