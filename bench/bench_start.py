@@ -1,4 +1,4 @@
-"""What a user waits for: a process's first result, and calls with next to nothing to do."""
+"""Latency: the first result of a process, and calls with little work."""
 
 from __future__ import annotations
 

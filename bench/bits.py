@@ -1,4 +1,4 @@
-"""Whether two versions of lierb give the same bits: digests of many runs, written or compared.
+"""Comparison of two versions of lierb bit by bit: digests of many runs, written or compared.
 
     python bench/bits.py record before.json         with one version
     python bench/bits.py compare before.json        with another, on the same kind of CPU

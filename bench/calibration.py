@@ -1,4 +1,4 @@
-"""How fast this core is right now: fused multiply–adds that depend on nothing but themselves.
+"""Current speed of this core: fused multiply–adds that depend only on themselves.
 
 A machine that is shared runs at another speed from minute to minute. Rates are compared between
 runs only after division by this one, measured beside each of them.

@@ -1,4 +1,4 @@
-"""What the tables of docs/theory.md show: `python bench/drift.py` measures and stores it.
+"""Measurements of the tables of docs/theory.md: `python bench/drift.py` stores them.
 
 A test holds the page against the last stored run. It takes about two minutes.
 """

@@ -1,5 +1,6 @@
-"""What all comparisons with other tools do: go through them, each measurement in a process of its
-own, and put the tables of the last whole run into the page.
+"""Common part of comparisons with other tools.
+
+Each measurement runs in a process of its own; the tables of the last whole run go into the page.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ def measured(
 
 
 def stored(run: dict[str, Any], kind: str) -> Path:
-    """Where it now is."""
+    """Store a run; return its path."""
     RESULTS.mkdir(exist_ok=True)
     path = RESULTS / f"{kind}-{run['time'].replace(':', '')}-{run['machine']['cpu']}.json"
     path.write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
@@ -67,7 +68,7 @@ def stored(run: dict[str, Any], kind: str) -> Path:
 
 
 def in_process(module: str, *arguments: str, timeout: float, threads: int = 1) -> dict[str, Any]:
-    """What `python -m module` prints last, as JSON; {"failed": why} where it broke.
+    """Last line of `python -m module`, as JSON; {"failed": why} if it failed.
 
     timeout : s.
     """
@@ -104,7 +105,7 @@ def keep_least(best: dict[str, Any], found: dict[str, Any], figures: Iterable[st
 
 
 def around_marks(text: str, name: str) -> tuple[str, str]:
-    """What comes before the content between the two marks of this name, and what comes after."""
+    """Text before and after the content between the two marks of this name."""
     begin, finish = f"<!-- {name} -->", f"<!-- /{name} -->"
     before, mark, rest = text.partition(f"{begin}\n")
     _, end, after = rest.partition(finish)

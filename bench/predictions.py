@@ -49,7 +49,7 @@ LOOPS = [
 
 
 def shapes() -> dict[str, samples.Shape]:
-    """Of all mechanisms: trees and loops of the tests, and many of two links."""
+    """Mechanisms: trees and loops of the tests, and many of two links."""
     found = dict(samples.SHAPES)
     for first, last in PAIRS:
         found[f"{first}, {last}"] = samples.Shape(((first, None), (last, 0)))
@@ -68,7 +68,7 @@ def mechanisms(name: str) -> tuple[lierb.Mechanism, dict[str, Any]]:
 
 
 def predicted(name: str) -> dict[str, dict[str, dict[str, bool]]]:
-    """By c-space, joint and kind of error, whether it is exact: of the first one of a shape."""
+    """Predicted exactness by c-space, joint and kind of error, of the first one of a shape."""
     mechanism, start = mechanisms(name)
     pose0 = {link: pose[0] for link, pose in start["pose0"].items()}
     found = lierb.predict(mechanism.of_body(0), pose0)
@@ -82,7 +82,7 @@ def predicted(name: str) -> dict[str, dict[str, dict[str, bool]]]:
 
 
 def measured(name: str, cspace: str) -> dict[str, dict[str, dict[str, float]]]:
-    """By joint and kind, of the smaller step: least, median and largest error, and its order."""
+    """Least, median and largest error of the smaller step, and its order, by joint and kind."""
     mechanism, start = mechanisms(name)
     runs = []
     for dt in STEPS:
@@ -111,7 +111,7 @@ def _told(coarse: np.ndarray, fine: np.ndarray) -> dict[str, float]:
 
 
 def agrees(is_exact: bool, errors: dict[str, float]) -> bool:
-    """Whether a verdict is what was measured."""
+    """Return whether a verdict agrees with the measurement."""
     if is_exact:
         return errors["largest"] < ROUNDING
     return errors["least"] > DRIFT and errors["order"] > ORDER - 0.2

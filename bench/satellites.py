@@ -142,7 +142,7 @@ def timed(run: Callable) -> tuple[float, object]:
 
 
 def same_alone(result: lierb.Result, count: int, t_end: float) -> bool:
-    """Whether a few satellites on their own end at the bits that they have among all."""
+    """Return whether a few satellites alone have the bits that they have in the batch."""
     which = np.array([i for i in ALONE if i < count])
     alone, _ = by_controller(count, t_end, 1, which)()
     return all(

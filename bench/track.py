@@ -44,7 +44,7 @@ def main() -> int:
 
 
 def shortened(raw: dict[str, Any]) -> dict[str, Any]:
-    """What a later run compares with, out of pytest-benchmark's JSON."""
+    """Reference for later runs, from pytest-benchmark's JSON."""
     info = raw["machine_info"]
     commit = subprocess.run(
         ["git", "-C", str(BENCH), "rev-parse", "--short", "HEAD"],
@@ -84,7 +84,7 @@ def latest(wanted: str) -> dict[str, Any] | None:
 
 
 def figure(entry: dict[str, Any]) -> tuple[str, float, bool]:
-    """What a benchmark says, the number to compare, and whether more is better."""
+    """Label of a benchmark, its number to compare, and whether more is better."""
     if "rate" in entry:
         return f"{entry['rate']:.1f} {entry['unit']}", entry["rate"] / entry["peak_gflops"], True
     if "ratio" in entry:

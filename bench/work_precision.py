@@ -1,4 +1,4 @@
-"""What docs/howto/choosing.md shows: `python bench/work_precision.py` measures and stores it.
+"""Measurements of docs/howto/choosing.md: `python bench/work_precision.py` stores them.
 
 Methods, c-spaces, steps and tolerances side by side, by `lierb.convergence`, on batches of three
 motions and on one whose velocities are of all sizes. A test holds the page against the last stored
@@ -178,12 +178,12 @@ def lines_of(rows: list[dict[str, Any]]) -> dict[tuple[str, str, str], list[dict
 
 
 def believed(row: dict[str, Any]) -> bool:
-    """Whether all trajectories got to their end, with an error that is more than rounding."""
+    """Return whether all trajectories reached their end, with an error above rounding."""
     return not row["failed"] and row["error.rotation"] > row["error.rotation.floor"]
 
 
 def cost(rows: list[dict[str, Any]], target: float, of: str = "cpu_time") -> float:
-    """What an error of rotation of `target` rad takes, between two runs by their logarithms; NaN
+    """Cost of an error of rotation of `target` rad, interpolated between logarithms; NaN
     where the method does not get there, or that is not to be told from rounding.
     """
     seen = [row for row in rows if believed(row)]
@@ -203,7 +203,7 @@ NAMES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
 
 
 def tables(stored: dict[str, Any]) -> dict[str, str]:
-    """Those of the page, as Markdown, by name."""
+    """Tables of the page, as Markdown, by name."""
     return {
         "methods": method_table(stored),
         "cspaces": cspace_table(stored),

@@ -57,7 +57,7 @@ def _file(nodeid: str) -> str:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What takes long runs where it is asked for by name: -m faults, -m long."""
+    """Long tests run only if selected by name: -m faults, -m long."""
     for mark in ("faults", "long"):
         if mark not in config.getoption("markexpr"):
             whole = [item for item in items if item.get_closest_marker(mark)]

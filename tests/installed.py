@@ -1,4 +1,4 @@
-"""What an installed lierb must do where nothing else is; `make dist` runs this in such a place.
+"""Checks of an installed lierb without its checkout, run by `make dist`.
 
 python tests/installed.py lierb-0.1.0-py3-none-any.whl
 """

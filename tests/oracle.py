@@ -298,7 +298,7 @@ def relative_pose_on(joint: str, start, pitch=0.0, length=0.0) -> np.ndarray:
 
 
 def sizes_of(joint: str, **sizes: float) -> dict[str, float]:
-    """Those of pitch= and length= that a joint's rows need."""
+    """Arguments pitch= and length= that a joint's rows need."""
     needed = {ROW_KINDS[row_parts(name)[0]].size for name in JOINT_ROWS[joint].split()}
     return {name: size for name, size in sizes.items() if name in needed}
 
@@ -372,7 +372,7 @@ def rotation_matrix(q: np.ndarray) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """What forces and rows of the caller see. The body's origin is its centre of mass."""
+    """Motion that the caller's forces and rows receive. The body's origin is its centre of mass."""
 
     t: float  # s
     R: np.ndarray  # (3, 3) body to ground
@@ -605,7 +605,7 @@ def reference_trajectory(
     n = len(names)
 
     def state(t, y):
-        """Of the variables: quaternion of the turn since t = 0, r, ω, ṙ."""
+        """Variables: quaternion of the rotation since t = 0, r, ω, ṙ."""
         return State(t, rotation_matrix(y[:4]) @ C[:3, :3], y[4:7], y[7:10], y[10:13], G, B)
 
     def applied(now):
@@ -643,7 +643,7 @@ def reference_trajectory(
         return np.concatenate([q_rate, y[10:13], solution(state(t, y))[:6]])
 
     def reaction(now, found):
-        """What the joint must exert for the body to be accelerated so, by Newton and Euler."""
+        """Wrench of the joint for these accelerations, by Newton and Euler."""
         inertia_now = now.R @ inertia @ now.R.T
         torque, force = applied(now)
         force = mass * found[3:6] - force

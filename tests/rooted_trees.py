@@ -78,7 +78,7 @@ def _dot(weights, values):
 
 
 def defect(stages, b, order, theta=1):
-    """How far doubles miss the conditions of the trees of `order` nodes: the largest."""
+    """Largest residual, in doubles, of the conditions of the trees of `order` nodes."""
     with mp.workdps(DIGITS):
         return max(
             float(abs(stages.weight(tree, b) - mpf(theta) ** order / density(tree)))
@@ -87,7 +87,7 @@ def defect(stages, b, order, theta=1):
 
 
 def worst_defect(stages, b, order, theta=1):
-    """Of all conditions up to that order."""
+    """Largest residual of all conditions up to that order."""
     return max(defect(stages, b, n, theta) for n in range(1, order + 1))
 
 

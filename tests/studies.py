@@ -62,7 +62,7 @@ PARTS = 2 * 2 * 7
 
 
 def tables() -> dict:
-    """What TEXT says."""
+    """Tables of TEXT."""
     return tomllib.loads(TEXT)
 
 
@@ -133,7 +133,7 @@ def start_long(tmp_path, *options) -> subprocess.Popen:
 
 
 def errors_when_stopped(process, out) -> str:
-    """What a run says that was interrupted, its finished parts being whole."""
+    """Output of an interrupted run whose finished parts are whole."""
     _, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
     stopped = Store(out)

@@ -239,7 +239,7 @@ def test_every_joint_follows_the_world_frame_formulation(name, cspace):
 @pytest.mark.parametrize("cspace", ["SE3", "SO3xR3"])
 @pytest.mark.parametrize(("name", "axis"), [("free", 2), ("cylindrical", 2), ("planar", 0)])
 def test_a_fast_body_turns_to_the_bits_of_a_slow_one(name, axis, cspace):
-    """By Galilei's principle. The joint's point is off the centre of mass.   axis : a free one."""
+    """Galilean invariance. The joint's point is off the centre of mass.   axis : a free one."""
     problem, twist0 = tilted(name)
     fast = twist0 + np.concatenate([np.zeros(3), 7500.0 * problem.joint.body_frame[:3, axis]])
     slow, swift = (

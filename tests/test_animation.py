@@ -103,7 +103,7 @@ def test_equivalent_box_has_the_bodys_inertia(moments, com):
 
 @pytest.mark.parametrize(("along", "across"), [(1.0, 3.0), (3.0, 1.6), (1.0, 0.51)])
 def test_equivalent_cylinder_has_the_bodys_inertia(along, across):
-    """To its prism, whose mean square radius is (2 + cos 2π/n)/3 of the circle's."""
+    """Compare with its prism, whose mean square radius is (2 + cos 2π/n)/3 of the circle's."""
     turn, mass = turned(), 2.5
     body = lierb.Body(mass, turn @ np.diag((across, across, along)) @ turn.T)
     shape = shapes.equivalent(body)
@@ -164,7 +164,7 @@ OFF = 1e-5  # m and rad: the gap is of first order
 
 @pytest.mark.parametrize("name", sorted(lierb.joints.JOINTS))
 def test_gap_taken_back_closes_the_joint(name):
-    """To second order: the body is turned and moved back by the gap, about the joint's point."""
+    """The body, moved back by the gap about the joint's point, is closed to second order."""
     problem, _ = tilted(name)
     off = lierb.lie.se3.exp(OFF * np.random.default_rng(3).normal(size=(5, 6)))
     poses = problem.joint.closed_pose @ off
@@ -198,7 +198,7 @@ def test_gap_of_a_ball_joint_is_how_far_its_points_are_apart(spun):
 
 
 def test_cspaces_have_their_colours_and_trajectories_dashes(spun):
-    """In whatever order they stand, and as figures draw them."""
+    """Views in any order, coloured as in figures."""
     for order in (spun, dict(reversed(spun.items()))):
         views = lierb.animate(order).scene["views"]
         found = {(view["title"], view["colour"], view["dash"]) for view in views}

@@ -166,7 +166,7 @@ def test_body_takes_three_by_three_for_any_other_number_of_bodies():
 
 
 def test_matrix_for_three_bodies_is_that_of_each():
-    """As the message says to give it: (1, 3, 3)."""
+    """Shape that the message recommends: (1, 3, 3)."""
     masses = np.array((5.0, 6.0, 7.0))
     three = lierb.Problem(lierb.Body(masses, np.diag(BOX)[None]), joints.spherical(POINT))
     twist = three.joint.twist((1.0, 2.0, 3.0), point_velocity=(0.1, 0.2, 0.3))
@@ -422,7 +422,7 @@ def test_complex_numbers_are_rejected(value):
 
 
 class Quantity:
-    """As pint, unyt and others have it."""
+    """Quantity with a unit, as in pint and unyt."""
 
     units = "mm"
 
@@ -802,7 +802,7 @@ def test_check_warn_warns_once_about_a_batch_of_many_chunks(monkeypatch):
 
 
 def test_a_problems_arrays_are_no_ones_to_change():
-    """What is worked out of them once would be wrong."""
+    """Cached values of changed arrays would be wrong."""
     joint, body = joints.spherical(POINT), lierb.Body(1.0, (1.0, 1.0, 1.0))
     problem = lierb.Problem(body, joint, (0.0, 0.0, -9.81))
     for array in (
@@ -1009,7 +1009,7 @@ def test_record_of_another_type_is_rejected(given):
     ids=["no end", "ten trillion rows"],
 )  # fmt: skip
 def test_record_without_an_end_in_sight_is_refused(given):
-    """From Python 3.14 on, tuple() takes items one by one until the memory is full."""
+    """Python 3.14's tuple() would take items one by one until the memory is full."""
     with pytest.raises(ArgumentError, match=r"^record=.* has more than 1000000 items; expected"):
         integrate(record=given, save_every=1)
 

@@ -100,7 +100,7 @@ def test_speeds_are_of_all_sizes():
 
 @pytest.mark.parametrize("wanted", [1e-6, 1e-9])
 def test_a_tool_is_tuned_to_the_error_that_is_wanted(wanted):
-    """Of a method of order 8 whose error is that of the longest step that is short enough."""
+    """A method of order 8 is tuned to the longest step that is accurate enough."""
     module = importlib.import_module("peers.lierb")
     omega0 = tops.samples("one")
     solved = lambda dt: module.run("reduced-dop853", omega0, dt, 1)()
@@ -194,7 +194,7 @@ def _drift() -> dict:
 
 
 def _as_shown(cell: str, values: list[float]) -> bool:
-    """Whether the numbers of a cell are these, to the digits that are shown."""
+    """Check that a cell has these numbers, to the digits that are shown."""
     shown = re.findall(r"[0-9.]+(?:e-?[0-9]+)?", cell.removeprefix("kept:"))
     digits = [len(x.partition("e")[0].partition(".")[2]) for x in shown]
     found = [float(f"{x:.{n}e}") for x, n in zip(values, digits)]

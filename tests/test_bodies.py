@@ -109,7 +109,7 @@ def test_mesh_of_a_box_is_the_box(tmp_path):
 
 
 def test_mesh_off_its_centre_moves_as_the_solid_does():
-    """The same pendulum, its body described about the centre of mass and about a corner."""
+    """One pendulum, its body described about the centre of mass and about a corner."""
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.creation.box(extents=SIZE)
     corner = np.array(SIZE) / 2

@@ -400,7 +400,7 @@ class Recorder(pickle.Unpickler):
 
 
 def needed_packages(folder):
-    """What must be there for the cache's files to be read."""
+    """Requirements for reading the cache's files."""
     found = set()
     for path in folder.rglob("*.nbc"):
         content = path.read_bytes()[sealed.DIGEST_SIZE :]

@@ -184,7 +184,7 @@ def test_the_default_reference_knows_its_own_error(exact):
 
 
 def test_a_reference_is_halved_until_it_settles(monkeypatch, exact):
-    """With RK4 in place of DOP853; the estimate is an upper bound of the true error."""
+    """RK4 in place of DOP853: the estimate is an upper bound of the true error."""
     monkeypatch.setattr(reference, "METHOD", "RK4")
     monkeypatch.setattr(comparing, "METHOD", "RK4")
     monkeypatch.setattr(reference, "CSPACES", ("SE3",))
@@ -274,7 +274,7 @@ def test_right_hand_sides_are_the_stages_of_a_step(name):
 
 @pytest.mark.slow
 def test_order_is_told_of_what_moves():
-    """Of a body that turns about its centre of mass no position has an error."""
+    """A body that turns about its centre of mass has no error of position."""
     problem = lierb.Problem(box(), lierb.joints.spherical())
     found = lierb.convergence(
         problem, "RK4", DTS, twist0=problem.joint.twist(omega=OMEGA), t_end=T_END, repeats=0
@@ -314,7 +314,7 @@ def test_progress_is_told_run_by_run(exact):
 
 
 def test_tolerances_make_adaptive_runs(monkeypatch, exact):
-    """How integrate is asked, and what becomes of the steps that it tells; here they are fixed."""
+    """Calls of integrate, and the steps that they report; here they are fixed."""
     asked = []
     steps = {1e-4: (40, 8), 1e-6: (100, 10), 1e-8: (250, 5)}
 

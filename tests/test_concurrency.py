@@ -48,7 +48,7 @@ def bits(result):
 
 @pytest.fixture(scope="module")
 def alone():
-    """What one thread of Python finds, with nothing beside it."""
+    """Results of a single thread of Python."""
     return bits(run())
 
 
@@ -184,7 +184,7 @@ def test_progress_rises_to_the_total(monkeypatch):
 
 
 def test_chunks_of_a_known_plan_are_not_cut(monkeypatch):
-    """What is carried from one call to the next costs as much as dozens of steps."""
+    """State carried from one call to the next costs as much as dozens of steps."""
     monkeypatch.setattr(lierb.runs.engine, "CALL_SECONDS", 60.0)
     told = []
     long_run(False)

@@ -125,7 +125,7 @@ def test_diffs_add_what_they_say(copy):
 
 @pytest.mark.slow  # collects the tests over the catalogues
 def test_tests_over_the_catalogues_take_what_the_diffs_add(copy):
-    """Those that compile no kernel, of what is added and of the catalogues as a whole."""
+    """Run the tests that compile no kernel, of the additions and of whole catalogues."""
     files = [f"tests/{name}.py" for name in CATALOGUES]
     added = "tube or loosely or attraction or Heun3 or spin"
     wholes = "catalogue or follow_from or page_of_methods or schema or adds_its_columns or views"

@@ -54,7 +54,7 @@ def copy(whole, tmp_path):
 
 
 def refused(*arguments, **options):
-    """What a command says that ends with one sentence."""
+    """Output of a command that ends with one sentence."""
     done = invoke(*arguments, **options)
     assert done.exit_code == 1, done.output
     assert isinstance(done.exception, SystemExit)
@@ -142,7 +142,7 @@ def test_a_study_of_the_users_is_not_written_over(tmp_path):
 
 
 def left_by_a_kill(folder, given, *, entered):
-    """As after a kill between a part's renames and the manifest: one part is not entered."""
+    """Folder after a kill between a part's renames and the manifest: one part is not entered."""
     lierb.run(given, folder)
 
     def forget(manifest):
@@ -315,7 +315,7 @@ def test_any_damage_of_a_manifest_is_told(tmp_path, damages):
 
 @pytest.fixture(params=[30, pytest.param(500, marks=pytest.mark.slow)])
 def damages(request):
-    """How many of them to try."""
+    """Number of them to try."""
     return request.param
 
 
@@ -361,7 +361,7 @@ def edited(content: bytes, rng: random.Random) -> bytes:
 
 
 def test_any_damage_of_a_part_is_told_and_done_again(copy, damages):
-    """By every way to look at the results; none of them shows a wrong number."""
+    """Read the results in every way; none shows a wrong number."""
     rng = random.Random(6)
     files = sorted(copy.rglob("*.parquet"))
     contents = {file: file.read_bytes() for file in files}
@@ -474,7 +474,7 @@ def test_what_is_no_plain_file_is_written_to(tmp_path):
 
 
 def test_a_folder_is_opened_by_its_name(whole, tmp_path):
-    """Without a word about reading it."""
+    """The message does not mention reading."""
     assert Dataset(whole).table().count_rows() == Dataset(whole).table(check=False).count_rows() > 0
     assert Dataset(whole).plot().axes
     with pytest.raises(StudyError, match="holds no results of a study"):
@@ -658,7 +658,7 @@ def test_a_run_from_a_pipe_goes_on_with_the_folders_study(tmp_path, monkeypatch)
 def test_an_interrupt_at_any_call_leaves_a_folder_that_goes_on(
     stride, whole, tmp_path, monkeypatch
 ):
-    """Before the first part, between, while anything is written, renamed or looked at."""
+    """Interrupt before the first part, between parts, and during writes, renames and reads."""
     calls = {
         os: ["fsync", "scandir"], Path: ["replace", "mkdir", "open", "unlink", "stat"],
     }  # fmt: skip

@@ -25,7 +25,7 @@ SUMMARY = [
 
 
 def _twists(count: int, seed: int = 11) -> np.ndarray:
-    """From slow to fast: at dt = 1e-2 the steps' angles lie on both sides of every cut-over."""
+    """Slow to fast rates: at dt = 1e-2 the steps' angles lie on both sides of every cut-over."""
     rng = np.random.default_rng(seed)
     omega = rng.standard_normal((count, 3)) * 10.0 ** rng.uniform(-1.5, 2.3, (count, 1))
     return joint("spherical").twist(omega=omega)
@@ -70,7 +70,7 @@ def expected() -> np.ndarray:
 
 @pytest.mark.parametrize("solver", slow_but(["auto", "saddle"], "auto"))
 def test_bits_do_not_depend_on_the_poses_of_the_others(solver):
-    """What a pose decides is found once where all have it, and for each block where they differ."""
+    """Quantities of a pose are computed once for a common pose, and per block otherwise."""
     problem, count = _problem(), 37
     twists, hinge = TWISTS[:count], problem.joint.body_frame[:3, 3]
     held = problem.joint.closed_pose
@@ -86,7 +86,7 @@ def test_bits_do_not_depend_on_the_poses_of_the_others(solver):
 
 @pytest.mark.parametrize("which", ["pose0", "twist0"])
 def test_a_start_off_its_joint_is_found_behind_others(which):
-    """In the compiled check, which looks once at a pose that all have."""
+    """Violations are found by the compiled check, which examines a common pose once."""
     problem = _problem()
     poses = np.tile(problem.joint.closed_pose, (37, 1, 1))
     given = {"pose0": poses, "twist0": TWISTS[:37].copy()}

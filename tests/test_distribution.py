@@ -29,7 +29,7 @@ def test_version_is_that_of_the_installation():
 
 @pytest.fixture
 def checkout(tmp_path) -> Path:
-    """What a version and an sdist are made of, in a folder that belongs to no repository."""
+    """Files of a version and an sdist, in a folder outside of any repository."""
     folder = tmp_path / "checkout"
     (folder / "lierb").mkdir(parents=True)
     for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):

@@ -45,7 +45,7 @@ def _found(pattern: re.Pattern, group_by_span: bool = True) -> list:
 
 
 def _resolved(name: str):
-    """What a dotted name stands for; a field without a default stands for its annotation."""
+    """Object of a dotted name; a field without a default gives its annotation."""
     found, path = lierb, "lierb"
     for part in name.split(".")[1:]:
         path += f".{part}"

@@ -161,7 +161,7 @@ def test_so3xr3_keeps_a_pin_in_slot_through_the_body_origin(dt):
     "name", long_but(["spherical", "revolute", "planar"], "spherical", "planar")
 )
 def test_global_update_keeps_subgroup_joints_across_charts(name):
-    """Without moving the chart the paper's form blows up at ‖ξ‖ = 2π (errata E18)."""
+    """The paper's form, without moving the chart, blows up at ‖ξ‖ = 2π (errata E18)."""
     problem, twist0 = tilted(name)
     result = integrate(
         problem, twist0=twist0, dt=1e-3, t_end=10.0, update="global", solver="saddle"

@@ -22,7 +22,7 @@ QUICK = {"double_pendulum"}  # whose kernel other tests need as well
 
 @cache
 def example(name: str) -> dict:
-    """What is left in the script's namespace."""
+    """Namespace of the script after its run."""
     import matplotlib.pyplot as plt
 
     matplotlib.use("Agg")
@@ -150,7 +150,7 @@ def test_arm_comes_to_rest_where_its_energy_is_least():
     found = example("arm")
 
     def places(q):
-        """Of all centres of mass, and of the flange."""
+        """Positions of all centres of mass, and of the flange."""
         T, centres = np.eye(4), []
         for angle, d, a, alpha, com in zip(q, found["D"], found["A"], found["ALPHA"], found["COM"]):
             c, s, u, v = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)

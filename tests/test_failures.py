@@ -1,4 +1,4 @@
-"""Where a number of a row cannot be trusted, its status says so."""
+"""A row with an unreliable number has a status that says so."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def summary_of(problem, twist0, dt=DT, steps=2, **options):
 
 
 def is_told(summary) -> np.ndarray:
-    """Which trajectories have failed; those that have not are sound in every number."""
+    """Indices of failed trajectories; all numbers of the others are finite."""
     failed = np.array(summary["status"].to_pylist()) == "non_finite"
     for field in summary.schema:
         if field.name not in ("trajectory", "status", "t"):

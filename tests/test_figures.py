@@ -89,7 +89,7 @@ def test_coordinates_are_labelled_as_the_joint_names_them(given):
 
 @pytest.mark.slow
 def test_zeros_are_said_in_words_and_not_drawn(dataset):
-    """On SE(3) the joint is exact; no axis reaches down to 1e-18 for that."""
+    """An exact joint, as on SE(3), does not extend an axis to 1e-18."""
     shares, ridges = drawn(dataset, "distribution")[:2]
     assert shares.get_xlim()[0] > 1e-17
     told = [line for text in words(shares) for line in text.splitlines()]
@@ -100,7 +100,7 @@ def test_zeros_are_said_in_words_and_not_drawn(dataset):
 
 
 def test_the_legend_tells_what_an_outline_is(dataset):
-    """Of the energy, what is left at the end is not told, and not drawn."""
+    """The energy drift at the end is neither printed nor drawn."""
     sheet = dict(figures.sheets(dataset))["distribution"]
     assert [key.label for key in sheet.keys][-1] == "outline: at the end"
     shown = [Figure().subplots() for _ in sheet.panels]
@@ -141,7 +141,7 @@ def test_histograms_do_not_hide_each_other():
 
 
 def test_more_lines_than_a_legend_has_room_for_are_labelled_where_they_end(dataset, given):
-    """By their own colours, and apart from each other."""
+    """Settings have colours of their own, and are drawn apart."""
     axes = Figure().subplots()
     axes.plot([0.0, 1.0], [0.0, 1.0])
     panels.label_lines(axes, [(f"line {n}", "#000000", 1.0, 0.5) for n in range(9)])
@@ -171,7 +171,7 @@ def test_a_cspace_has_its_colour_whatever_stands_before_it(given):
 
 @pytest.mark.slow
 def test_columns_that_nobody_knows_are_drawn_with_their_units(given, tmp_path):
-    """As observables write them: in the history and in the summary."""
+    """Columns of observables, in the history and in the summary."""
     done = lierb.run(given, tmp_path / "out")
     for files in done.parts.values():
         for name, entry in files.items():

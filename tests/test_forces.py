@@ -222,7 +222,7 @@ def varying(t, params):
 
 
 def driven(body, held, start, drag=0.0, ramp=0.0, sway=0.0) -> lierb.Problem:
-    """By a motor of that speed, all from one kernel."""
+    """Run a motor of that speed, all from one kernel."""
     motor = lierb.forces.motor(speed=varying, start=start, ramp=ramp, sway=sway)
     return lierb.Problem(body, held, GRAVITY, [motor, lierb.forces.drag(linear=drag)])
 
@@ -324,7 +324,7 @@ def test_work_is_that_of_the_closed_form(cspace):
 
 @pytest.mark.slow
 def test_energy_drift_falls_with_the_order_of_the_method():
-    """With all forces at once: what they take and give, several J, is no drift."""
+    """All forces at once: their work, several J, is no drift."""
     problem, twist0 = case("revolute", tuple(FORCES))
     runs = [run(problem, twist0, dt=dt, cspace="reduced").summary for dt in (8e-3, 4e-3)]
     coarse, fine = (column(summary, "energy_drift_max") for summary in runs)

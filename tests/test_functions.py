@@ -148,7 +148,7 @@ GAINS = {"outer": [0.5, 2.0], "inner": 0.25}
 
 
 def common(t, R, r, omega, v, params, body):
-    """What both a trace and Numba take."""
+    """Functions that both a trace and Numba accept."""
     x = np.array([t - 0.3, params.size, -0.2])
     bent = np.where(x > 0.0, np.clip(x, 0.1, 0.5), np.floor(x) % 0.3)
     bent = bent + np.sign(x) * np.maximum(x, 0.1) + np.minimum(x * x, 0.3)
@@ -162,7 +162,7 @@ def common(t, R, r, omega, v, params, body):
 
 
 def further(t, R, r, omega, v, params, body):
-    """What Numba would not take."""
+    """Functions that Numba does not accept."""
     x = np.asarray([t - 0.3, params.size, -0.2], dtype=float)
     bent = np.heaviside(x, 0.5) + np.select([x > 0.3, x > 0.0], [x, 2.0 * x], 0.1)
     bent += np.linalg.solve(body.inertia, bent) + np.linalg.inv(body.inertia) @ x

@@ -37,7 +37,7 @@ def titles(figure) -> list[str]:
 
 
 def lines(axes) -> list[np.ndarray]:
-    """What is drawn, without the legend's empty lines."""
+    """Drawn lines, without the legend's empty ones."""
     return [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]
 
 
@@ -55,7 +55,7 @@ def test_panels_follow_from_what_is_recorded(problem, spun):
 
 
 def test_columns_of_any_name_have_panels_with_their_units(spun):
-    """As observables will."""
+    """Panels of columns of any name, such as observables."""
     rows = spun.history.num_rows
     fields = [
         pa.field("height", pa.float64(), metadata={"unit": "m"}),
@@ -145,7 +145,7 @@ def test_trace_is_a_map_of_equal_areas(problem, spun):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")
 def test_failed_trajectories_end():
-    """As in the tests of the animation, on the same kernel."""
+    """Result as in the tests of the animation, on the same kernel."""
     body = lierb.bodies.box((0.1, 0.2, 0.3), mass=1.0)
     spring = lierb.forces.spring_damper(body_point=(0.05, 0.0, 0.0), stiffness=1e9)
     stiff = lierb.Problem(body, lierb.joints.free(), forces=[spring])

@@ -192,7 +192,7 @@ def test_velocities_are_the_rates_of_coordinates_along_the_motion(name, seed):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_velocities_at_given_coordinates_are_the_rates_of_the_pose(name):
-    """Of a rotation vector beyond π, too, whose pose has another one."""
+    """Rotation vectors beyond π, too, whose pose has another one."""
     held, rng = joint(name), np.random.default_rng(12)
     values, rates = (rng.uniform(-3.5, 3.5, size=len(NAMES[name])) for _ in range(2))
     twist = held.twist(velocities=rates, coordinates=values)
@@ -333,7 +333,7 @@ def off_the_joint(held, seed, size):
 
 
 def violation(name, held, pose):
-    """How far D is off the joint, from its definition."""
+    """Residual of D in the joint, from its definition."""
     D = relative(held, pose)
     sizes = oracle.sizes_of(name, pitch=float(held.pitch), length=float(held.length))
     return max((abs(float(h)) for h in oracle.row_values(name, D, **sizes)), default=0.0)

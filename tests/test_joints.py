@@ -92,7 +92,7 @@ def pose_tuple(C):
 
 
 def parameters(joint):
-    """As formulas take them, in plain floats."""
+    """Arguments of formulas, in plain floats."""
     return Parameters(
         mass=float(BODY.mass),
         inertia=tuple(BODY.inertia.reshape(-1).tolist()),
@@ -106,7 +106,7 @@ def parameters(joint):
 
 
 def kinematics(cspace, joint, C, twist):
-    """What rows are made of, and the velocity that J acts on."""
+    """Kinematics of rows, and the velocity on which J acts."""
     space, p = CSPACES[cspace], parameters(joint)
     body = space.body(p)
     placed, velocity = space.to_joint_axes(p, pose_tuple(C), tuple(map(float, twist)))

@@ -139,7 +139,7 @@ def test_twist_is_the_rate_of_the_pose(name):
 
 
 def test_a_member_of_a_batch_has_the_bits_it_has_alone():
-    """Of coordinates, poses and masses; through the tree, closing and projection."""
+    """Batches of coordinates, poses and masses, through the tree, closing and projection."""
     bars = fourbar(l1=np.linspace(0.2, 0.4, 5))
     start = bars.pose({"crank": np.linspace(0.3, 0.5, 5), "rod": -0.1, "rocker": [1.7] * 5})
     start = {n: x @ lierb.lie.se3.exp(0.05 * np.ones(6)) for n, x in start.items()}
@@ -359,7 +359,7 @@ def along(axis, t):
 
 
 def jacobian(mechanism, pose):
-    """Of all rows of all joints on all body-fixed twists, by differences of D along screws.
+    """Jacobian of all rows of all joints on all body-fixed twists, by differences along screws.
 
     Rows on D: their values' derivatives, and Ω for rows that have none.
     """

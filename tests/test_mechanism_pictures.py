@@ -37,7 +37,7 @@ def turning() -> lierb.Result:
 
 
 def end_of(result: lierb.Result, link: str, point) -> np.ndarray:
-    """Where a point of a link is, (times, 3)."""
+    """Position of a point of a link, (times, 3)."""
     return result[link].position[:, 0] + result[link].rotation[:, 0] @ np.asarray(point)
 
 
@@ -70,7 +70,7 @@ def test_gap_of_a_loop_is_how_far_its_ends_are_apart(turning):
 
 
 def test_gap_between_links_is_what_the_child_is_moved_by():
-    """Of poses that are off, as on SE(3)²: along the pin, and across it."""
+    """Gaps of open poses, as on SE(3)²: along the pin, and across it."""
     from lierb.results.animation.gaps import gap_between
 
     pendulum = double_pendulum()
@@ -182,7 +182,7 @@ def test_plot_of_a_pickled_mechanism_has_the_motion_of_its_links(turning):
 
 
 def test_failed_trajectories_of_mechanisms_end(turning):
-    """Of a history whose last states are lost, as after a failure."""
+    """Scene of a history whose last states are NaN, as after a failure."""
     from lierb.results.columns import as_array, vectors
 
     history = turning.history

@@ -59,7 +59,7 @@ def model_of(path):
 
 
 def coordinates_of(model, data, mechanism):
-    """Of every link from qpos, in the order in which the file gives a body's joints."""
+    """Coordinates of every link from qpos, in the order of a body's joints in the file."""
     found = {}
     for link in mechanism.links:
         body = model.body(link.name)
@@ -137,7 +137,7 @@ def assert_same_mechanics(path, coordinates=coordinates_of, rates=None, **option
 
 
 def rates_of(model, data, mechanism):
-    """Of joints whose rates are qvel: all but balls."""
+    """Rates of joints from qvel: all joints but balls."""
     found = {}
     for link in mechanism.links:
         body = model.body(link.name)
@@ -166,7 +166,7 @@ def test_springs_are_slack_where_those_of_the_file_are():
 
 
 def test_a_link_weighs_what_is_welded_to_it(tmp_path):
-    """As where a file has an empty link for the joint, and the mass on a fixed one after it."""
+    """File with an empty link for the joint, and the mass on a fixed link after it."""
     inside = f'<body name="shell" pos="0 0.1 0" euler="0.3 0 0">{INERTIA}</body>'
     path = one_body(tmp_path, '<joint axis="1 2 2"/>', inertial="", inside=inside)
     mechanism = assert_same_mechanics(path, rates=rates_of)
@@ -418,7 +418,7 @@ def test_arm_moves_as_in_mujoco():
 
 
 def test_arm_stands_where_its_origins_put_it():
-    """By hand, from xyz and rpy (about fixed axes) of the file: URDF's definition."""
+    """Poses from xyz and rpy (about fixed axes) of the file, by URDF's definition."""
     mechanism, left_out = read(DATA / "arm.urdf", gravity=(0.0, 0.0, -1.62))
     angles = np.random.default_rng(3).normal(size=6)
     placed = np.eye(4)
@@ -487,7 +487,7 @@ def gap(mechanism, pose):
 
 
 def assert_same_gap(path):
-    """As far open as MuJoCo's constraint at a random pose; what it found, and MuJoCo's data."""
+    """Compare the gap with MuJoCo's at a random pose; return the mechanism and MuJoCo's data."""
     mechanism, left_out = read(path)
     assert not any("equality" in what for what in left_out)
     model = model_of(path)
@@ -756,7 +756,7 @@ def test_names_that_no_column_can_have_are_changed_and_said(tmp_path):
 
 
 def test_names_that_differ_in_case_alone_are_made_to_differ(tmp_path):
-    """As columns are for SQL."""
+    """Names that differ in case only are equal, as columns are in SQL."""
     path, ball = tmp_path / "model.xml", "<joint/><geom size='1'/></body>"
     bodies = f"<body name='arm'>{ball}<body name='Arm'>{ball}"
     path.write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")

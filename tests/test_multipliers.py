@@ -89,7 +89,7 @@ def test_acceleration_solves_the_saddle_point_by_lu(rows, cspace, slender):
 
 
 def _exact(entries):
-    """The same numbers with as many digits as mpmath has now."""
+    """Convert numbers to mpmath's current precision."""
     if isinstance(entries, tuple):
         made = [_exact(x) for x in entries]
         return type(entries)(*made) if hasattr(entries, "_fields") else tuple(made)
@@ -153,7 +153,7 @@ def test_recorded_multipliers_agree_with_the_world_frame_formulation(name):
 
 @pytest.mark.parametrize("cspace", tiered(CSPACES, ["SE3"], []))
 def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
-    """At a state that is far from the start, and in both c-spaces."""
+    """Multipliers at a state far from the start, in both c-spaces."""
     problem, twist0 = tilted("universal")
     result = integrate(problem, twist0=twist0, dt=2e-4, t_end=0.4, cspace=cspace)
     truth = oracle.reference_trajectory(
@@ -168,7 +168,7 @@ def test_reaction_of_a_moving_body_agrees_with_newton_and_euler(cspace):
 
 @pytest.mark.slow
 def test_reaction_does_not_depend_on_the_rows():
-    """The same hinge, its point held by the ground's axes and by the body's."""
+    """One hinge, its point fixed in the ground's axes and in the body's."""
     problem, twist0 = tilted("revolute")
     frames = {name: getattr(problem.joint, name) for name in ("ground_frame", "body_frame")}
     other = lierb.joints.from_rows(["Qtd3", "Qtd1", "Qtd2", "Omega2", "Omega1"], **frames)
@@ -213,7 +213,7 @@ def test_a_joint_given_twice_moves_and_pulls_as_if_given_once(name):
 
 @pytest.mark.slow
 def test_rows_that_drift_apart_are_marked():
-    """On SO(3)×R³ rows that say the same come to contradict each other as the joint drifts."""
+    """Redundant rows come to contradict each other on SO(3)×R³, as the joint drifts."""
     problem, twist0 = tilted("spherical")
     frames = {n: getattr(problem.joint, n) for n in ("ground_frame", "body_frame")}
     held = lierb.joints.from_rows(HELD_TWICE, **frames)
@@ -282,7 +282,7 @@ def test_a_rank_that_changes_is_told(cspace):
 
 @pytest.mark.parametrize("size", [1e-6, 1e6])
 def test_mass_scales_out(size):
-    """The same motion for a body a million times as heavy, to rounding."""
+    """A body a million times as heavy moves alike, to rounding."""
     problem, twist0 = tilted("revolute")
     heavy = lierb.Body(size * problem.body.mass, size * problem.body.inertia)
     scaled = lierb.Problem(heavy, problem.joint, problem.gravity)

@@ -56,7 +56,7 @@ def watched():
 
 
 def expected(result, problem) -> dict[str, np.ndarray]:
-    """From the state that the history has; the centre of mass is the origin."""
+    """Value from the state of the history; the centre of mass is the origin."""
     R, r, omega, v, t = result.rotation, result.position, result.omega, result.v, result.t
     spin = np.einsum("...i,ij,...j", omega, problem.body.inertia, omega) / 2
     energy = problem.body.mass * np.sum(v * v, axis=-1) * r[..., 0]
@@ -360,7 +360,7 @@ def counting(t, r, params):
 
 @pytest.mark.slow
 def test_whole_numbers_beyond_their_bits_end_the_trajectory(free):
-    """In Python they are 2**63 and 5e299: no number of 64 bits, and no zero."""
+    """Values that are 2**63 and 5e299 in Python: no integer of 64 bits, and no zero."""
     with pytest.warns(ScalarFunctionWarning):
         watching = counting(most=[2.0, 0.5, 0.0])
     problem = lierb.Problem(free.body, free.joint, observables=watching)

@@ -305,7 +305,7 @@ def moving(joint, times, **options):
 
 
 def on_tilted_joint(joint, times, relative, **options):
-    """The same body; relative: its twist (Ω, u) in the joint frame at t = 0."""
+    """One body; relative: its twist (Ω, u) in the joint frame at t = 0."""
     relative = np.asarray(relative, float)
     omega = BODY_FRAME[:3, :3] @ relative[:3]
     v = BODY_FRAME[:3, :3] @ relative[3:] + np.cross(BODY_FRAME[:3, 3], omega)

@@ -102,7 +102,7 @@ def test_save_writes_the_same_bytes_each_time(tmp_path, kind):
 
 
 def test_a_figure_shows_itself_in_a_notebook():
-    """As a picture, and without pyplot."""
+    """A figure shows itself as an image, without pyplot."""
     assert draw(drift)._repr_png_().startswith(b"\x89PNG")
 
 

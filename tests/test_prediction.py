@@ -66,7 +66,7 @@ def test_so3xr3_keeps_what_the_errata_say(name):
 
 
 def test_spherical_needs_more_than_its_closed_configuration():
-    """At C₀ alone the closure on SO(3)×R³ has dimension 5 instead of 6."""
+    """The closure at C₀ alone on SO(3)×R³ has dimension 5 instead of 6."""
     problem, _ = tilted("spherical")
     found = lierb.predict(problem)["SO3xR3"]
     assert (found.group, found.dimension) == ("SO(3)×R³", 6)

@@ -1,4 +1,4 @@
-"""Who is told how far a run is: a function, a terminal, a notebook, or nobody."""
+"""Progress of a run: to a function, a terminal, a notebook, or nowhere."""
 
 from __future__ import annotations
 

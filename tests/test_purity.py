@@ -378,14 +378,14 @@ def assert_plain(text: str) -> None:
 
 
 def test_trials_agree_with_fingerprints():
-    """What is refused by name has no fingerprint either; what runs has one."""
+    """A function refused by name has no fingerprint; one that runs has."""
     with pytest.raises(TypeError, match="random"):
         fingerprint(noisy_helper)
     assert trial(lierb.wrench(surroundings())().kind.function) == 6
 
 
 def test_other_threads_may_draw_while_a_function_is_traced():
-    """As those of a Dask worker do: what they draw is not drawn again and again."""
+    """Other threads, such as a Dask worker's, may draw meanwhile without a retrace each time."""
     traces = []
 
     def traced():

@@ -179,7 +179,7 @@ def test_the_first_exception_is_told_behind_another_failure():
 
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_exceptions_leave_no_memory_behind():
-    """Those with arguments are Numba's on the heap; no array of the function's is one here."""
+    """Exceptions with arguments are on Numba's heap; no array of the function's is among them."""
     kinds = np.array([RUNTIME, ARRAY])[np.arange(5000) % 2]
     thrown(5000, kind=kinds)
     _nrt_python.memsys_enable_stats()
@@ -204,7 +204,7 @@ def test_a_study_would_count_them(mixed):
 
 
 def held(t_end: float, t0: float = 0.0, method: str = "Euler", **parameters) -> lierb.Result:
-    """On a joint with rows that depend on the pose, from rest."""
+    """Run on a joint with rows that depend on the pose, from rest."""
     problem = lierb.Problem(
         lierb.Body(2.0, (1.0, 1.0, 1.0)), joint("universal"), forces=touchy(**parameters)
     )
@@ -221,7 +221,7 @@ def test_a_run_that_starts_late_asks_nothing_of_earlier_times():
 
 
 def test_a_reaction_that_cannot_be_told_at_the_end_is_a_failure():
-    """At all other times the next step fails, whether the reaction is recorded or not."""
+    """At other times the next step fails, with and without a recorded reaction."""
     with pytest.warns(FailedTrajectoryWarning, match=r"trajectory 1, raised at t = 0\.5 s: touchy"):
         result = held(0.5, kind=[CALM, CONSTANT])
     assert statuses(result) == ["ok", "raised"]
@@ -247,7 +247,7 @@ def test_a_call_may_end_between_a_reaction_and_the_step_that_fails(one_step_a_ca
 
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_what_raises_is_not_called_singular():
-    """Of the NaN that the first stage leaves, rows seem to depend on each other in the second."""
+    """The NaN of the first stage makes rows of the second seem dependent."""
     assert statuses(held(1.0, method="Heun", kind=[CALM, CONSTANT])) == ["ok", "raised"]
 
 

@@ -30,7 +30,7 @@ BODIES = 50
 
 
 class Page(HTMLParser):
-    """What a page shows and what it refers to."""
+    """Contents and references of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -199,7 +199,7 @@ def test_page_says_how_to_do_it_again(dataset, text):
 
 @pytest.mark.slow
 def test_unfinished_and_failed_bodies_are_told(tmp_path):
-    """Of the last setting no part is finished, and of no setting is the history quiet."""
+    """The last setting has no finished part, and no setting has a history of zeros."""
     spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}
     given = study(problem={"forces": [spring, {"type": "drag"}]}, integrate={"save_every": 10})
     with pytest.warns(FailedTrajectoryWarning):

@@ -51,7 +51,7 @@ def lively(name: str):
 
 
 def run(problem, steps: int, **options) -> lierb.Result:
-    """From wherever it starts to so many steps from 0."""
+    """Run from a start to a number of steps counted from 0."""
     return integrate(problem, **({"dt": DT, "t_end": steps * DT} | options))
 
 
@@ -227,7 +227,7 @@ def test_end_at_a_tick_goes_on_with_states_memory_and_clocks(options):
 
 @pytest.mark.slow
 def test_end_goes_on_with_other_gains():
-    """What controllers remember is theirs as long as it means the same."""
+    """Controllers keep their memory as long as its meaning is the same."""
     problem, twist0 = braked()
     options = {"cspace": "reduced", "dt": 0.0625}
     first = lierb.integrate(problem, twist0=twist0, t_end=0.5, **options)
@@ -258,7 +258,7 @@ def test_end_that_would_lose_states_is_refused(change):
 
 @pytest.mark.slow
 def test_end_of_fixed_steps_goes_on_with_clocks_of_lanes():
-    """Which count the same steps."""
+    """Both kinds of clocks count the same steps."""
     problem, twist0 = lively("spherical")
     whole = run(problem, STEPS, twist0=twist0)
     first = run(problem, 17, twist0=twist0)

@@ -48,7 +48,7 @@ def result():
 
 @pytest.fixture(scope="module")
 def final(result):
-    """The same result as if no state had been recorded."""
+    """Result as if no state had been recorded."""
     names = [name for name in result.history.column_names if name not in STATE]
     return lierb.Result(result.summary, result.history.select(names))
 
@@ -112,7 +112,7 @@ def turned_result(rotations):
 
 
 def test_quaternion_is_scipys(result):
-    """At all angles, half turns included, where w = 0 and the largest component is another."""
+    """All angles are included, also half turns, where w = 0 and another component is largest."""
     transform = pytest.importorskip("scipy.spatial.transform")
     rng = np.random.default_rng(5)
     half_turns = np.pi * np.concatenate((np.eye(3), [[0.6, 0.8, 0.0], [0.6, 0.0, 0.8]]))
@@ -133,7 +133,7 @@ def test_quaternion_is_scipys(result):
 
 
 def test_chunked_and_sliced_columns_become_arrays():
-    """As tables are that were read from files; those of `integrate` are one chunk."""
+    """Tables of several chunks, as read from files; those of `integrate` have one."""
     array = np.arange(12.0).reshape(4, 3)
     chunks = pa.chunked_array([vectors(array).slice(1, 2), vectors(array)])
     np.testing.assert_array_equal(as_array(chunks), np.concatenate((array[1:3], array)))

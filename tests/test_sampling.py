@@ -192,7 +192,7 @@ def test_uniform_never_passes_a_bound_by_rounding():
     ],
 )  # fmt: skip
 def test_truncated_normal_is_exact_to_rounding_in_the_tails(low, high):
-    """How far each draw is from the quantile, by its distribution function with 60 digits."""
+    """Error of each draw, by the distribution function with 60 digits."""
     u = [LEAST, 1e-12, 1e-3, 0.2, 0.5, 0.7, 0.999, 1.0 - 1e-12, MOST]
     found = TruncatedNormal(0.0, 1.0, low, high).draw(np.transpose([u]))
     with mpmath.workdps(60):

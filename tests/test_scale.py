@@ -67,7 +67,7 @@ def problem(name: str, scale: Scale = ONE, com=(0.0, 0.0, 0.0)) -> lierb.Problem
 
 
 def own_length(held: lierb.Problem) -> float:
-    """From its definition: the body's frame is at the centre of mass here."""
+    """Scale from its definition; the body's frame is at the centre of mass here."""
     spread = np.trace(np.diag(np.linalg.eigvalsh(held.body.inertia))) / (2 * held.body.mass)
     arm = np.linalg.norm(held.joint.body_frame[:3, 3])
     return max(np.sqrt(spread), arm, float(held.joint.pitch), float(held.joint.length))
@@ -284,7 +284,7 @@ def test_a_fine_screw_is_a_screw(pitch, length):
 
 
 def test_predictions_far_from_the_origin_are_the_same():
-    """What a place is rounded to there, 1e-10 m, is no part of the motion."""
+    """Rounding of a distant position, 1e-10 m, is no part of the motion."""
     for name in JOINTS:
         near, ground = problem(name), np.array(GROUND_FRAME)
         ground[:3, 3] += (5e5, -7e5, 3e5)

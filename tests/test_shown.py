@@ -1,4 +1,4 @@
-"""What objects say of themselves, at a prompt and in a notebook; what `lierb.` completes to."""
+"""Representations of objects at a prompt and in a notebook; completions of `lierb.`."""
 
 from __future__ import annotations
 

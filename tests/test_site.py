@@ -77,7 +77,7 @@ def test_public_name_is_in_the_reference(name):
 
 @pytest.mark.parametrize("name", [n for n in PUBLIC if n not in WITHOUT_EXAMPLE])
 def test_public_name_has_an_example(name):
-    """In its docstring or, of a class, in a method's; test_docs.py runs them."""
+    """Examples are in its docstring or, for a class, in a method's; test_docs.py runs them."""
     item = PUBLIC[name]
     if _is_error(item) or isinstance(item, (ModuleType, lierb.joints.JointType)):
         return
@@ -104,7 +104,7 @@ ODD_OPENINGS = {"Of", "What", "Whether", "How", "Those", "The same", "That", "Wh
 
 
 def _parameters(item: typing.Any) -> dict[str, bool]:
-    """Whether each parameter may be left out, by its name, with its stars.
+    """Map each parameter, with its stars, to whether it is optional.
 
     Overloads say more than the function that they are of, whose order counts.
     """

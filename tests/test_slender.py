@@ -34,7 +34,7 @@ def driven(cspace: str) -> lierb.Result:
 
 @cache
 def falling(cspace: str, solver: str) -> lierb.Result:
-    """From rest, about a ball joint."""
+    """Release from rest, about a ball joint."""
     ball = lierb.joints.spherical(body_point=ARM)
     return integrate(
         lierb.Problem(BODIES, ball, GRAVITY), twist0=np.zeros(6), dt=1e-3, t_end=END,
@@ -126,7 +126,7 @@ def swung(size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.slow
 @pytest.mark.parametrize("cspace", CSPACES)
 def test_the_joint_stays_closed(cspace):
-    """On SE(3) to rounding; on SO(3)×R³ it drifts with the method, whatever the inertia."""
+    """SE(3) keeps the joint to rounding; on SO(3)×R³ it drifts with the method, at any inertia."""
     for run in (driven(cspace), falling(cspace, "saddle")):
         opened = column(run.summary, "position_error_max")
         if cspace == "SE3":
@@ -173,7 +173,7 @@ def test_a_body_that_slides_turns_as_it_likes(name):
 
 
 def test_a_pose_is_closed_near_by():
-    """What is tilted by 5e-5 is turned back by as much; the kinetic metric alone turned by 0.8."""
+    """A tilt of 5e-5 is turned back by as much; the kinetic metric alone turned by 0.8."""
     made = lierb.joints.planar(body_point=ARM, axis=AXIS)
     problem = lierb.Problem(BODIES, made)
     off = made.closed_pose @ lierb.lie.se3.exp((1e-5, 5e-5, 2e-5, 1e-4, -2e-4, 0.0))

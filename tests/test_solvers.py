@@ -102,7 +102,7 @@ def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monke
 
 @pytest.mark.parametrize("name", slow_but(JOINTS, "spherical"))
 def test_steps_of_tiny_angles_are_the_same_beside_a_body_whose_angles_are_not(name):
-    """Without its neighbour, a slow body's steps go without a branch."""
+    """A slow body without a fast neighbour takes steps without a branch."""
     problem, twist0 = tilted(name)
     fast = 40.0 * twist0  # a quarter of a radian a step, if it turns about a point
     options = {"dt": 1e-3, "t_end": 0.2, "save_every": 1}

@@ -1,4 +1,4 @@
-"""What studies say of quantiles, and when they have enough bodies."""
+"""Quantiles of studies, and the rules by which they stop."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def study(n: int = 400, part: int = 20, **sample) -> Study:
 @pytest.mark.parametrize("probability", [0.05, 0.5, 0.95])
 @pytest.mark.parametrize("n", [20, 100, 1000])
 def test_quantile_interval_has_its_confidence(probability, n):
-    """By exact binomial sums: that so many of n are below the population's quantile."""
+    """Exact binomial probability that so many of n are below the population's quantile."""
     found = quantile_of(np.arange(n, dtype=float), probability)
     terms = [comb(n, k) * probability**k * (1.0 - probability) ** (n - k) for k in range(n + 1)]
     first = -1.0 if np.isnan(found.low) else found.low
@@ -169,7 +169,7 @@ def test_stop_when_that_never_holds_runs_all(whole, tmp_path):
 
 
 def test_stop_when_of_failures(tmp_path):
-    """Of 20 bodies none fails: up to 0.168; of 40, to 0.088."""
+    """No failure among 20 bodies gives a bound of 0.168; among 40, of 0.088."""
     lierb.run(study(stop_when="width of failed < 0.1"), tmp_path / "out")
     assert len(sorted_rows(tmp_path / "out")) == 2 * 40
 

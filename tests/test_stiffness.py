@@ -168,7 +168,7 @@ TANGENTS = [
 
 @pytest.mark.parametrize(("name", "given", "at"), TANGENTS)
 def test_tangents_are_derivatives_of_the_wrench(name, given, at):
-    """By velocity in all directions; by the place in three, which turn no force of the body's."""
+    """Derivatives by velocity in all directions; by position in three, which turn no force."""
     force = getattr(lierb.forces, name)(**given)
     items = {n: tuple(x) if np.ndim(x) else float(x) for n, x in force.parameters.items()}
     frames = Frames((IDENTITY, ZERO3), IDENTITY, ZERO3)
@@ -299,7 +299,7 @@ def double_pendulum(*forces) -> lierb.Mechanism:
 
 
 def mass_matrix(angle: float) -> np.ndarray:
-    """Of two rods in relative angles, of the textbook."""
+    """Mass matrix of two rods in relative angles, from the textbook."""
     inertia, half = ROD.inertia[1, 1], LENGTH / 2
     coupling = LENGTH * half * cos(angle)
     last = inertia + half**2

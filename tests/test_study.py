@@ -530,7 +530,7 @@ t_end = 0.1
 
 
 def test_units_are_those_of_the_joint_and_of_the_force():
-    """Of coordinates each its own; of a damping that of its force, whatever its name."""
+    """Each coordinate has its own unit; a damping has that of its force, whatever its name."""
     given = Study.of(tomllib.loads(SCREWED))
     rows = pa.table({"trajectory": [0, 1, 2]})
     assert units_of(_with_draws(rows, given, given.batch(0, 3)).schema) == {
@@ -647,7 +647,7 @@ def assert_names_differ_in_sql(schema):
 
 
 def test_commands_to_go_on_are_whole(run_changed, tmp_path, monkeypatch):
-    """What is printed, given to a shell, does the rest."""
+    """The printed command, run by a shell, computes the rest."""
     file, whole_out = run_changed
     out = tmp_path / "my results"
 

@@ -68,7 +68,7 @@ MANY = TEXT.replace("n = 40", "n = 6000").replace("part = 16", "part = 200")
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
-    """Of the study and its file."""
+    """Folder of the study and its file."""
     return written(tmp_path / "study")
 
 
@@ -168,7 +168,7 @@ def test_workers_have_the_file_and_give_the_same_bytes(gather, whole, folder, tm
 
 
 def entered(out) -> int:
-    """How many parts its manifest has: where writing takes long, it lags behind the files."""
+    """Number of parts in the manifest, which may lag behind the files."""
     manifest = out / "manifest.json"
     return len(json.loads(manifest.read_text()).get("parts", {})) if manifest.exists() else 0
 

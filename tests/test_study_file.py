@@ -1,4 +1,4 @@
-"""What a study's file can hold, and what is said of everything else."""
+"""Contents of a study file, and the errors for everything else."""
 
 from __future__ import annotations
 
@@ -391,7 +391,7 @@ PLACES = st.sampled_from(
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(changes=st.dictionaries(PLACES, THINGS, min_size=1, max_size=2))
 def test_what_is_taken_is_the_same_when_it_was_written(changes):
-    """As the manifest and the folder's study.toml have it."""
+    """A study has one form in the manifest and in the folder's study.toml."""
     changed = tables()
     for key, value in changes.items():
         place = changed

@@ -68,7 +68,7 @@ def whole(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def ending(tmp_path_factory) -> Path:
-    """The same, whose first event ends a trajectory."""
+    """Study whose first event ends a trajectory."""
     place = tmp_path_factory.mktemp("ending")
     code = CODE.replace("direction=-1,", "direction=-1, terminal=True,")
     lierb.run(written(place / "study", code), place / "out", changes=SMALL)
@@ -123,7 +123,7 @@ def test_settings_and_steps_are_columns(whole):
 
 
 def test_body_and_wheels_keep_their_momentum(whole):
-    """Of drawn inertias, rotations and rates: nothing from outside turns them."""
+    """Sampled inertias, rotations and rates: no external torque acts."""
     found = table(whole)
     moments = as_array(found["sample.body.second_moments"])
     inertia = moments.sum(axis=1, keepdims=True) - moments
@@ -144,7 +144,7 @@ def test_history_is_at_the_times_asked_for(whole):
 
 
 def test_events_are_where_they_say(whole):
-    """By the states in their table: the angle, and the wheels' momentum."""
+    """Events have the states of their table: the angle, and the wheels' momentum."""
     found = table(whole, "events")
     which = np.array(found["event"].to_pylist())
     R = as_array(found["rotation"]).reshape(-1, 3, 3)
@@ -226,7 +226,7 @@ def test_only_prints_the_events(whole, tmp_path):
 
 
 def test_noise_is_drawn_by_seed_and_number(tmp_path):
-    """Of bodies that are alike: what they differ by is what `lierb.noise.sample` gives."""
+    """Equal bodies differ by the numbers of `lierb.noise.sample`."""
     more = {"body.inertia": [19.0, 17.0, 14.0], "initial.omega": [0.01, 0.0, 0.0],
             "output.part": 3, "sample.n": 8, "integrate.t_end": 0.5}  # fmt: skip
     text = f"{TEXT.partition('[sample.body')[0]}[integrate]{TEXT.partition('[integrate]')[2]}"
@@ -280,7 +280,7 @@ def started(tmp_path: Path):
 
 
 def require_going_on(tmp_path: Path, whole: dict[str, str]) -> None:
-    """What is left are some parts, each whole; the rest follows, to the same bytes."""
+    """Some whole parts are left; the rest follows, to the same bytes."""
     left = Store(tmp_path / "out")
     left.read()
     assert left.drop_damaged() == []
@@ -413,7 +413,7 @@ def test_compare_takes_the_studys_tolerances(tmp_path):
 
 @pytest.mark.slow
 def test_the_example_is_what_it_names(tmp_path):
-    """As it is printed, in a few seconds: all of them point, and some wheels saturate."""
+    """The example as printed, in a few seconds: all satellites point, and some wheels saturate."""
     for name in ("attitude.toml", "attitude.py"):
         given = name.removesuffix(".toml")
         (tmp_path / name).write_bytes(invoke("example", given).stdout_bytes)
@@ -431,7 +431,7 @@ def test_the_example_is_what_it_names(tmp_path):
 
 @pytest.mark.slow
 def test_compare_runs_an_adaptive_study(tmp_path):
-    """With its own tolerances and noise, and without what it says."""
+    """Comparison with the study's tolerances and noise, without the settings that it lists."""
     file, out = written(tmp_path / "study"), tmp_path / "out"
     options = ("--set", "integrate.t_end=1", "--n", 2, "--repeats", 0, "--rtols", "1e-4,1e-6")
     told = invoke("compare", file, *options, "-o", out, "--markdown")
@@ -568,7 +568,7 @@ def test_three_bodies_may_draw_three_states(tmp_path):
 
 
 def test_problem_and_design_run_to_the_bytes_of_the_file(whole, tmp_path):
-    """From Python, with the names that a file has."""
+    """Study from Python, with the names of a file."""
     file = written(tmp_path / "study").with_name("attitude.py")
     found = importlib.util.spec_from_file_location("attitude", file)
     made = importlib.util.module_from_spec(found)
@@ -598,7 +598,7 @@ def test_problem_and_design_run_to_the_bytes_of_the_file(whole, tmp_path):
 
 
 def test_studies_without_any_of_it_keep_their_digest():
-    """Those of version 0.1, by which folders are known."""
+    """Digests of version 0.1, which identify folders."""
     assert study().digest().startswith("136cbbc7764c929d")
     assert study(integrate={"save_every": 10}).digest().startswith("bbd72fed2526b5b1")
 
@@ -709,7 +709,7 @@ def test_error_names_the_line(tmp_path):
 
 @pytest.mark.parametrize("record", [[], ["state"], ["state", "energy"]], ids=" ".join)
 def test_size_of_rows_is_what_tables_hold(record, tmp_path):
-    """To the byte, apart from names that a column has once."""
+    """Equal to the byte, except for names that a column stores once."""
     given = loaded(tmp_path, {"integrate.record": record, "sample.n": 16})
     dataset = lierb.run(given, tmp_path / "out")
     problem = given.batch(0, 1).problem
@@ -757,6 +757,6 @@ def test_fixed_steps_have_a_controller_too(tmp_path):
 
 
 def test_tops_stay_on_the_grid():
-    """What needs no clock of its own has none."""
+    """Studies that need no lane clocks have none."""
     assert not study().has_lane_clocks
     assert "rtol" not in TOPS

@@ -192,7 +192,7 @@ def test_tableau_of_rejects_what_is_no_name(method):
 
 
 def page_row(name):
-    """What the page of methods says of one."""
+    """Row of a method on the page of methods."""
     t = TABLEAUS[name]
     stages = f"{t.stages}, FSAL" if t.is_fsal else f"{t.stages}"
     output = "–" if t.dense is None else f"{t.dense_order}"

@@ -22,7 +22,7 @@ def cross_matrix(w):
 
 
 class Turning:
-    """On SO(3): an asymmetric body in a field that turns with time. Ṽ = f(C, V, t)."""
+    """Motion on SO(3): an asymmetric body in a field that turns with time. Ṽ = f(C, V, t)."""
 
     pose0 = expm(cross_matrix((0.3, -0.2, 0.5)))
     twist0 = np.array((1.2, -0.7, 0.9))
@@ -37,7 +37,7 @@ class Turning:
 
 
 class Flying:
-    """On SE(3): the same, with a velocity that couples with the place."""
+    """Motion on SE(3): the velocity couples with the position."""
 
     pose0 = np.eye(4)
     twist0 = np.array((1.2, -0.7, 0.9, 0.4, 0.3, -0.6))
@@ -54,7 +54,7 @@ class Flying:
 
 
 class Guided:
-    """On SE(3): V = F(C, t), no velocity equation."""
+    """Motion on SE(3): V = F(C, t), no velocity equation."""
 
     pose0 = Flying.pose0
     twist0 = np.zeros(0)

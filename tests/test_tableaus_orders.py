@@ -33,7 +33,7 @@ MISSED = 1e-7
 
 @cache
 def stages(name, are_all=False):
-    """Of a step, or with those that the continuous extension needs besides."""
+    """Stages of a step, or with those of the continuous extension."""
     tableau = TABLEAUS[name]
     return Stages((*tableau.A, *tableau.dense_A) if are_all else tableau.A)
 

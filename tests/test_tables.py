@@ -309,7 +309,7 @@ def random_frames(rng, count=COUNT):
 
 
 def random_inertias(rng, count=COUNT):
-    """Of clouds of points: physical by construction."""
+    """Inertias of clouds of points: physical by construction."""
     points = rng.normal(size=(count, 10, 3))
     squares = np.einsum("nki,nki->n", points, points)[:, None, None] * np.eye(3)
     return 0.01 * (squares - np.einsum("nki,nkj->nij", points, points))
@@ -523,7 +523,7 @@ def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
 
 @pytest.mark.parametrize("differs", ["mass", "gravity", "point"])
 def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, differs):
-    """What all bodies share is found once a thread, and must not be where they do not."""
+    """Shared quantities are computed once a thread, and only if all bodies share them."""
     count = 3 * starts.DEFAULT_LANES + 1
     scale = 1.0 + 0.1 * np.arange(count)
     given = {"mass": 6.075, "gravity": np.array([0, 0, -9.81]), "point": np.array(POINT)}
@@ -669,7 +669,7 @@ def lost(t, R, r, omega, v):
 
 @pytest.mark.slow
 def test_a_force_that_is_nan_contradicts_no_row():
-    """Of a row in the Schur complement, and of a loop with rows that depend on others."""
+    """Multipliers of a row in the Schur complement, and of a loop with redundant rows."""
     joint = joints.universal(body_point=(0.0, 0.0, 0.3))
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 2.0, 2.5)), joint, forces=lost())
     twist = problem.project((0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
@@ -803,7 +803,7 @@ def test_metadata_options_of_adaptive_runs_are_accepted_again(given, top):
 
 @pytest.mark.usefixtures("nothing_steps")
 def test_steps_of_a_history_are_those_of_the_run(top):
-    """With a clock for each lane, too."""
+    """Lanes with clocks of their own agree, too."""
     problem, twists = top
     plain = run(problem, twists, save_every=3).history["step"]
     told = run(problem, twists, save_every=3, max_steps=STEPS).history["step"]
@@ -822,7 +822,7 @@ def test_metadata_of_a_large_batch_is_a_digest(top):
 
 
 def test_the_digest_of_a_start_is_that_of_its_bytes(top):
-    """Of a large one, which is made beside the run, too."""
+    """Digest of a large array, too, which is computed beside the run."""
     problem, twists = top
     for count in (11, 1 << 14):
         many = np.linspace(0.5, 1.0, count)[:, None] * twists[0]
@@ -832,7 +832,7 @@ def test_the_digest_of_a_start_is_that_of_its_bytes(top):
 
 
 def test_a_large_start_runs_where_no_thread_is_to_be_had(top, monkeypatch):
-    """As at the end of a process, or beyond a limit of the system's."""
+    """Run at the end of a process, or beyond a limit of threads."""
     problem, twists = top
     many = np.linspace(0.5, 1.0, 1 << 14)[:, None] * twists[0]
     beside = run(problem, many, t_end=DT).summary

@@ -127,7 +127,7 @@ def test_from_urdf_merges_through_a_sound_link_where_it_has_to(tmp_path):
 
 @pytest.mark.parametrize("arm", ["", inertial(0.01, POINT), inertial(0.0, SOUND)])
 def test_from_urdf_gives_a_moving_link_what_it_lacks(tmp_path, arm):
-    """Of two shells that are welded to it the first is part of it, the second a link."""
+    """The first of two shells welded to a link is part of it, the second a link."""
     path = robot(
         tmp_path, link("base", ""), link("arm", arm), link("frame", ""), link("shell"),
         link("cover"), joint("hinge", "base", "arm"), joint("k", "arm", "frame", "fixed"),
@@ -229,7 +229,7 @@ def written(tree, tmp_path):
 
 
 def merged(tree):
-    """The same robot with one link for each rigid group: masses add up, about parallel axes."""
+    """Robot with one link for each rigid group: masses add up, about parallel axes."""
     groups = {}
     for i in sorted({base(tree, i) for i in range(len(tree))}):
         mass, moment, about = 0.0, np.zeros(3), np.zeros((3, 3))
@@ -353,7 +353,7 @@ def test_from_urdf_names_what_is_welded_to_a_link_that_it_refuses(tmp_path):
 
 
 def faulty(name):
-    """By what is wrong: parts of a file beside the links base and arm, and words of the message."""
+    """Parts of a file beside the links base and arm, by mistake, and words of the message."""
     axis = lambda numbers: f'<axis xyz="{numbers}"/>'
     twice = link("arm") + link(name, "") * 2
     ends = f'<joint name={quoteattr(name)} type="fixed">'

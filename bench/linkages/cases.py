@@ -27,7 +27,7 @@ NUMBERS = 19  # that vary of a link: mass, 3 edges, com, 2 rotations, point, q0,
 
 @dataclass(frozen=True)
 class Form:
-    """How a peer integrates one mechanism.
+    """Function by which a peer integrates one mechanism.
 
     count : trajectories that make one timed call last about a second.
     allowed : m, how far a link may be from the reference at T_END. Default: what RK4 allows.
@@ -42,7 +42,7 @@ class Form:
 
     @property
     def limit(self) -> float:
-        """How far, in m: at 1 ms RK4 leaves 1e-6 of eight links, which whip, and 7e-9 of five."""
+        """Allowed error, m: RK4 at 1 ms leaves 1e-6 for eight links, and 7e-9 for five."""
         default = 3e-6 if self.mechanism == "chain8" else 1e-7
         return default if self.allowed is None else self.allowed
 
@@ -126,7 +126,7 @@ def _directions(rng: np.random.Generator, links: int) -> Array:
 
 
 def _inertias(z: Array, axes: Rotation) -> Array:
-    """Of boxes of 2 kg and about 0.3 m × 0.2 m × 0.1 m, turned."""
+    """Inertias of boxes of 2 kg and about 0.3 m × 0.2 m × 0.1 m, turned."""
     edges = np.array((0.3, 0.2, 0.1)) * np.exp(0.1 * z[..., 1:4])
     squares = edges**2
     moments = 2.0 / 12.0 * (squares.sum(axis=-1, keepdims=True) - squares)

@@ -23,7 +23,7 @@ def rate(entry: dict[str, Any]) -> float:
 
 
 def is_right(entry: dict[str, Any]) -> bool:
-    """Whether it ran, to the motion that all have."""
+    """Return whether the peer ran and reproduced the common motion."""
     return "failed" not in entry and entry["error_m"] <= entry["allowed_m"]
 
 

@@ -56,7 +56,7 @@ def run(form: str, omega0: np.ndarray, accuracy: float, threads: int) -> Callabl
 
 
 def _simulation(bodies: int, dt: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """From initial velocities to the final angles and velocities in the joint's frame."""
+    """Integrate from initial velocities to the final angles and velocities in the joint's frame."""
     from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
     from pydrake.multibody.plant import MultibodyPlant
     from pydrake.multibody.tree import BallRpyJoint, FixedOffsetFrame, SpatialInertia, UnitInertia

@@ -135,7 +135,7 @@ def general_final(state) -> Final:
 
 
 def rk4_step(rates, state, h):
-    """On a tuple of components; += spares NumPy temporaries."""
+    """One step on a tuple of components; += avoids temporary arrays."""
     k1 = rates(*state)
     k2 = rates(*_axpy(h / 2, k1, state))
     k3 = rates(*_axpy(h / 2, k2, state))

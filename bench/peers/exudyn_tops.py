@@ -134,7 +134,7 @@ def _jointed(system, omega: np.ndarray) -> None:
 
 
 def _rotate(vector: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """By the rotation vectors (n, 3)."""
+    """Rotate by the rotation vectors (n, 3)."""
     angle = np.linalg.norm(vector, axis=1)[:, None]
     once = np.cross(vector, by)
     sine, half = np.sinc(angle / np.pi), np.sinc(angle / 2 / np.pi)

@@ -108,7 +108,7 @@ def busy(tried: np.ndarray) -> float:
 
 
 def _prepared(form: str, omega0: np.ndarray, accuracy: float, threads: int):
-    """What integrates to a summary, and the body's axes seen from the principal ones."""
+    """Function that integrates to a summary, and the body's axes relative to the principal ones."""
     words = form.split("-")
     name = next((word for word in words if word in JOINTS), "spherical")
     turn = TURN if "tilted" in words else np.eye(3)  # the body's axes, seen from the principal ones

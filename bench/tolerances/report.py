@@ -69,7 +69,7 @@ def _least(entries: dict[str, Any], target: str) -> float | None:
 
 
 def busy_lanes(run: dict[str, Any]) -> list[str]:
-    """Of each adaptive method, at each error."""
+    """Share of busy lanes of each adaptive method, at each error."""
     return [
         f"{e['label']} " + ", ".join(f"{e[t]['busy']:.1%}" for t in TARGETS if "busy" in e[t])
         for e in run["entries"].values()

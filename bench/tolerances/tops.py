@@ -31,7 +31,7 @@ class Errors(NamedTuple):
 
 
 def errors(batch: str, final: Final) -> Errors:
-    """Of the first COUNT tops."""
+    """Errors of the first COUNT tops."""
     with np.load(REFERENCE) as stored:
         centre = stored[batch]
     off = np.linalg.norm(final.centre[:COUNT] - centre, axis=1)

@@ -145,7 +145,7 @@ def test_bits_of_output_and_events_do_not_depend_on_neighbours():
 
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
-    """What takes more steps than it may; the others end as they would."""
+    """A trajectory that exceeds max_steps does not change how others end."""
     steps = whole.summary["steps"].to_numpy()
     tried = steps + whole.summary["rejected"].to_numpy()
     most = int(np.median(tried))
@@ -223,7 +223,7 @@ def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without()
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
 def test_marks_of_functions_that_raise_are_of_ends_alone(monkeypatch):
-    """What memory held before is no exception: calls end while trajectories are on their way."""
+    """Stale memory is no exception: calls end while trajectories are under way."""
 
     @lierb.wrench
     def damping(t, R, r, omega, v, params):

@@ -1,4 +1,4 @@
-"""What tolerances are tested against is true itself."""
+"""The reference solutions of the tests of tolerances are checked themselves."""
 
 import json
 

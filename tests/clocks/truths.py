@@ -74,7 +74,7 @@ def turned(xi) -> np.ndarray:
 
 
 class State(NamedTuple):
-    """Where a body is: R, r in the ground frame, ω and v in body axes."""
+    """State of a body: R, r in the ground frame, ω and v in body axes."""
 
     rotation: np.ndarray  # (3, 3)
     position: np.ndarray  # (3,) m
@@ -115,7 +115,7 @@ def problem_of(name: str):
 
 
 def distance(found: State, true: State) -> float:
-    """How far a state is from the truth, in the norm that steps are chosen by.
+    """Error of a state, in the norm of the step-size control.
 
     The largest of: the angle between the rotations, rad; ‖Δ‖/‖true‖ of position, ω and v.
     """

@@ -49,7 +49,7 @@ def test_who_collects_no_garbage_is_not_made_to(collecting):
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_work_is_done_here_where_no_thread_is_to_be_had(collecting, monkeypatch, fails):
-    """As in a handler of atexit, or beyond a limit of the system's."""
+    """Compilation in a handler of atexit, or beyond a limit of threads."""
 
     def none_left(thread):
         raise RuntimeError("can't start new thread")

@@ -67,7 +67,7 @@ def in_python(name, a, b):
 
 
 def holds(found) -> bool:
-    """Whether 64 bits hold it."""
+    """Return whether 64 bits are enough."""
     members = found if isinstance(found, tuple) else (found,)
     return all(isinstance(x, float) or (x is not None and -MOST - 1 <= x <= MOST) for x in members)
 

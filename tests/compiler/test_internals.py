@@ -1,4 +1,4 @@
-"""What lierb relies on of Numba's private parts: a test for each, which fails where one changes."""
+"""Private parts of Numba on which lierb relies: a test of each fails if the part changes."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_a_compiler_replaces_operators_and_calls_that_give_integers():
 
 
 def computed(emit, *given):
-    """What compiled code returns that `emit(context, builder, values)` has emitted."""
+    """Result of compiled code that `emit(context, builder, values)` has emitted."""
 
     @intrinsic
     def emitted(context, values):
@@ -284,7 +284,7 @@ def _inverted(tag, x, out):
 
 @dataclass(frozen=True)
 class Anything(Tag):
-    """Of code that asks its tag for nothing."""
+    """Tag that the code does not use."""
 
 
 @numba.njit(**OPTIONS)
@@ -405,7 +405,7 @@ def test_locators_choose_folders(monkeypatch, tmp_path):
 
 
 def _look(found=[]):  # noqa: B006
-    """Whether another thread could compile now."""
+    """Return whether another thread can compile now."""
 
     def look():
         found.append(internals.COMPILER_LOCK.acquire(blocking=False))

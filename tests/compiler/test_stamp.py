@@ -124,7 +124,7 @@ MADE_OF = {"lierb.steps", "lierb.steps.driver", "lierb.steps.deep", "lierb.steps
 
 @pytest.fixture
 def package(monkeypatch):
-    """What PACKAGE, edited, is made of."""
+    """Function that returns the modules of which PACKAGE, edited, is made."""
     monkeypatch.setattr(stamp, "_trees", {})
     monkeypatch.setattr(stamp, "_remember", lambda: None)
 

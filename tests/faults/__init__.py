@@ -1,1 +1,1 @@
-"""What is broken on purpose, and what must hold then: `python -m faults` from tests/."""
+"""Fault campaign, its injected faults and requirements: `python -m faults` from tests/."""

@@ -574,7 +574,7 @@ def _steps(given: dict[str, Any]) -> float:
 
 
 def _is_of_another_plan(given: dict[str, Any]) -> bool:
-    """Whether something else is recorded: a plan of its own."""
+    """Return whether other columns are recorded, which needs a plan of its own."""
     record = given.get("record", ())
     if not isinstance(record, Collection):  # none of VALUES that runs over names
         return False
@@ -618,7 +618,7 @@ def campaign(count: int, seed: int) -> Counter[str]:
 
 
 def _arguments(rng: random.Random, call: Call) -> tuple[dict[str, Any], bool]:
-    """Those of a call, one or two of them hostile, and whether one is misnamed or missing."""
+    """Arguments of a call, one or two of them hostile, and whether one is misnamed or missing."""
     given = {n: v for n, v in call.sane.items() if n in call.required or rng.random() < 0.5}
     chosen = rng.sample(list(call.sane), min(len(call.sane), rng.choice((1, 1, 1, 2))))
     for name in chosen:

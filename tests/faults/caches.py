@@ -75,7 +75,7 @@ class Cache:
         self.states.mkdir(parents=True)
 
     def clear(self, state: str | None = None) -> None:
-        """As it was when it was kept under that name, or empty."""
+        """Restore the cache folder stored under that name, or empty it."""
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
         if state is not None:

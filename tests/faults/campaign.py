@@ -86,7 +86,7 @@ KINDS: dict[str, Kind] = {
 
 @dataclass
 class Count:
-    """What the trials of a kind came to.
+    """Outcomes of the trials of a kind.
 
     seconds, cpu : on the clock, and of the processor, children included, in s.
     """
@@ -135,7 +135,7 @@ def run(
 
 
 def table(counts: dict[str, Count]) -> str:
-    """In Markdown."""
+    """Report in Markdown."""
     lines = ["| | what is broken | tried | outcomes | violations |", "|---|---|--:|---|--:|"]
     for name, count in counts.items():
         outcomes = ", ".join(f"{n:,} {outcome}" for outcome, n in count.outcomes.most_common())
@@ -147,7 +147,7 @@ def table(counts: dict[str, Count]) -> str:
 
 
 def shortened(violation: str) -> str:
-    """Without the middle of a long traceback."""
+    """Traceback without the middle, if it is long."""
     lines = violation.splitlines()
     return "\n".join(lines if len(lines) < 15 else [*lines[:3], "  ...", *lines[-10:]])
 

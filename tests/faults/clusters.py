@@ -45,7 +45,7 @@ class ClusterKills:
         self.address = self.host.ask()
 
     def _run(self) -> None:
-        """In a child."""
+        """Run in a child process."""
         with client_of(self.address) as client:
             client.wait_for_workers(WORKERS, timeout=SECONDS)
             lierb.run(self.space.file(STUDY), self.space.out, client=client)
@@ -96,7 +96,7 @@ _armed: list[Points] = []
 
 
 def arm(folder: Path, at: int | None, end: str) -> None:
-    """In a worker: it dies at this point, counted from here."""
+    """Let the worker die at this point, counted from here."""
     if not _armed:
         _armed.append(Points(folder))
     (points,) = _armed

@@ -108,7 +108,7 @@ class Child:
 
 
 def in_child(work: Callable[[], Any]) -> Any:
-    """What work() returns, called in a child of its own."""
+    """Result of work(), called in a child process."""
     child = Child(lambda _: work())
     try:
         value = child.ask()
@@ -119,7 +119,7 @@ def in_child(work: Callable[[], Any]) -> Any:
 
 
 def killed_in_child(work: Callable[[], Any]) -> bool:
-    """Whether a child that does work() is killed meanwhile, which is to be expected."""
+    """Return whether a child is killed during work(), as it should be."""
     try:
         in_child(work)
     except Died as died:
@@ -131,7 +131,7 @@ def killed_in_child(work: Callable[[], Any]) -> bool:
 
 @contextmanager
 def told_with(what: str) -> Iterator[None]:
-    """What fails here is told with its input."""
+    """Report a failure with its input."""
     try:
         yield
     except AssertionError as error:
@@ -155,7 +155,7 @@ class Serving:
         self.asked = 0
 
     def answer(self, request: Any) -> Any:
-        """In the child."""
+        """Run in the child process."""
         raise NotImplementedError
 
     def ask(self, request: Any) -> Any:
@@ -238,7 +238,7 @@ class Points:
         return written
 
     def write(self, call: Callable, handle: int, content: Any) -> int:
-        """In two halves, with a point before each."""
+        """Write in two halves, with a crash point before each."""
         if not self._is_ours(handle):
             return call(handle, content)
         status = os.fstat(handle)
@@ -324,7 +324,7 @@ def torn(points: Points, call: str, path: str) -> None:
 
 
 def _unsynced(points: Points) -> Iterator[Path]:
-    """By whatever names they have now."""
+    """Files by their current names."""
     for file in Path(points.folder).rglob("*"):
         status = file.lstat()
         if (status.st_dev, status.st_ino) in points.unsynced:

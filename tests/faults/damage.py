@@ -130,7 +130,7 @@ class DamagedFolders(Serving):
             self.shown[study] = in_child(partial(command, "show", self.space.out)).output
 
     def damage(self, study: str, rng: random.Random) -> str:
-        """Of `out`; what was done."""
+        """Damage `out`; return a description."""
         raise NotImplementedError
 
     def trial(self, number: int, rng: random.Random) -> str:

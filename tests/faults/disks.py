@@ -94,7 +94,7 @@ def whys(at: int) -> list[str]:
 
 
 def refuse(folder: Path, at: int, why: str) -> None:
-    """In a child, from now on."""
+    """Install the fault in a child process."""
     if why == LIMIT:
         resource.setrlimit(resource.RLIMIT_FSIZE, (at, at))
     else:

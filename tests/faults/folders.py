@@ -46,7 +46,7 @@ LONG_AGO = 10**18  # ns
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: its exit status, what it printed, what was raised if not that."""
+    """End of a command: its exit status, its output, and an exception if there was one."""
 
     status: int
     output: str
@@ -92,7 +92,7 @@ class Space:
         return "run", self.file(study), "--out", self.out, "--threads", 1, "--resume"
 
     def run(self, study: str) -> Ended:
-        """In this process, which is a child."""
+        """Run in this process, which is a child."""
         return command(*self.arguments(study))
 
     def whole(self, study: str) -> Path:
@@ -140,7 +140,7 @@ class Space:
         assert not different, f"other bytes than without the fault: {different}"
 
     def _says_the_same(self, study: str) -> bool:
-        """Whether study.toml is the study in other words, as without its comments."""
+        """Return whether study.toml is the same study in another form, without comments, say."""
         files = (folder / "study.toml" for folder in (self.out, self.whole(study)))
         found, expected = (Study.load(file).digest() for file in files)
         return found == expected
@@ -166,5 +166,5 @@ class Space:
 
 
 def own_hashes(folder: Path) -> dict[str, str]:
-    """Of lierb's files."""
+    """Hashes of lierb's files."""
     return {name: digest for name, digest in hashes(folder).items() if name not in DECOYS}

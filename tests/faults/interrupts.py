@@ -28,7 +28,7 @@ WAYS = {
 
 
 class Alarm(Exception):
-    """Of the handler of SIGALRM."""
+    """Exception of the handler of SIGALRM."""
 
 
 class Interrupts(Alone):
@@ -66,7 +66,7 @@ class Interrupts(Alone):
             return in_child(interrupted)
 
     def _whole(self, way: str, name: str, before: list[str], work: Callable[[], Any]) -> float:
-        """How long the call takes that is not interrupted, in s."""
+        """Duration of the call without interruption, in s."""
         key = f"{name} {bool(before)}" if way != "integrate" else way
 
         def timed() -> float:
@@ -82,7 +82,7 @@ class Interrupts(Alone):
 
 
 def _sent(work: Callable[[], Any], way: str, times: list[float]) -> str:
-    """How work() ends that is sent signals at these times, in s."""
+    """Outcome of work() with signals at these times, in s."""
     number = signal.SIGALRM if way == "alarm" else signal.SIGINT
 
     def ring(*_: Any) -> None:
@@ -108,7 +108,7 @@ def _sent(work: Callable[[], Any], way: str, times: list[float]) -> str:
 
 
 def _ring(number: int, times: list[float]) -> None:
-    """In a child: send its parent these signals."""
+    """Send the parent these signals, from a child process."""
     began = time.perf_counter()
     for seconds in times:
         time.sleep(max(0.0, began + seconds - time.perf_counter()))

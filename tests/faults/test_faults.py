@@ -31,7 +31,7 @@ PROCESSES = ("interrupts", "cache", "cache disk", "cache files")
 
 
 def run(out: Path, *arguments: object) -> dict[str, dict]:
-    """What `python -m faults` has counted, kind by kind."""
+    """Counts of `python -m faults`, kind by kind."""
     done = subprocess.run(
         [sys.executable, "-m", "faults", *map(str, arguments), "--out", str(out)],
         cwd=TESTS, capture_output=True, text=True, check=False,

@@ -93,7 +93,7 @@ def body():
 
 
 def seen():
-    """How it moves."""
+    """Motion of the body."""
     return Seen((tuple(np.eye(3).ravel()), PLACE), (*map(float, OMEGA), *V))
 
 

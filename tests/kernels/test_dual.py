@@ -27,7 +27,7 @@ def matrix(x):
 
 
 def mp_solution(x, row):
-    """Of matrix(x) y = (x, 1, 2)."""
+    """Solution of matrix(x) y = (x, 1, 2)."""
     return mp.lu_solve(mp.matrix(matrix(x)), mp.matrix([x, 1, 2]))[row]
 
 

@@ -231,7 +231,7 @@ def go_through_all(before_each):
 
 
 def mapped(x, leaf):
-    """The same with each number replaced, in tuples, lists, arrays that runs keep, and objects."""
+    """Replace each number, in tuples, lists, arrays that runs keep, and objects."""
     if isinstance(x, float):
         return leaf(x)
     if isinstance(x, tuple):
@@ -257,7 +257,7 @@ def mapped(x, leaf):
 
 
 def is_batch(x):
-    """Whether it is a number of many bodies, outside of runs: the first one's will do."""
+    """Return whether this is a number of many bodies, outside of runs: the first one is taken."""
     return isinstance(x, np.ndarray) and x.dtype == float and x.ndim < 2 and x.size > 0
 
 
@@ -268,7 +268,7 @@ def is_own(x):
 
 
 def shape_of(x):
-    """What a formula is given but for the numbers: its kinds of rows, elements, zeros."""
+    """Structure of a formula's arguments without the numbers: kinds of rows, elements, zeros."""
     if isinstance(x, (tuple, list)):
         return type(x), tuple(map(shape_of, x))
     if isinstance(x, dict):
@@ -309,7 +309,7 @@ def few(kinds):
 
 
 def beside(given, zeros):
-    """The same a little off, away from where rounding decides; `zeros` in place of zeros."""
+    """Perturb arguments, away from branches decided by rounding; `zeros` in place of zeros."""
     rng = np.random.default_rng(1)
     return mapped(given, lambda x: float((x or zeros) * (1.0 + 1e-3 * rng.uniform(0.5, 1.0))))
 
@@ -452,7 +452,7 @@ NAMES = [name for name in FUNCTIONS if name not in LOOPS] if config.DISABLE_JIT 
 
 @cache
 def points(name):
-    """Where a formula is differentiated: beside all its samples, zeros kept and not."""
+    """Points of differentiation: near all samples of a formula, with and without its zeros."""
     samples = [given for given in recorded().get(name, ()) if directions(given)]
     return [beside(given, zeros) for given in samples for zeros in (0.0, 1e-3)]
 

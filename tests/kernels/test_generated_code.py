@@ -57,7 +57,7 @@ def innermost_loops(assembly: str) -> list[list[str]]:
 # Each is compiled here, whatever the disk cache has.
 @pytest.fixture(scope="module", params=slow_but(PLANS, "spherical", "saddle_so3xr3"))
 def hot_loop(request) -> SimpleNamespace:
-    """How often each operation occurs in the loop over steps, and the FMAs to expect there."""
+    """Counts of each operation in the loop over steps, and the expected number of FMAs."""
     joint, cspace, solver, expected = PLANS[request.param]
     method = TABLEAUS["RK4"]
     plan = plan_of(

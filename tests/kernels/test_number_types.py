@@ -1,4 +1,4 @@
-"""The same bits on every number of lanes, beside any neighbours, in the user's own @njit code."""
+"""Equal bits on any number of lanes, beside any neighbours, and in users' @njit code."""
 
 import os
 import pickle
@@ -238,7 +238,7 @@ def squared(x):
 
 
 def second_square(pair, y):
-    """What the second formula sees of what the first one gave."""
+    """Input of the second formula, from the first one."""
     kinds = type(pair) is Pair and type(pair.first) is Dual
     found = pair.first * y + pair.second[0]
     return (found.value, found.parts[0], 1.0 if kinds and found.parts[1] is ZERO else 0.0)
@@ -265,7 +265,7 @@ rarely_needed = apart(2)(long_one)
 
 
 def here_and_there(x, y):
-    """The same numbers with and without a call, and such as are rounded otherwise."""
+    """Equal numbers with and without a call, and others that round differently."""
     product, root = rarely_needed(x, y)
     with rounded_as_numpy(x):
         rounded = rarely_needed(x, y)[0]

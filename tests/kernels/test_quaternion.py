@@ -49,7 +49,7 @@ def test_compose_exp_sweep():
 
 
 def test_small_steps_leave_the_length_alone():
-    """From the same p, one at a time: nothing but the last sums' rounding, half an ulp each."""
+    """Steps from one p differ by the rounding of the last sums, half an ulp each."""
     p, r = charts()
     X = twists(np.full(len(sweep("se3")), 1e-3), 6)
     moved, _ = quaternion.compose_exp((p, r), unpacked("se3", "x", 0.5 * X))

@@ -22,7 +22,7 @@ def adjoint(R, p):
 
 
 def matrix_of(rigid):
-    """Of M V, from the definition: the momentum of a body about a frame's origin."""
+    """Matrix M of the momentum M V about a frame's origin, from the definition."""
     c = hat(rigid.moment)
     return np.block([[np.reshape(rigid.inertia, (3, 3)), c], [-c, rigid.mass * np.eye(3)]])
 

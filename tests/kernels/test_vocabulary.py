@@ -1,4 +1,4 @@
-"""What functions of the user's may call: on plain arrays of any batch shape, and where they are
+"""Vocabulary of users' functions: on plain arrays of any batch shape, and where they are
 traced or compiled by Numba, on special values, against NumPy.
 """
 

@@ -55,7 +55,7 @@ def _body(mass: float, moments) -> lierb.Body:
 
 
 def _flat(mass: float, inertia: float) -> lierb.Body:
-    """Of a plane mechanism: moments about axes in the plane do not matter."""
+    """Inertia of a planar mechanism's body: moments about axes in the plane do not matter."""
     return _body(mass, (0.6 * inertia, 0.6 * inertia, inertia))
 
 

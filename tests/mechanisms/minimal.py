@@ -178,7 +178,7 @@ class Chain:
         return np.concatenate([q, w])
 
     def links(self, y: np.ndarray) -> "list[LinkState]":
-        """Of every body, with its frame at the centre of mass, turned by `turns @ q`."""
+        """State of every body, with its frame at the centre of mass, turned by `turns @ q`."""
         q, w = y[: self.size], y[self.size :]
         found, flat = [], lambda z: np.array([z.real, z.imag, 0], REAL)
         for body in self.bodies:

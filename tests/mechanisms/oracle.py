@@ -121,7 +121,7 @@ class Moving(NamedTuple):
         return Moving(*(a + b for a, b in zip(self, other, strict=True)))
 
     def times(self, factor: np.ndarray) -> "Moving":
-        """Of a number, times a constant one, (n,)."""
+        """Product of a number and a constant one, (n,)."""
         scaled = (x * factor for x in (self.value, self.rate, self.bias))
         value, rate, bias = scaled
         return Moving(value, rate, self.jacobian * factor[:, None], bias)
@@ -287,7 +287,7 @@ def quaternion_of(R: np.ndarray) -> np.ndarray:
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of quaternions (…, 4)."""
+    """Product of quaternions (…, 4)."""
     scalar = a[..., :1] * b[..., :1] - np.sum(a[..., 1:] * b[..., 1:], -1, keepdims=True)
     vector = a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + cross(a[..., 1:], b[..., 1:])
     return np.concatenate([scalar, vector], -1)
@@ -340,7 +340,7 @@ class System:
         return np.sum(singular_values > RANK_TOLERANCE * singular_values[:, :1], -1)
 
     def learn_rank(self, state: np.ndarray) -> None:
-        """From here on the rank of the rows is that of this state, which closes all joints."""
+        """Fix the rank of the rows at this state, which closes all joints."""
         placed = self._placed(state)
         A = self.conditions(placed)[0].jacobian @ self.whitened(placed)
         if A.shape[1]:
@@ -349,7 +349,7 @@ class System:
     # -- states
 
     def state(self, poses: np.ndarray, twists: np.ndarray) -> np.ndarray:
-        """Of poses (n, links, 4, 4) and body-fixed twists (n, links, 6)."""
+        """State of poses (n, links, 4, 4) and body-fixed twists (n, links, 6)."""
         R = poses[..., :3, :3]
         turned = lambda v: np.einsum("nlij,nlj->nli", R, v)
         x = poses[..., :3, 3] + turned(self.com)

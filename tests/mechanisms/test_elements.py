@@ -1,4 +1,4 @@
-"""What acts between links: functions of the user's against lierb's own forces and joints."""
+"""Elements between links: users' functions against lierb's own forces and joints."""
 
 from dataclasses import replace
 

@@ -91,7 +91,7 @@ def energies(angles: Sequence[mpf], masses: Sequence[float]) -> tuple[mpmath.mat
 
 
 def accelerations(masses: Sequence[float]) -> mpmath.matrix:
-    """Of both angles: d/dt ∂L/∂q̇ = ∂L/∂q, derivatives of M and U by differences of 1e-17 rad."""
+    """Accelerations from d/dt ∂L/∂q̇ = ∂L/∂q, with differences of 1e-17 rad for M and U."""
     w, step, slopes = mpmath.matrix([mpf(x) for x in RATES]), mpf(10) ** -17, []
     for k in range(2):
         ends = []

@@ -279,7 +279,7 @@ def test_c04_flights_shorter_than_a_step_end_on_the_floor(method, dt):
 
 
 def test_c04_bounces_go_on_below_a_step():
-    """From 10 m, e = 0.8, dt = 0.01 s: bounce 27 is the first within a step of the one before."""
+    """Drop from 10 m, e = 0.8, dt = 0.01 s: bounce 27 is the first within a step of the last."""
     landing = height(0.0, "landing", direction=-1, terminal=True)
     problem, start = thrown([10.0], [0.0], events=[landing, NEVER])
     first, speed = np.sqrt(2.0 * 10.0 / G), np.sqrt(2.0 * 10.0 * G)

@@ -26,7 +26,7 @@ from public_cases.shared import (
 
 
 def slider_at(angle) -> tuple:
-    """Of the slider-crank, by the crank's angle: x, dx/dφ, d²x/dφ², and M, dM/dφ of ½ M ω².
+    """Slider-crank by the crank's angle: x, dx/dφ, d²x/dφ², and M, dM/dφ of ½ M ω².
 
     sin ψ = −(r/l) sin φ for the rod's angle ψ; x = r cos φ + l cos ψ.
     """

@@ -1,4 +1,4 @@
-"""What is refused, and how: who is at fault is named. Beside it, what is asked for instead."""
+"""Refusals, with the cause that each message names, and the correct call beside it."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_c27_a_counted_angle_winds_a_spring_by_many_turns():
 
 
 def test_c29b_motor_of_given_speed_on_a_slide_is_refused():
-    """By definition: a joint that does not turn about an axis has no speed about it."""
+    """A joint that does not turn about an axis has no speed about it, by definition."""
     cart = lierb.Link("cart", lierb.Body(1.0, (0.1, 0.1, 0.1)), lierb.joints.prismatic())
     with pytest.raises(lierb.errors.LierbError, match="motor"):
         lierb.Mechanism(cart, forces=lierb.forces.motor(speed=1.0).on("cart"))
