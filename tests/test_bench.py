@@ -137,10 +137,10 @@ def test_the_readme_shows_the_stored_run_with_cpp(label, names):
 
 
 OWN = {
-    "from the start of a process to its first result, kernel on the disk": (
+    "start of a process to its first result, kernel on the disk": (
         "first_result[warm]", 1,
     ),
-    "the same, kernel compiled first": ("first_result[cold]", 1),
+    "start of a process to its first result, kernel compiled": ("first_result[cold]", 1),
     "one call with one body and ten steps": ("one_body_ten_steps[None]", 1e-3),
     "memory beside inputs and outputs, 10⁴ bodies": ("growth[10000-False]", "growth_MB"),
     "memory beside inputs and outputs, 4·10⁵ bodies": ("growth[400000-False]", "growth_MB"),
