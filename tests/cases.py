@@ -102,7 +102,7 @@ def top() -> tuple[lierb.Problem, np.ndarray]:
 
 
 def integrate(problem: lierb.Problem, **options) -> lierb.Result:
-    """`lierb.integrate`, recording RECORD, at the ends unless told otherwise.
+    """`lierb.integrate`, recording RECORD, at the ends by default.
 
     A record, like a method, has kernels of its own, and compiling is what the tests take time for:
     those that run over the joints ask for the same one.

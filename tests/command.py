@@ -9,7 +9,7 @@ from click.testing import CliRunner, Result
 
 from lierb.cli import cli
 
-# What keeps the two outputs apart before click 8.2, which does so unasked and has no such option.
+# This option separates the two outputs before click 8.2, which always separates them.
 APART = {"mix_stderr": False} if "mix_stderr" in inspect.signature(CliRunner).parameters else {}
 
 

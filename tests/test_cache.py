@@ -151,7 +151,7 @@ def copy(tmp_path):
 
 @pytest.fixture(scope="module")
 def fallen_once(tmp_path_factory):
-    """A copy in whose cache is the free fall, that cache again, and what the run told."""
+    """Copy whose cache has the free fall, a copy of that cache, and the output of the run."""
     copy = Copy(tmp_path_factory.mktemp("fallen") / "copy")
     told = copy.run()
     kept = shutil.copytree(copy.folder / "cache", copy.folder.parent / "cache")

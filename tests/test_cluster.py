@@ -277,7 +277,7 @@ with cluster.client_of(sys.argv[1]) as client:
 @pytest.mark.slow
 @pytest.mark.parametrize("sign", long_but([signal.SIGKILL, signal.SIGSTOP], signal.SIGSTOP))
 def test_a_scheduler_that_dies_or_falls_silent_is_told_in_one_sentence(sign, tmp_path):
-    """And in nothing else: distributed's logs and its tasks that nobody awaits are kept quiet."""
+    """No other output: distributed's logs and its unawaited tasks are suppressed."""
     (tmp_path / "started.py").write_text(STARTED)
     scheduler = subprocess.Popen(
         [sys.executable, str(tmp_path / "started.py"), str(tmp_path / "address")],

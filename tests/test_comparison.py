@@ -1,4 +1,4 @@
-"""Methods side by side: errors, orders, work, what is believed, and how it is told."""
+"""Comparison of methods: errors, orders, work, floors, and their output."""
 
 from __future__ import annotations
 
@@ -422,7 +422,7 @@ def test_convergence_refuses_a_reference_of_another_batch(exact, poses, twists_a
         lierb.convergence(box_top(), "RK4", DTS, twist0=twists(), t_end=T_END, reference=given)
 
 
-# ---- how it is told ----------------------------------------------------------------------------
+# ---- output ------------------------------------------------------------------------------------
 
 
 def test_markdown_has_a_row_for_each_run_and_method(found):

@@ -341,7 +341,7 @@ VALUES = [None, True, -1, 0, 2**70, 1e400, "", "../x", "\ud800", [], {}, [{}], "
 
 
 def edited(content: bytes, rng: random.Random) -> bytes:
-    """JSON in which somebody has changed, deleted or added a value."""
+    """JSON in which a value is changed, deleted or added."""
     whole = place = json.loads(content)
     while True:
         key = rng.choice(list(place))

@@ -66,7 +66,7 @@ def test_an_energy_that_overflows_is_a_failure():
 
 @pytest.mark.parametrize("options", FORMS, ids=str)
 def test_a_step_turns_by_a_number_of_radians_or_fails(options):
-    """About an axis, at a constant rate: right to the digits that such an angle has, or told."""
+    """Turns about an axis at a constant rate are right to the digits of their angle, or fail."""
     held = lierb.joints.revolute()
     problem = lierb.Problem(lierb.Body(2.0, (0.5, 0.5, 0.5)), held)
     angles = np.concatenate(

@@ -115,7 +115,7 @@ class TestCommands:
             assert text in result.stdout
 
     def test_info_as_json_is_info(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # where nobody else writes
+        monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))  # a folder of this test only
         result = invoke("info", "--json")
         assert json.loads(result.stdout) == lierb.info()
 

@@ -206,7 +206,7 @@ def test_parent_frames_are_ground_frames_by_another_name():
 
 
 def fourbar(l1=0.3, l2=0.8, l3=0.6, base=0.9, loop="revolute", turn=(0.0, 0.0, 0.0), speed=None):
-    """Crank, rod and rocker in a plane that is turned anyhow; bars along e₁, joints about e₃."""
+    """Crank, rod and rocker in a general plane; bars along e₁, joints about e₃."""
     tilt = frame(turn, (0.5, -2.0, 1.0))
 
     def at(x):

@@ -68,7 +68,7 @@ def terminal_in(monkeypatch):
 
 @pytest.fixture
 def call_by_call(monkeypatch):
-    """A call of the driver for every step, each of which is told."""
+    """Let the driver make a call for every step, each of which is reported."""
     monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)
     monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
     monkeypatch.setattr(progress, "NOTEBOOK_SECONDS", 0.0)

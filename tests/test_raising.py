@@ -221,7 +221,7 @@ def test_a_run_that_starts_late_asks_nothing_of_earlier_times():
 
 
 def test_a_reaction_that_cannot_be_told_at_the_end_is_a_failure():
-    """At other times the next step fails, with and without a recorded reaction."""
+    """The next step fails at other times, with and without a recorded reaction."""
     with pytest.warns(FailedTrajectoryWarning, match=r"trajectory 1, raised at t = 0\.5 s: touchy"):
         result = held(0.5, kind=[CALM, CONSTANT])
     assert statuses(result) == ["ok", "raised"]
@@ -238,7 +238,7 @@ def test_a_reaction_that_cannot_be_told_at_the_end_is_a_failure():
 
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_a_call_may_end_between_a_reaction_and_the_step_that_fails(one_step_a_call):
-    """The reaction at 0.5 s, of the call before, makes the step fail, and is told once."""
+    """The reaction at 0.5 s, of the call before, makes the step fail, and is reported once."""
     result = held(1.0, kind=[CALM, CONSTANT])
     assert len(one_step_a_call) == 8
     assert column(result.summary, "t").tolist() == [1.0, 0.625]

@@ -45,7 +45,7 @@ def bits(summary) -> np.ndarray:
 
 
 def lively(name: str):
-    """A batch that is slow, quick, and so quick that its steps are no gentle ones."""
+    """Batch of slow bodies, fast ones, and ones too fast for small-angle steps."""
     problem, twist = tilted(name)
     return problem, np.outer((0.02, 1.0, 4.0), twist)
 

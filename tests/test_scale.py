@@ -1,4 +1,4 @@
-"""Units of length, mass and time are nobody's business: the same verdicts, the same numbers.
+"""Units of length, mass and time change neither verdicts nor numbers.
 
 Scales are powers of two, so that what is scaled is exactly the same problem: only what compares a
 number with one that does not scale along can tell the difference.

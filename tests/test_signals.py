@@ -1,4 +1,4 @@
-"""Events, extra states and controllers as problems have them; what is wrong with them is told."""
+"""Events, extra states and controllers of problems, and the errors of wrong ones."""
 
 from __future__ import annotations
 

@@ -308,7 +308,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_bytes(sent, long_whole, tmp_p
     require_going_on(tmp_path, long_whole)
 
 
-# ---- what is told ------------------------------------------------------------------------------
+# ---- output ------------------------------------------------------------------------------------
 
 
 def test_percentiles_are_those_of_the_rows(whole):

@@ -438,7 +438,7 @@ def test_measured_states_violate_what_they_shall(name):
 @pytest.mark.parametrize("cspace", tiered(["SE3", "SO3xR3"], ["SE3"], []))
 def test_orthogonality_error_follows_from_the_recorded_rotation(cspace):
     problem, given = violated("screw", cspace)
-    # rotations stretched by what still passes for rounding of whoever made them
+    # rotations stretched by an amount that still passes for rounding
     given["pose0"][:, :3, :3] *= 1 + 5e-11 * np.arange(1, COUNT + 1)[:, None, None]
     table = run(problem, **given, cspace=cspace, save_every=3, record=RECORD).history
     R = by_body(table, "rotation").reshape(-1, COUNT, 3, 3)
@@ -750,7 +750,7 @@ def test_metadata_is_enough_to_run_again():
 def test_metadata_options_are_accepted_again(top):
     problem, twists = top
     told = provenance(run(problem, twists, save_every=5, record="energy").summary)
-    # the solver told is the one that was found to fit, not the one asked for
+    # the recorded solver is the one used, not the requested one
     options = {name: value for name, value in told["options"].items() if name != "solver"}
     again = lierb.integrate(problem, twist0=twists, **options)
     assert provenance(again.summary) == told

@@ -35,7 +35,7 @@ def config() -> dict[str, object]:
 
 
 def mechanism_of(tree: Tree) -> lierb.Mechanism:
-    """Body frames are the tree's `bodies`: away from the joints, and turned anyhow."""
+    """Body frames are the tree's `bodies`: away from the joints, in general orientations."""
     links = []
     for k, parent in enumerate(tree.parents):
         back = np.linalg.inv(tree.bodies[:, k])

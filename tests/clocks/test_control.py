@@ -416,7 +416,7 @@ def test_draws_do_not_know_of_each_other(drawn):
         assert abs((a * b).mean()) < 5 * scale / np.sqrt(a.size), name
 
 
-# ---- what is told ------------------------------------------------------------------------------
+# ---- errors and warnings -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("made", "match"), [

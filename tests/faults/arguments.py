@@ -562,7 +562,7 @@ def _compared(problem: Any) -> Any:
 
 
 def _steps(given: dict[str, Any]) -> float:
-    """0 where lierb refuses the times anyhow."""
+    """0 if lierb refuses the times."""
     dt, t_end, t0 = (given.get(name, 0.0) for name in ("dt", "t_end", "t0"))
     if not all(isinstance(x, (int, float, np.integer, np.floating)) for x in (dt, t_end, t0)):
         return 0.0

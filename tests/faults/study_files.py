@@ -1,4 +1,4 @@
-"""Study files that somebody got wrong, or meant badly: a study each, or a StudyError saying why."""
+"""Wrong and hostile study files: each is a study, or a StudyError with the reason."""
 
 from __future__ import annotations
 

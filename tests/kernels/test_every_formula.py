@@ -293,7 +293,7 @@ def recorded():
         given = tuple(frame.f_locals[name] for name in arguments)
         kind = shape_of(given)
         if kind not in found[names[code]]:
-            # memory that nobody has written yet may hold anything
+            # uninitialised memory may hold anything
             found[names[code]][kind] = mapped(given, lambda x: 1.0 if abs(x) > 1e9 else x)
 
     sys.setprofile(look)

@@ -118,7 +118,7 @@ TWO = {
     "quotient": lambda x, y: x // y, "rest": lambda x, y: x % y,
     "both": lambda x, y: np.divmod(x, y)[0], "other": lambda x, y: np.divmod(x, y)[1],
 }  # fmt: skip
-# Numba has no such function, and the user is told so.
+# Numba has no such function, and the error says so.
 UNKNOWN_TO_NUMBA = {"fraction", "whole", "heaviside", "clip", "of three"}
 ROUNDINGS = 8 * 2.0**-53  # of C's library, NumPy's own code and lierb's, each within 1.5 ulp
 CANCELLING = {"logaddexp": ROUNDINGS}  # a sum of numbers about 1 that may be smaller itself

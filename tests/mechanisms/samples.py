@@ -141,7 +141,7 @@ class Sample(NamedTuple):
 def random_description(
     rng: np.random.Generator, shape: str, n: int = 4, *, centred: bool = False, forces: bool = False
 ) -> Sample:
-    """n random mechanisms of a shape, tilted anyhow, with full inertias, and how they start.
+    """n random mechanisms of a shape, in general frames, with full inertias, and their starts.
 
     centred : bodies' frames are at their centres of mass, as the c-space SO(3)×R³ wants it.
     forces : with a spring between the first link and the last one, and one about an axis.

@@ -53,7 +53,7 @@ CHAINS = {
 
 
 def _chain(names: tuple[str, ...]) -> lierb.Mechanism:
-    """Links one on another, with full inertias, in frames turned anyhow, that are kept moving."""
+    """Chain of links with full inertias, in general frames, that are kept moving."""
     rng = np.random.default_rng(31)
     links, parent = [], "ground"
     for name in names:

@@ -215,7 +215,7 @@ def test_planar_double_pendulum_moves_as_lagrange_says():
 
 
 def on_the_ground(joint: str) -> samples.Sample:
-    """One body, its centre of mass at its origin, on a joint to the ground, tilted anyhow."""
+    """One body, its centre of mass at its origin, on a joint to the ground, in general frames."""
     SHAPES["one"] = samples.Shape(((joint, None),))
     try:
         return samples.random_description(np.random.default_rng(2), "one", 1, centred=True)
