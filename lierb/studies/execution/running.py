@@ -139,8 +139,6 @@ def run(
         Some trajectories have failed.
     StiffStepWarning
         Fixed steps are too long for a force of `lierb.forces`, as in `lierb.integrate`.
-    StiffStepWarning
-        Fixed steps are too long for a force of `lierb.forces`, as in `lierb.integrate`.
 
     Examples
     --------
