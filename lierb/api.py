@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lierb.errors import (
     ArgumentError,
     InconsistentStateWarning,
-    told,
+    brief,
 )
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import Stabilisation
@@ -215,7 +215,7 @@ def integrate(
     """
     if not isinstance(problem, (Problem, Mechanism)):
         raise ArgumentError(
-            f"problem must be a lierb.Problem or a lierb.Mechanism, got {told(problem)}"
+            f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
         )
     problem.require_unchanged()
     problem = problem.with_events(events) if events else problem

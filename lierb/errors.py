@@ -97,7 +97,7 @@ class LeftOutWarning(UserWarning):
 
     def __init__(self, path: object, left_out: Iterable[str]) -> None:
         self.left_out = tuple(left_out)
-        super().__init__(f"{told(path)}: left out are {'; '.join(self.left_out)}")
+        super().__init__(f"{brief(path)}: left out are {'; '.join(self.left_out)}")
 
 
 class ForkError(RuntimeError):
@@ -111,7 +111,7 @@ _short.maxstring = _short.maxother = _short.maxlong = 100
 _short.maxlevel = 3
 
 
-def told(given: object) -> str:
+def brief(given: object) -> str:
     """Return a short description of any object, on one line, for a message."""
     try:
         words = " ".join(_short.repr(given).split())
@@ -125,10 +125,10 @@ def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
     try:
         items = tuple(islice(given, MOST_ITEMS + 1))
     except Exception as error:  # a user's object may raise any
-        raise ArgumentError(f"{argument}={told(given)}; expected {expected}") from error
+        raise ArgumentError(f"{argument}={brief(given)}; expected {expected}") from error
     if len(items) > MOST_ITEMS:
         raise ArgumentError(
-            f"{argument}={told(given)} has more than {MOST_ITEMS} items; expected {expected}"
+            f"{argument}={brief(given)} has more than {MOST_ITEMS} items; expected {expected}"
         )
     return items
 
@@ -147,7 +147,7 @@ def unknown_name(argument: str, got: object, known: Iterable[str]) -> UnknownNam
     near = get_close_matches(asked, list(lowered), n=1, cutoff=0.4)
     hint = f" Did you mean {lowered[near[0]]!r}?" if near else ""
     return UnknownNameError(
-        f"{argument}={told(got)} is unknown; choose from {', '.join(names)}.{hint}"
+        f"{argument}={brief(got)} is unknown; choose from {', '.join(names)}.{hint}"
     )
 
 

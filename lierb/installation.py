@@ -18,7 +18,7 @@ from lierb.compiler import disk_cache
 from lierb.compiler.disk_cache import MOST_BYTES, DiskCache, sized
 from lierb.compiler.entries import kernels_loaded
 from lierb.compiler.internals import cache_of
-from lierb.errors import ArgumentError, items_of, require_name, told
+from lierb.errors import ArgumentError, brief, items_of, require_name
 from lierb.kernels.groups.lie_functions import apply
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.mechanics.rows import parameters_of
@@ -154,10 +154,10 @@ def warmup(
     ['revolute']
     """
     if not (progress is None or callable(progress)):
-        raise ArgumentError(f"progress={told(progress)}; expected None or a function")
+        raise ArgumentError(f"progress={brief(progress)}; expected None or a function")
     report = progress or (lambda done, total, what: None)
     if not isinstance(multipliers, bool):
-        raise ArgumentError(f"multipliers={told(multipliers)}; expected True or False")
+        raise ArgumentError(f"multipliers={brief(multipliers)}; expected True or False")
     joints = _several("joints", joints, Joint)
     methods = _several("methods", methods, ButcherTableau)
     cspaces, updates = _several("cspaces", cspaces), _several("updates", updates)

@@ -34,7 +34,7 @@ from lierb.analysis.reference import (
     warn_of_runs,
 )
 from lierb.api import integrate
-from lierb.errors import ArgumentError, TimeGridError, items_of, require_name, told
+from lierb.errors import ArgumentError, TimeGridError, brief, items_of, require_name
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.methods import TABLEAUS, ButcherTableau, tableau_of
 from lierb.model.mechanism.mechanism import Mechanism
@@ -187,7 +187,7 @@ def convergence(
     """
     if not isinstance(problem, (Problem, Mechanism)):
         raise ArgumentError(
-            f"problem must be a lierb.Problem or a lierb.Mechanism, got {told(problem)}"
+            f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
         )
     tableaus = _tableaus(methods)
     spaces = _cspaces(problem, cspaces)
@@ -196,9 +196,9 @@ def convergence(
         raise ArgumentError("atol goes with rtols=, the tolerances of adaptive steps; give both")
     require_name("norm", norm, NORMS)
     if not (is_whole(repeats) and repeats >= 0):
-        raise ArgumentError(f"repeats={told(repeats)}; expected a whole number, 0 or more")
+        raise ArgumentError(f"repeats={brief(repeats)}; expected a whole number, 0 or more")
     if not isinstance(name, str):
-        raise ArgumentError(f"name={told(name)}; expected a text")
+        raise ArgumentError(f"name={brief(name)}; expected a text")
     if not callable(progress):
         check_progress(progress)
     runs = _runs(tableaus, spaces, steps, tolerances)
@@ -277,7 +277,7 @@ def _cspaces(problem: Problem | Mechanism, given: Any) -> list[CSpace]:
         raise ArgumentError(f'cspaces is empty; leave it out for "{default}"')
     for each in found:
         if not isinstance(each, (str, Mapping)):
-            raise ArgumentError(f"cspaces has {told(each)}; expected names of c-spaces")
+            raise ArgumentError(f"cspaces has {brief(each)}; expected names of c-spaces")
     _require_different("cspaces", [told_cspace(each) for each in found])
     return found
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array, are_finite, as_floats, as_positive
 
 ROUNDING_FLOOR = 1e-11
@@ -179,7 +179,7 @@ def verdict(errors: Sequence[float], order: Order | None) -> str:
     if not are_finite(as_floats("errors", errors)):
         return FAILED
     if not isinstance(order, Order | None):
-        raise ArgumentError(f"order={told(order)}; expected what observed_order returns")
+        raise ArgumentError(f"order={brief(order)}; expected what observed_order returns")
     if order is None:
         return EXACT
     if not LEAST_ORDER <= order.slope < math.inf:

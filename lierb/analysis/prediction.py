@@ -19,7 +19,7 @@ import numpy as np
 
 from lierb.analysis.completion import Completion, OpenError, SingularError, group_name, row_space
 from lierb.analysis.completion_space import Place, Space
-from lierb.errors import ArgumentError, PoseError, told
+from lierb.errors import ArgumentError, PoseError, brief
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
@@ -216,7 +216,7 @@ def predict(problem: Problem | Mechanism, pose0: Any = None) -> Predictions | Me
         return _of_mechanism(problem, pose0)
     if not isinstance(problem, Problem):
         raise ArgumentError(
-            f"problem must be a lierb.Problem or a lierb.Mechanism, got {told(problem)}"
+            f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
         )
     return _of_one_body(problem, pose0)
 

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lierb.analysis.magnitudes import magnitudes
-from lierb.errors import ArgumentError, FailedTrajectoryWarning, LierbError, told
+from lierb.errors import ArgumentError, FailedTrajectoryWarning, LierbError, brief
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import as_array
@@ -210,14 +210,14 @@ def given_reference(given: Any, problem: Model, t_end: float) -> Reference:
         _require_time(given.get("t0", t_end), t_end)
         given = given["pose0"], given["twist0"]
     if not (isinstance(given, tuple) and len(given) == 2):
-        raise ArgumentError(f"reference={told(given)}; expected {expected}")
+        raise ArgumentError(f"reference={brief(given)}; expected {expected}")
     return Reference(Ends.at(problem, *given), dict.fromkeys(ERRORS, 0.0), GIVEN)
 
 
 def _require_time(t: Any, t_end: float) -> None:
     is_time = isinstance(t, (float, int)) and abs(t - t_end) <= 1e-9 * max(1.0, abs(t_end))
     if not is_time:
-        raise ArgumentError(f"reference is of t = {told(t)} s; expected t_end = {t_end!r} s")
+        raise ArgumentError(f"reference is of t = {brief(t)} s; expected t_end = {t_end!r} s")
 
 
 def found_reference(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from lierb.errors import ArgumentError, items_of, told
+from lierb.errors import ArgumentError, brief, items_of
 from lierb.methods.calibration import calibration_of
 from lierb.support.arrays import are_finite, as_floats, is_whole
 
@@ -22,13 +22,13 @@ Row = tuple[float, ...]
 def _numbers(argument: str, given: Any) -> Row:
     numbers = as_floats(argument, given)
     if numbers.ndim != 1:
-        raise ArgumentError(f"{argument} is {told(given)}; expected a row of numbers")
+        raise ArgumentError(f"{argument} is {brief(given)}; expected a row of numbers")
     if numbers.size > MOST_STAGES:
         raise ArgumentError(
             f"{argument} has {numbers.size} numbers; expected {MOST_STAGES} at most"
         )
     if not are_finite(numbers):
-        raise ArgumentError(f"{argument} is {told(given)}; expected finite numbers")
+        raise ArgumentError(f"{argument} is {brief(given)}; expected finite numbers")
     return tuple(numbers.tolist())
 
 
@@ -44,7 +44,7 @@ def _explicit(row: Row, known: int, what: str) -> Row:
     """The weights of the stages that are known by then; what follows them must be zeros."""
     if len(row) < known or any(x != 0.0 for x in row[known:]):
         raise ArgumentError(
-            f"{what} is {told(row)}; an explicit method has {known} numbers there, "
+            f"{what} is {brief(row)}; an explicit method has {known} numbers there, "
             "and zeros after them"
         )
     return row[:known]
@@ -68,7 +68,7 @@ def _require_sum(numbers: Iterable[float], expected: float, what: str, told_expe
 def _require_order(name: str, order: Any, most: int) -> None:
     if order is not None and not (is_whole(order) and 1 <= order <= most):
         raise ArgumentError(
-            f"{name}={told(order)}; expected a whole number, 1 … {most}: an explicit method has at "
+            f"{name}={brief(order)}; expected a whole number, 1 … {most}: an explicit method has at "
             "least as many stages as its order"
         )
 
@@ -156,7 +156,7 @@ class ButcherTableau:
     def _check_steps(self) -> None:
         b = _numbers("b", self.b)
         if not isinstance(self.name, str):
-            raise ArgumentError(f"name={told(self.name)}; expected a text")
+            raise ArgumentError(f"name={brief(self.name)}; expected a text")
         rows = _rows("A", self.A)
         if len(rows) != len(b):
             raise ArgumentError(f"the tableau has {len(rows)} rows of A for {len(b)} weights b")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, ForceError, TwistError, body_label, items_of, told
+from lierb.errors import ArgumentError, ForceError, TwistError, body_label, brief, items_of
 from lierb.kernels.mechanics.rows import Rows, keeps_axis, slides, turns
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.model.functions.binding import bound, columns_of, require_different_events
@@ -42,7 +42,7 @@ def shown_element(element: Element) -> str:
 
 def require(argument: str, value: object, kind: type, expected: str) -> None:
     if not isinstance(value, kind):
-        raise ArgumentError(f"{argument} must be {expected}, got {told(value)}")
+        raise ArgumentError(f"{argument} must be {expected}, got {brief(value)}")
 
 
 def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tuple[Element, ...]:

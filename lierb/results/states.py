@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import ArgumentError, told, unknown_name
+from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.groups import so3
 from lierb.kernels.mechanics.rows import JOINT_ROWS
 from lierb.kernels.mechanics.spatial import Rigid, wrench_from
@@ -208,7 +208,7 @@ class RunStates(States):
         """
         if not self.links:
             raise ArgumentError(
-                f"result[{told(link)}]: it is of one body, which has no links; take "
+                f"result[{brief(link)}]: it is of one body, which has no links; take "
                 f"{', '.join(f'result.{name}' for name in STATE[1:])}"
             )
         if not (isinstance(link, str) and link in self.links):

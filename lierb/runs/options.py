@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, items_of, require_name, told
+from lierb.errors import ArgumentError, brief, items_of, require_name
 from lierb.kernels.mechanics.newton_euler import CSPACES
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.plan import Stabilisation
@@ -66,11 +66,11 @@ def check_options(
         return recorded, timing, "auto"
     if stabilise is not None:
         raise ArgumentError(
-            f"stabilise={told(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
+            f"stabilise={brief(stabilise)} is for a lierb.Mechanism; a Problem with one link is "
             "lierb.Mechanism([lierb.Link(name, body, joint)])"
         )
     if not isinstance(cspace, str):
-        raise ArgumentError(f"cspace={told(cspace)}; expected one name for one body")
+        raise ArgumentError(f"cspace={brief(cspace)}; expected one name for one body")
     check_names(cspace=cspace)
     if cspace == "SO3xR3":
         checks.require_central_com(problem)
@@ -123,7 +123,7 @@ def _checked_record(record: Iterable[str], saves: bool) -> tuple[str, ...]:
         require_name("record", name, RECORDS)
     if names and not saves:
         raise ArgumentError(
-            f"record={told(names)} adds columns to the history; give save_every= or save_at= as "
+            f"record={brief(names)} adds columns to the history; give save_every= or save_at= as "
             "well"
         )
     return tuple(name for name in RECORDS if name in names)

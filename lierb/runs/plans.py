@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, require_name, told, unknown_name
+from lierb.errors import ArgumentError, brief, require_name, unknown_name
 from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
@@ -29,7 +29,7 @@ def cspaces_of(mechanism: Mechanism, cspace: CSpace) -> tuple[str, ...]:
                 raise unknown_name("cspace", str(name), mechanism.names)
         lacking = [name for name in mechanism.names if name not in cspace]
         if lacking:
-            raise ArgumentError(f"cspace={told(dict(cspace))} lacks {', '.join(lacking)}")
+            raise ArgumentError(f"cspace={brief(dict(cspace))} lacks {', '.join(lacking)}")
         found = tuple(cspace[name] for name in mechanism.names)
         for name in found:
             require_name("cspace of a link", name, CSPACES[1:])

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan, Stabilisation
 from lierb.kernels.systems.system_of import plan_of, system_of
@@ -138,7 +138,7 @@ def baumgarte(alpha: float, beta: float) -> Stabilisation:
     for name, given in (("alpha", alpha), ("beta", beta)):
         rates[name] = float(as_number(name, given))
         if rates[name] < 0.0:
-            raise ArgumentError(f"{name}={told(given)}; expected zero or a positive number, 1/s")
+            raise ArgumentError(f"{name}={brief(given)}; expected zero or a positive number, 1/s")
     return Stabilisation("baumgarte", **rates)
 
 
@@ -151,7 +151,7 @@ def stabilisation_of(given: Any) -> Stabilisation:
     if isinstance(given, str) and given == "project":
         return Stabilisation("project")
     raise ArgumentError(
-        f'stabilise={told(given)}; expected None, "project" or lierb.baumgarte(alpha, beta)'
+        f'stabilise={brief(given)}; expected None, "project" or lierb.baumgarte(alpha, beta)'
     )
 
 

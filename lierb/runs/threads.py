@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numba
 import numpy as np
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import is_whole
 from lierb.support.forks import check_threads
 
@@ -37,7 +37,7 @@ def threads_for(count: int | None, blocks: int) -> int:
         count = numba.get_num_threads()
     if not (is_whole(count) and 1 <= count <= most):
         raise ArgumentError(
-            f"threads={told(count)}; expected 1 … {most}, the threads that Numba started with"
+            f"threads={brief(count)}; expected 1 … {most}, the threads that Numba started with"
         )
     return min(int(count), blocks)
 

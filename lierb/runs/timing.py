@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, TimeGridError, told, unknown_name
+from lierb.errors import ArgumentError, TimeGridError, brief, unknown_name
 from lierb.kernels.stepping.clock import Clock, time_of
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
@@ -209,7 +209,7 @@ def timing_of(
     for name, got in (("dt_min", dt_min), ("dt_max", dt_max)):
         if got is not None:
             raise ArgumentError(
-                f"{name}={told(got)} is for adaptive steps; give rtol= (or atol=) as well"
+                f"{name}={brief(got)} is for adaptive steps; give rtol= (or atol=) as well"
             )
     if dt is None:
         raise TimeGridError("integrate needs dt=, the step in s, or rtol= for adaptive steps")
@@ -245,7 +245,7 @@ def _adaptive(
         )
     if save_every is not None:
         raise ArgumentError(
-            f"save_every={told(save_every)} counts steps, of which each trajectory has its own "
+            f"save_every={brief(save_every)} counts steps, of which each trajectory has its own "
             "with rtol=; give save_at=, times in s"
         )
     relative = RTOL if rtol is None else _checked_rtol(rtol)
@@ -264,7 +264,7 @@ def _checked_rtol(rtol: Any) -> float:
     given = _real(rtol)
     if not LEAST_RTOL <= given < 1.0:
         raise ArgumentError(
-            f"rtol={told(rtol)}; expected a number from {LEAST_RTOL:g}, near rounding, to less "
+            f"rtol={brief(rtol)}; expected a number from {LEAST_RTOL:g}, near rounding, to less "
             "than 1"
         )
     return given
@@ -290,7 +290,7 @@ def _checked_tolerance(name: str, given: Any) -> float:
     number = _real(given)
     if not 0.0 <= number < math.inf:
         raise ArgumentError(
-            f"{name}={told(given)}; expected a number, zero or positive, in the unit of its block "
+            f"{name}={brief(given)}; expected a number, zero or positive, in the unit of its block "
             "(rad, m, rad/s, m/s), or a dictionary of such by block"
         )
     return number
@@ -300,13 +300,13 @@ def _checked_length(name: str, given: Any, zero: bool = False) -> float:
     number = _real(given)
     fits = 0.0 <= number < math.inf if zero else 0.0 < number <= math.inf
     if not fits:
-        raise ArgumentError(f"{name}={told(given)}; expected a positive time in s")
+        raise ArgumentError(f"{name}={brief(given)}; expected a positive time in s")
     return number
 
 
 def _checked_max_steps(given: Any) -> float:
     if not (is_whole(given) and given >= 1):
-        raise ArgumentError(f"max_steps={told(given)}; expected a whole number, at least 1")
+        raise ArgumentError(f"max_steps={brief(given)}; expected a whole number, at least 1")
     return float(given)
 
 
@@ -335,7 +335,7 @@ def _checked_times(name: str, given: Any) -> Array:
     """A row of times in ascending order. Raises TimeGridError."""
     times = as_floats(name, given)
     if times.ndim != 1 or not times.size or not are_finite(times):
-        raise TimeGridError(f"{name}={told(given)}; expected a row of finite times in s")
+        raise TimeGridError(f"{name}={brief(given)}; expected a row of finite times in s")
     if not (np.diff(times) > 0.0).all():
         raise TimeGridError(f"{name} has times that do not ascend; sort them, each once")
     return np.ascontiguousarray(times)
@@ -346,7 +346,7 @@ def _check_counts(save_every: Any, measure_every: Any) -> None:
         is_left_out = every is None and name == "save_every"
         if not (is_left_out or (is_whole(every) and int(every or 0) >= 1)):
             raise TimeGridError(
-                f"{name}={told(every)}; expected a whole number of steps, at least 1"
+                f"{name}={brief(every)}; expected a whole number of steps, at least 1"
             )
 
 
@@ -375,7 +375,7 @@ def check_periods(controllers: Iterable[Controller], timing: Timing) -> None:
 
 def checked_seed(seed: Any) -> int:
     if not (is_whole(seed) and 0 <= seed < MOST_SEED):
-        raise ArgumentError(f"seed={told(seed)}; expected a whole number from 0 to 2**53 - 1")
+        raise ArgumentError(f"seed={brief(seed)}; expected a whole number from 0 to 2**53 - 1")
     return int(seed)
 
 
@@ -385,7 +385,7 @@ def checked_numbers(trajectories: Any, count: int) -> Array:
     is_fit = numbers.shape == (count,) and (numbers == np.floor(numbers)).all()
     if not (is_fit and (numbers >= 0).all() and (numbers < MOST_SEED).all()):
         raise ArgumentError(
-            f"trajectories={told(trajectories)}; expected the number of each of the {count} "
+            f"trajectories={brief(trajectories)}; expected the number of each of the {count} "
             "trajectories, whole numbers from 0 to 2**53 - 1"
         )
     return np.ascontiguousarray(numbers)
@@ -419,5 +419,5 @@ def checked_time(name: str, given: Any, after: float = 0.0) -> float:
     if not after < seconds < math.inf:
         late = "positive time in s" if after == 0.0 else f"time in s later than t0={after!r}"
         expected = "finite time in s" if after == -math.inf else late
-        raise TimeGridError(f"{name}={told(given)}; expected a {expected}")
+        raise TimeGridError(f"{name}={brief(given)}; expected a {expected}")
     return seconds

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lierb.errors import ArgumentError, LierbError, MemoryLimitError, PoseError, body_label, told
+from lierb.errors import ArgumentError, LierbError, MemoryLimitError, PoseError, body_label, brief
 from lierb.kernels.numbers.vec import Mat, Vec, dot, mat_t_mat
 from lierb.support.memory import require_memory
 
@@ -47,12 +47,12 @@ def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
             return np.array(array, dtype=np.float64, copy=copy)
     except (OverflowError, FloatingPointError) as error:
         raise ArgumentError(
-            f"{argument} is {told(value)}, beyond the largest float64; choose larger units"
+            f"{argument} is {brief(value)}, beyond the largest float64; choose larger units"
         ) from error
     except LierbError:
         raise
     except MemoryError as error:
-        raise MemoryLimitError(f"{argument}: {told(str(error))}; {FEWER}") from error
+        raise MemoryLimitError(f"{argument}: {brief(str(error))}; {FEWER}") from error
     except Exception as error:  # a user's class may raise any in __array__
         raise _no_numbers(argument, value) from error
 
@@ -133,7 +133,7 @@ def _refuse_one(argument: str, value: Any) -> None:
         raise _no_numbers(argument, value)
     if type(value) is not np.ndarray and _has_units(value):
         raise ArgumentError(
-            f"{argument} has units: {told(value)}; give its plain numbers in SI units, such as "
+            f"{argument} has units: {brief(value)}; give its plain numbers in SI units, such as "
             '`.to("m").magnitude` or `.to_value("m")`'
         )
 
@@ -147,7 +147,7 @@ def _no_numbers(argument: str, value: Any) -> ArgumentError:
     hint = "; give a list" if isinstance(value, Iterable) and not isinstance(value, Sized) else ""
     if isinstance(value, (Set, Mapping, ValuesView)):
         hint = ", which has no order; give a list"
-    return ArgumentError(f"{argument} must be numbers, got {told(value)}{hint}")
+    return ArgumentError(f"{argument} must be numbers, got {brief(value)}{hint}")
 
 
 def as_numbers(
@@ -181,7 +181,7 @@ def as_number(argument: str, value: Any) -> np.float64:
     """Convert to one finite number, which divides by zero as arrays do."""
     array = as_floats(argument, value)
     if array.shape or not np.isfinite(array):
-        raise ArgumentError(f"{argument} is {told(value)}; expected one finite number")
+        raise ArgumentError(f"{argument} is {brief(value)}; expected one finite number")
     return np.float64(array)
 
 
@@ -257,7 +257,7 @@ def member_of(body: Any, size: int | None) -> int:
     """Check the number of a body of a batch."""
     count = size or 1
     if not (is_whole(body) and 0 <= body < count):
-        raise ArgumentError(f"body={told(body)}; expected a whole number, 0 … {count - 1}")
+        raise ArgumentError(f"body={brief(body)}; expected a whole number, 0 … {count - 1}")
     return int(body)
 
 
@@ -328,8 +328,8 @@ def as_matrix(argument: str, value: Any) -> Any:
         return value.as_matrix() if hasattr(value, "as_matrix") else value
     except Exception as error:  # a user's class may raise any
         raise ArgumentError(
-            f"{argument} is {told(value)}, whose as_matrix() raised {type(error).__name__}: "
-            f"{told(str(error))}"
+            f"{argument} is {brief(value)}, whose as_matrix() raised {type(error).__name__}: "
+            f"{brief(str(error))}"
         ) from error
 
 

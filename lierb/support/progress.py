@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.support.extras import remedy
 
 Progress = bool | Callable[[int, int], None] | None
@@ -28,7 +28,7 @@ class Bar(Protocol):
 def check_progress(progress: Any) -> None:
     """Raise ArgumentError for a value that `reporter` does not take."""
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
-        raise ArgumentError(f"progress={told(progress)}; expected True, False, None or a function")
+        raise ArgumentError(f"progress={brief(progress)}; expected True, False, None or a function")
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.kernels.mechanics.newton_euler import unit_inertia
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_positive, assembled, batch_size
@@ -208,7 +208,7 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
     if isinstance(mesh, (str, PathLike)):
         mesh = _loaded(mesh, trimesh.load_mesh)
     if not isinstance(mesh, trimesh.Trimesh):
-        raise ArgumentError(f"mesh must be a trimesh.Trimesh or a path, got {told(mesh)}")
+        raise ArgumentError(f"mesh must be a trimesh.Trimesh or a path, got {brief(mesh)}")
     if not mesh.is_volume:
         raise ArgumentError(
             "mesh encloses no volume: it must be watertight, with faces that wind outward "
@@ -229,7 +229,7 @@ def _loaded(path: Any, load: Callable[[Any], Any]) -> Any:
         return load(path)
     except Exception as error:  # each format's reader raises errors of its own
         raise ArgumentError(
-            f"mesh={told(path)} cannot be loaded: {type(error).__name__}: {told(str(error))}"
+            f"mesh={brief(path)} cannot be loaded: {type(error).__name__}: {brief(str(error))}"
         ) from error
 
 

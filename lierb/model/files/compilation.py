@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.parsers import expat
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.model.files import inertials, urdf
 from lierb.model.files.welded_bodies import WORLD
 from lierb.support.extras import remedy
@@ -42,7 +42,7 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
     except ImportError:
         raise ArgumentError(f"reading {language} needs mujoco: {remedy('mjcf')}") from None
     if not isinstance(path, (str, PathLike)):
-        raise ArgumentError(f"path={told(path)}; expected the path of a file in {language}")
+        raise ArgumentError(f"path={brief(path)}; expected the path of a file in {language}")
     spec = None
     try:
         robot = urdf.read(path) if language == "URDF" else None
@@ -53,7 +53,7 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
         message = " ".join(str(error).split())
         at = _elements_at_line(path, message) + _bodies_with_mesh(spec, message)
         raise ArgumentError(
-            f"{told(fspath(path))} cannot be read as {language}: {message}{at}"
+            f"{brief(fspath(path))} cannot be read as {language}: {message}{at}"
         ) from error
     if robot is not None:
         model.body_mass[WORLD] = robot.world_mass

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, LierbError, told
+from lierb.errors import ArgumentError, LierbError, brief
 from lierb.model.files.compilation import compiled
 from lierb.model.files.composed_joints import SimpleJoint, composed
 from lierb.model.files.joint_forces import KINDS, JointForces
@@ -43,9 +43,9 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
         placed = _add_links(model, parts, merge_fixed, limit_stiffness)
         add_loops(model, placed, parts)
     except LierbError as error:
-        raise ArgumentError(f"{told(fspath(path))}: {error}") from error
+        raise ArgumentError(f"{brief(fspath(path))}: {error}") from error
     if not parts.links:
-        raise ArgumentError(f"{told(fspath(path))} has no body that moves")
+        raise ArgumentError(f"{brief(fspath(path))} has no body that moves")
     parts.left_out += [*_lacking(model), *left_out]
     return parts
 

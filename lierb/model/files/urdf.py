@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array
 
 if TYPE_CHECKING:
@@ -278,7 +278,7 @@ def _numbers(
         numbers = np.empty(0)
     if numbers.size != count or not np.all(np.isfinite(numbers)):
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise ArgumentError(f"{label}: <{tag} {attribute}={told(text)}>; expected {expected}")
+        raise ArgumentError(f"{label}: <{tag} {attribute}={brief(text)}>; expected {expected}")
     return numbers
 
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, told
+from lierb.errors import ArgumentError, ForceError, brief
 from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.kernels.functions.user_number import UserNumber
@@ -133,7 +133,7 @@ def motor(
     if callable(value):
         if not inspect.isfunction(value):
             raise ForceError(
-                f"expected a number or a function of (t) or (t, params), got {told(value)}"
+                f"expected a number or a function of (t) or (t, params), got {brief(value)}"
             )
         shapes: dict[str, Shape] = dict.fromkeys(parameters, ())
         because = None if speed is None else DERIVATIVES

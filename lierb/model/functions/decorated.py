@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, ForceError, told, unknown_name
+from lierb.errors import ArgumentError, ForceError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.support.arrays import as_floats
 
@@ -56,7 +56,7 @@ def decorated(kind: type[Decorated], function: Any, defaults: dict[str, Any]) ->
 def require_function(function: Any) -> UserFunction:
     """Return the function; raise ForceError for another object."""
     if not inspect.isfunction(function):
-        raise ForceError(f"expected a function to decorate, got {told(function)}")
+        raise ForceError(f"expected a function to decorate, got {brief(function)}")
     return function
 
 
@@ -74,7 +74,7 @@ def column_name(argument: str, name: Any) -> str:
     """Return the name of a column; raise ArgumentError unless columns may have it."""
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
-            f"{argument} is {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
+            f"{argument} is {brief(name)}; expected letters, digits and _, at most {MOST_NAME} of "
             "them, for a column's name"
         )
     return name
@@ -84,6 +84,6 @@ def require_unit(argument: str, unit: Any) -> str:
     """Return the unit; raise ArgumentError unless it is one, as text."""
     if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
         raise ArgumentError(
-            f'{argument}={told(unit)}; expected the unit as text, such as "rad", or "1"'
+            f'{argument}={brief(unit)}; expected the unit as text, such as "rad", or "1"'
         )
     return unit

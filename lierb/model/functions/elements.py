@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
-from lierb.errors import ArgumentError, ForceError, told
+from lierb.errors import ArgumentError, ForceError, brief
 from lierb.kernels.functions.copies import traceable
 from lierb.kernels.functions.fingerprint import Reference
 from lierb.kernels.functions.function import Function
@@ -83,7 +83,7 @@ class Element:
         at = (link,) if other is None else (link, other)
         for name in at:
             if not isinstance(name, str):
-                raise ArgumentError(f"on({told(name)}); expected the name of a link, as text")
+                raise ArgumentError(f"on({brief(name)}); expected the name of a link, as text")
         if link == other:
             raise ArgumentError(f"on({link!r}, {other!r}); expected two different links")
         return replace(self, at=at)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self, overload
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.kernels.functions.shapes import UserFunction
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import Decorated, column_name, decorated
@@ -72,10 +72,10 @@ class EventFunction(Decorated):
         direction, terminal = defaults.pop("direction", 0), defaults.pop("terminal", False)
         if isinstance(direction, bool) or direction not in (-1, 0, 1):
             raise ArgumentError(
-                f"direction={told(direction)}; expected -1 (falling), 1 (rising) or 0 (both)"
+                f"direction={brief(direction)}; expected -1 (falling), 1 (rising) or 0 (both)"
             )
         if not isinstance(terminal, bool):
-            raise ArgumentError(f"terminal={told(terminal)}; expected True or False")
+            raise ArgumentError(f"terminal={brief(terminal)}; expected True or False")
         super().__init__(function, defaults)
         self.direction, self.terminal = int(direction), terminal
 

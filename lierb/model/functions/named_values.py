@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from keyword import iskeyword
 from typing import Any, ClassVar, Self
 
-from lierb.errors import ArgumentError, told, unknown_name
+from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.mechanics import elements as kinds
 from lierb.model.functions.decorated import column_name, require_unit
@@ -68,7 +68,7 @@ def shapes_of(what: str, initial: Mapping[str, Any]) -> Shapes:
 def mapping_of(argument: str, values: Any, expected: str) -> dict[str, Any]:
     """Copy a mapping by name; raises ArgumentError for another object."""
     if not isinstance(values, Mapping):
-        raise ArgumentError(f"{argument}={told(values)}; expected {expected}")
+        raise ArgumentError(f"{argument}={brief(values)}; expected {expected}")
     return dict(values)
 
 
@@ -81,7 +81,7 @@ def checked_units(units: Any, names: Iterable[str] | None) -> dict[str, str]:
     for name, unit in checked.items():
         if names is not None and name not in names:
             raise unknown_name("unit of", name, names)
-        require_unit(f"unit[{told(name)}]", unit)
+        require_unit(f"unit[{brief(name)}]", unit)
     return checked
 
 

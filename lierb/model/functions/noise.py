@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.kernels.functions.noise import MOST, normal, normals
 from lierb.kernels.functions.signals import Noise
 from lierb.support.arrays import Array, as_floats
@@ -53,10 +53,10 @@ def sample(
     [[1.334, 0.184, -0.075], [1.292, -0.763, 0.197], [2.011, 1.632, 0.737]]
     """
     if not (isinstance(name, str) and name):
-        raise ArgumentError(f"name={told(name)}; expected the noise's name, as text")
+        raise ArgumentError(f"name={brief(name)}; expected the noise's name, as text")
     count = 1 if size == () else size
     if not (isinstance(count, int) and not isinstance(count, bool) and 1 <= count <= MOST):
-        raise ArgumentError(f"size={told(size)}; expected () or how many numbers, 1 to {MOST}")
+        raise ArgumentError(f"size={brief(size)}; expected () or how many numbers, 1 to {MOST}")
     seeds = _whole("seed", seed, least=0)
     if seeds.ndim:
         raise ArgumentError(f"seed has shape {seeds.shape}; expected one number")
@@ -78,7 +78,7 @@ def _whole(argument: str, value: Any, least: int) -> Array:
     numbers = as_floats(argument, value)
     if np.any((numbers != np.floor(numbers)) | ~(numbers >= least) | ~(numbers <= LARGEST)):
         raise ArgumentError(
-            f"{argument}={told(value)}; expected whole numbers, {least} to {LARGEST}"
+            f"{argument}={brief(value)}; expected whole numbers, {least} to {LARGEST}"
         )
     return numbers
 

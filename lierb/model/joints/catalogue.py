@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, items_of, told, unknown_name
+from lierb.errors import ArgumentError, brief, items_of, unknown_name
 from lierb.kernels.mechanics.rows import JOINT_ROWS, JointRow, Row, parameters_of
 from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.joints.joint_type import JOINTS, JointType
@@ -170,17 +170,17 @@ def from_rows(
       on the ground  (0, 0, 0) m, e₁ (1, 0, 0), e₃ (0, 0, 1)
     """
     if isinstance(rows, str):
-        raise ArgumentError(f"rows={told(rows)}; expected a list of row names")
+        raise ArgumentError(f"rows={brief(rows)}; expected a list of row names")
     rows = items_of("rows", rows, "a list of row names")
     if not isinstance(name, str):
-        raise ArgumentError(f"name={told(name)}; expected a text")
+        raise ArgumentError(f"name={brief(name)}; expected a text")
     parsed = tuple(dict.fromkeys(_row(row) for row in rows))
     if len(parsed) > MOST_ROWS:
         raise ArgumentError(
-            f"rows={told(rows)} are {len(parsed)} rows; expected {MOST_ROWS} at most"
+            f"rows={brief(rows)} are {len(parsed)} rows; expected {MOST_ROWS} at most"
         )
     for objection in filter(None, (row.objection(parsed) for row in parsed)):
-        raise ArgumentError(f"rows={told(rows)} {objection}")
+        raise ArgumentError(f"rows={brief(rows)} {objection}")
     options = frozenset({"slot", "second_axis", *parameters_of(parsed)})
     return JointType(name, parsed, "", None, options)(
         body_point, ground_point, axis=axis, slot=slot, second_axis=second_axis, pitch=pitch,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import ArgumentError, told, unknown_name
+from lierb.errors import ArgumentError, brief, unknown_name
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
@@ -99,7 +99,7 @@ class TreeKinematics(Tree):
             return {}
         if not isinstance(given, Mapping):
             raise ArgumentError(
-                f"{argument}={told(given)}; expected a dictionary of what each link has, as "
+                f"{argument}={brief(given)}; expected a dictionary of what each link has, as "
                 f"{{{self.names[0]!r}: …}}"
             )
         for name in given:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import require
 from lierb.model.bodies.body import Body
@@ -89,7 +89,9 @@ class Loop(Shown):
     def __post_init__(self) -> None:
         _require_name("a loop", self.name)
         if not isinstance(self.body, str):
-            raise ArgumentError(f"loop {self.name}: body={told(self.body)}; expected a link's name")
+            raise ArgumentError(
+                f"loop {self.name}: body={brief(self.body)}; expected a link's name"
+            )
         _require_held("loop", self.name, self.joint, self.parent)
         if self.body == self.parent:
             raise ArgumentError(
@@ -106,7 +108,7 @@ class Loop(Shown):
 def _require_name(what: str, name: Any) -> None:
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
-            f"{what} is named {told(name)}; expected letters, digits and _, at most {MOST_NAME} of "
+            f"{what} is named {brief(name)}; expected letters, digits and _, at most {MOST_NAME} of "
             "them, for columns are named after it"
         )
     if name == GROUND:
@@ -119,7 +121,7 @@ def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
     )
     if not isinstance(parent, str):
         raise ArgumentError(
-            f'{what} {name}: parent={told(parent)}; expected the name of a link, or "{GROUND}"'
+            f'{what} {name}: parent={brief(parent)}; expected the name of a link, or "{GROUND}"'
         )
 
 

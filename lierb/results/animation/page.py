@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, items_of, told, unknown_name
+from lierb.errors import ArgumentError, brief, items_of, unknown_name
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.animation.scene import (
@@ -183,7 +183,7 @@ def animate(
     <lierb.animation.Animation 'spherical joint, RK4, dt = 0.001 s': 2 views; save(path) writes it>
     """
     if not (is_whole(frames) and frames >= 2):
-        raise ArgumentError(f"frames={told(frames)}; expected a whole number, at least 2")
+        raise ArgumentError(f"frames={brief(frames)}; expected a whole number, at least 2")
     named = _named(results)
     problems = {name: _problem_of(name, result, problem) for name, result in named.items()}
     chosen = _chosen(named, trajectories)
@@ -220,7 +220,7 @@ def _named(results: Any) -> dict[str, RunStates]:
     found: dict[str, RunStates] = {}
     for number, (name, result) in enumerate(given):
         if not hasattr(result, "summary") or not hasattr(result, "history"):
-            raise ArgumentError(f"results has {told(result)}; expected {RESULTS}")
+            raise ArgumentError(f"results has {brief(result)}; expected {RESULTS}")
         if name is None:
             space = cspace_of(result) or ""
             name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
@@ -256,7 +256,7 @@ def _chosen(named: dict[str, RunStates], given: Any) -> list[int]:
     numbers = (given,) if is_whole(given) else items_of("trajectories", given, "whole numbers")
     for number in numbers:
         if not (is_whole(number) and 0 <= number < count):
-            raise ArgumentError(f"trajectories has {told(number)}; expected 0 … {count - 1}")
+            raise ArgumentError(f"trajectories has {brief(number)}; expected 0 … {count - 1}")
     if not numbers:
         raise ArgumentError("trajectories is empty; expected numbers of trajectories")
     return [int(number) for number in numbers]
@@ -304,13 +304,13 @@ def _shapes(given: Any, problem: Problem | Mechanism) -> Shapes:
                 raise unknown_name("shape", name, problem.names)
             if not isinstance(each, Shape):
                 raise ArgumentError(
-                    f"shape[{name!r}]={told(each)}; expected a lierb.animation.Shape"
+                    f"shape[{name!r}]={brief(each)}; expected a lierb.animation.Shape"
                 )
         return given
     expected = "a lierb.animation.Shape"
     if isinstance(problem, Mechanism):
         expected = f"a dictionary of shapes by link, as {{{problem.names[0]!r}: …}}"
-    raise ArgumentError(f"shape={told(given)}; expected {expected}")
+    raise ArgumentError(f"shape={brief(given)}; expected {expected}")
 
 
 def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
@@ -320,7 +320,7 @@ def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
         return _point("trail", given)
     if not isinstance(given, Mapping):
         raise ArgumentError(
-            f"trail={told(given)}; expected a flag, or a dictionary of points by link, as "
+            f"trail={brief(given)}; expected a flag, or a dictionary of points by link, as "
             f"{{{problem.names[0]!r}: (0.0, 0.0, 0.1)}}"
         )
     for name in given:
@@ -332,7 +332,7 @@ def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
 def _factor(given: Any) -> float:
     is_number = isinstance(given, (int, float, np.number)) and not isinstance(given, bool)
     if not (is_number and 1.0 <= given <= MOST_MAGNIFIED):
-        raise ArgumentError(f"magnify={told(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
+        raise ArgumentError(f"magnify={brief(given)}; expected a number, 1 … {MOST_MAGNIFIED:g}")
     return float(given)
 
 

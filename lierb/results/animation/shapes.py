@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_poses
 
@@ -138,7 +138,7 @@ def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
     for face in known:
         if len(face) < 3 or not all(0 <= i < len(points) for i in face):
             raise ArgumentError(
-                f"faces has {told(face)}; expected three or more of the indices 0 … "
+                f"faces has {brief(face)}; expected three or more of the indices 0 … "
                 f"{len(points) - 1}"
             )
     return Shape(points, tuple(known))
@@ -220,5 +220,5 @@ def _moved(shape: Shape, rotation: Array, place: Array) -> Shape:
 def _positive(name: str, given: ArrayLike, count: int) -> Array:
     numbers = np.atleast_1d(as_floats(name, given))
     if numbers.shape != (count,) or not (np.isfinite(numbers) & (numbers > 0.0)).all():
-        raise ArgumentError(f"{name}={told(given)}; expected {count} positive length(s), m")
+        raise ArgumentError(f"{name}={brief(given)}; expected {count} positive length(s), m")
     return numbers

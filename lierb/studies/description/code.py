@@ -19,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from lierb.errors import StudyError, told
+from lierb.errors import StudyError, brief
 from lierb.kernels.functions.references import KNOWN
 from lierb.kernels.functions.source_lines import at
 from lierb.model.functions.constraints import ConstraintFunction
@@ -178,7 +178,7 @@ def _running(file: str) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         line = _line_of(error, f"<{file} of a study, ")
         where = f"{file}: {line}" if line else file
-        raise StudyError(f"{where}: {type(error).__name__}: {told(str(error))}") from error
+        raise StudyError(f"{where}: {type(error).__name__}: {brief(str(error))}") from error
     finally:
         _loading.reset(token)
 
@@ -200,7 +200,7 @@ def function_of(table: str, kind: str, code: Code) -> Any:
     """
     there = named(kind)
     if there is None:
-        raise StudyError(f"problem.{table}: type = {told(kind)}; expected {EXPECTED}")
+        raise StudyError(f"problem.{table}: type = {brief(kind)}; expected {EXPECTED}")
     if there.file not in code:
         raise StudyError(
             f"problem.{table}: {kind}: this study has no {there.file}, since it was made without a "
@@ -212,7 +212,7 @@ def function_of(table: str, kind: str, code: Code) -> Any:
         raise StudyError(f"problem.{table}: {there.file} defines no {there.name}")
     if not isinstance(function, expected):
         raise StudyError(
-            f"problem.{table}: {there.name} in {there.file} is {told(function)}; expected a "
+            f"problem.{table}: {there.name} in {there.file} is {brief(function)}; expected a "
             f"function with @lierb.{decorator} before it"
         )
     return function
@@ -235,7 +235,7 @@ def source_of(decorated: Decorated) -> tuple[str, str, str]:
     path = Path(code.co_filename)
     if not path.is_file() or not re.fullmatch(FILE, path.name):
         raise StudyError(
-            f"{function.__name__} is defined in {told(code.co_filename)}, from where it cannot be "
+            f"{function.__name__} is defined in {brief(code.co_filename)}, from where it cannot be "
             "loaded again; write it in a file NAME.py, and import it from there (in a notebook: "
             "%%writefile NAME.py)"
         )

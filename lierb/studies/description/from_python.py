@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lierb.errors import ArgumentError, StudyError, told, unknown_name
+from lierb.errors import ArgumentError, StudyError, brief, unknown_name
 from lierb.kernels.functions.function import Function
 from lierb.kernels.mechanics.elements import INITIAL
 from lierb.kernels.mechanics.rows import parameters_of
@@ -89,12 +89,12 @@ def study_of(
     """
     if not isinstance(problem, (Problem, Mechanism)):
         raise ArgumentError(
-            f"problem={told(problem)}; expected a lierb.Problem or a lierb.Mechanism"
+            f"problem={brief(problem)}; expected a lierb.Problem or a lierb.Mechanism"
         )
     if not isinstance(design, Design):
-        raise ArgumentError(f"design={told(design)}; expected a lierb.sampling.Design")
+        raise ArgumentError(f"design={brief(design)}; expected a lierb.sampling.Design")
     if not (initial is None or isinstance(initial, Mapping)):
-        raise ArgumentError(f"initial={told(initial)}; expected a dictionary")
+        raise ArgumentError(f"initial={brief(initial)}; expected a dictionary")
     problem.require_unchanged()
     for key in settings:
         if key not in (*INTEGRATE, *OUTPUT):
@@ -145,7 +145,7 @@ def _starts(
             raise unknown_name("initial", key, (*mechanism.names, "close"))
         if not isinstance(value, Mapping):
             raise ArgumentError(
-                f"initial[{key!r}]={told(value)}; expected a dictionary, such as "
+                f"initial[{key!r}]={brief(value)}; expected a dictionary, such as "
                 "{'coordinates': 0.3, 'velocities': 1.0}"
             )
         for inner in value:
@@ -257,7 +257,7 @@ def _no_quantity(name: str, problem: Problem | Mechanism) -> str:
         first = problem.names[0]
         expected = f"{first}.body.mass, {first}.initial.velocities or forces.drag.linear"
     what = "problem" if isinstance(problem, Problem) else "mechanism"
-    return f"{told(name)} is no quantity of a {what}; expected names such as {expected}"
+    return f"{brief(name)} is no quantity of a {what}; expected names such as {expected}"
 
 
 def _element(element: Element, code: dict[str, str]) -> dict[str, Any]:

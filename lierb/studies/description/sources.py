@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from lierb.errors import ArgumentError, told
+from lierb.errors import ArgumentError, brief
 
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
@@ -23,7 +23,7 @@ def path_given(study: Any) -> Path:
         return Path(study).expanduser()
     except (TypeError, RuntimeError):  # no path; no home folder
         raise ArgumentError(
-            f"study={told(study)}; expected a lierb.Study, or the path of its TOML file"
+            f"study={brief(study)}; expected a lierb.Study, or the path of its TOML file"
         ) from None
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from lierb.errors import StudyError, told, unknown_name
+from lierb.errors import StudyError, brief, unknown_name
 from lierb.kernels.systems.measures import JOINT_KEPT, KEPT
 from lierb.kernels.systems.observables import KEEPS
 from lierb.model.mechanism.mechanism import Mechanism
@@ -65,7 +65,7 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
     match = FORM.fullmatch(text)
     share, column, bound, percent = match.groups("") if match else ("",) * 4
     if not match or (share == "") != (column == FAILED) or (column == FAILED and percent):
-        raise StudyError(f"sample.stop_when: {told(text)}; expected {EXPECTED}")
+        raise StudyError(f"sample.stop_when: {brief(text)}; expected {EXPECTED}")
     probability = float(share) / 100.0 if share else None
     if probability is not None and not 0.0 < probability < 1.0:
         raise StudyError(f"sample.stop_when: {share}%; expected more than 0 and less than 100")

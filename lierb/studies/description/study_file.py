@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from lierb.errors import LierbError, StudyError, told
+from lierb.errors import LierbError, StudyError, brief
 from lierb.sampling.distribution import Distribution
 from lierb.sampling.distributions import DISTRIBUTIONS, Constant
 from lierb.studies.description.sources import LONGEST_STUDY
@@ -217,7 +217,7 @@ def plain(tables: Any) -> dict[str, Any]:
 def plain_changes(changes: Any) -> dict[str, Any]:
     """Convert changes by dotted keys to what a file can hold; None removes a key."""
     if not isinstance(changes, Mapping):
-        raise StudyError(f"changes must be a dictionary by dotted keys, got {told(changes)}")
+        raise StudyError(f"changes must be a dictionary by dotted keys, got {brief(changes)}")
     return {
         _checked_key(key, ()): None if value is None else _Plain().value(value, (key,))
         for key, value in changes.items()
@@ -305,7 +305,7 @@ def _checked_text(given: str, path: tuple[str, ...]) -> str:
 
 def _checked_key(key: Any, path: tuple[str, ...]) -> str:
     if not isinstance(key, str):
-        raise StudyError(f"{_key(path)}: has the key {told(key)}; expected text")
+        raise StudyError(f"{_key(path)}: has the key {brief(key)}; expected text")
     return _checked_text(key, path)
 
 
