@@ -68,8 +68,8 @@ def _require_sum(numbers: Iterable[float], expected: float, what: str, told_expe
 def _require_order(name: str, order: Any, most: int) -> None:
     if order is not None and not (is_whole(order) and 1 <= order <= most):
         raise ArgumentError(
-            f"{name}={brief(order)}; expected a whole number, 1 … {most}: an explicit method has at "
-            "least as many stages as its order"
+            f"{name}={brief(order)}; expected a whole number, 1 … {most}: an explicit method has "
+            "at least as many stages as its order"
         )
 
 
