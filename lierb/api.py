@@ -31,7 +31,6 @@ from lierb.results.tables import (
     summary_table,
 )
 from lierb.runs import engine
-from lierb.runs import lane_engine as lanes
 from lierb.runs import start_checks as checks
 from lierb.runs.continuation import End
 from lierb.runs.lane_engine import LaneTime
@@ -289,7 +288,7 @@ def integrate(
             _report(error, on_violation, stacklevel=3)
         checked_start = check_start if is_seen else None
         run = partial(
-            lanes.integrate if isinstance(times, LaneTime) else engine.integrate,
+            engine.integrate,
             with_state="state" in recorded, threads=threads, progress=progress, check=checked_start,
         )  # fmt: skip
         output = run(plan, inputs, times)

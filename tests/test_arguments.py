@@ -25,7 +25,8 @@ from lierb.errors import (
     UnknownNameError,
 )
 from lierb.kernels.loops.job import UNSEEN
-from lierb.kernels.loops.record import load_given, store_start
+from lierb.kernels.loops.record import load_given
+from lierb.kernels.loops.tables import store_start
 from lierb.kernels.stepping.clock import time_of
 from lierb.support.arrays import as_numbers
 
@@ -48,14 +49,14 @@ def stop_before_running(monkeypatch):
             for body in range(chunk.start, chunk.stop):
                 numbers = np.array(run.inputs.numbers(body))[:, None]
                 with np.errstate(all="ignore"):
-                    time = time_of(run.clock, 0)
+                    time = time_of(run.times, 0)
                     given = load_given(run.plan, numbers, time)
                     store_start(run.plan, given, numbers, run.output.summary, body, time)
         if end > 0 and (begin != UNSEEN or run.output.starts(chunk.start, chunk.stop).all()):
             raise DriverReached
         return 1.0
 
-    monkeypatch.setattr(lierb.runs.engine.Run, "call", stub)
+    monkeypatch.setattr(lierb.runs.engine.BlockRun, "call", stub)
     monkeypatch.setattr(lierb.runs.engine, "_pace", lambda plan, dt: lierb.runs.engine._Pace())
     monkeypatch.setattr(lierb.runs.engine, "FIRST_CALL_BLOCK_STEPS", 0)  # one step, then the others
 

@@ -18,7 +18,7 @@ import pytest
 
 import lierb
 from lierb.errors import ForkError
-from lierb.kernels.loops.blocks import take_share
+from lierb.kernels.loops.sharing import take_share
 
 pytestmark = pytest.mark.skipif(
     bool(numba.config.DISABLE_JIT), reason="there are no threads with the JIT off"
@@ -120,10 +120,10 @@ def test_threads_are_used_in_the_call(monkeypatch):
 
     def idle(entry, counter, threads, jobs):
         seen.append(numba.get_num_threads())
-        address, *shape = map(int, jobs["summary"][0])
+        address, *shape = map(int, jobs["summary"][0, 0])
         ctypes.memset(address, 0, 8 * math.prod(shape))
 
-    monkeypatch.setattr(lierb.runs.engine, "integrate_on_threads", idle)
+    monkeypatch.setattr(lierb.runs.driver, "integrate_on_threads", idle)
     run(threads=1)
     assert set(seen) == {1}
 

@@ -143,7 +143,7 @@ def test_estimate_of_lanes_is_what_the_tables_hold(options, record, monkeypatch)
         return outputs[-1]
 
     monkeypatch.setattr(tables_module, "size_of_tables", seen)
-    monkeypatch.setattr(lanes, "integrate", made)
+    monkeypatch.setattr(engine, "integrate", made)
     plain, twist0 = top()
     problem = lierb.Problem(
         plain.body, plain.joint, plain.gravity, states=stored(), controllers=held()

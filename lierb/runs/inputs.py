@@ -1,4 +1,4 @@
-"""Input numbers of a run: where they lie, and how a block reads them."""
+"""Input numbers of a run: their addresses, by column of the driver's inputs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array
 
-CLOSED = np.full((4, 4), np.nan)  # the pose that stands for the joint's closed one
-ZEROS = np.zeros(1)  # where numbers are read that nobody asks for
-
+CLOSED = np.full((4, 4), np.nan)  # stands for the joint's closed pose
+ZEROS = np.zeros(1)  # where unused columns are read
 
 Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
 
 
 class _Layout(NamedTuple):
-    """Where a problem's numbers are.
+    """Addresses of a problem's numbers.
 
-    differ : whether any of them are others for other bodies.
-    arrays : which shall outlive `places`.
+    differ : whether any of them differ between trajectories.
+    arrays : the memory that `places` refers to.
     """
 
     places: Places
@@ -41,7 +40,9 @@ _layouts: WeakKeyDictionary[Problem | Mechanism, _Layout] = WeakKeyDictionary()
 
 
 def _places_of(field: Field, array: Array) -> Places:
-    """Where the numbers of a field are, in an array with an item for every body or one for all."""
+    """Return the addresses of a field's numbers in an array with an item for each trajectory, or
+    one for all.
+    """
     ahead = array.ndim - len(field.shape)
     places = np.empty((field.width, 2), dtype=np.int64)
     places[:, 0] = _offsets(field, array.strides[ahead:])
@@ -51,18 +52,18 @@ def _places_of(field: Field, array: Array) -> Places:
 
 
 def _is_shared(field: Field, array: Array) -> bool:
-    """Whether it has one item for all bodies."""
+    """Return whether an array has one item for all trajectories."""
     return array.ndim == len(field.shape) or len(array) == 1
 
 
-def _nowhere(count: int) -> Places:
-    """Of so many columns that nobody asks for: a zero, for all bodies."""
+def _unused(count: int) -> Places:
+    """Return the address of a zero for each of `count` unused columns."""
     return np.full((count, 2), (ZEROS.ctypes.data, 0), dtype=np.int64)
 
 
 @lru_cache(64)
 def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
-    """Of a field's numbers in an item, in bytes."""
+    """Return the offsets of a field's numbers in an item, in bytes."""
     offsets = np.zeros((), dtype=np.int64)
     for size, stride in zip(field.shape, strides, strict=True):
         offsets = offsets[..., None] + stride * np.arange(size)
@@ -70,10 +71,13 @@ def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
-    """Found once: of a call for one body it takes a tenth of the time."""
+    """Return the addresses of a problem's numbers.
+
+    Cached: they would take a tenth of the time of a call for one body.
+    """
     if problem not in _layouts:
         arrays = numbers_of(problem)
-        places = _nowhere(columns["state"].start)
+        places = _unused(columns["state"].start)
         for field, part in columns:
             if field.name in arrays:
                 places[part] = _places_of(field, arrays[field.name])
@@ -82,7 +86,7 @@ def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
 
 
 def numbers_of(problem: Problem | Mechanism) -> dict[str, Array]:
-    """What a problem has of the driver's inputs, by field."""
+    """Return a problem's arrays of the driver's inputs, by field."""
     if isinstance(problem, Mechanism):
         return problem.quantities
     parameters = {
@@ -90,18 +94,18 @@ def numbers_of(problem: Problem | Mechanism) -> dict[str, Array]:
         for number, element in enumerate(problem.elements)
         for name in element.kind.shapes
     }
-    return {**problem.quantities, **parameters, "pose": CLOSED}  # unless a start has others
+    return {**problem.quantities, **parameters, "pose": CLOSED}  # unless a start has another
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything about every body, where the user has it.
+    """Input numbers of all trajectories, in the user's memory.
 
-    columns : what is read, of the plan's system.
-    starts : arrays of poses, (4, 4) or (n, 4, 4), and of twists, (6,) or (n, 6), by field.
-    time : s, of the start.
-    state : to start from instead of pose and twist, if any: the driver's own, `end_columns` of the
-        plan, [column][body or 1].
+    columns : columns that the plan's system reads.
+    starts : poses, (4, 4) or (n, 4, 4), and twists, (6,) or (n, 6), by field.
+    count : number of trajectories.
+    time : of the start, s.
+    state : state to continue from instead of pose and twist, [`end_columns`][trajectory or 1].
     """
 
     problem: Problem | Mechanism
@@ -113,7 +117,7 @@ class Inputs:
 
     @property
     def differ(self) -> int:
-        """What does from trajectory to trajectory: TWISTS, POSES or BODIES."""
+        """Kind of inputs that differ between trajectories: TWISTS, POSES or BODIES."""
         if _layout(self.problem, self.columns).differ:
             return BODIES
         are_one = self.state is not None or all(
@@ -124,25 +128,27 @@ class Inputs:
         return TWISTS if are_one else POSES
 
     def places(self, plan: AnyPlan) -> Places:
-        """Of every column: a run that goes on asks for no pose and twist, others for no state."""
+        """Return the addresses of all columns: a continued run reads no pose and twist, others no
+        state.
+        """
         columns, places = self.columns, _layout(self.problem, self.columns).places.copy()
         if self.state is None:
             for name, array in self.starts.items():
                 places[columns[name]] = _places_of(columns.field(name), array)
             return places
         at = columns["state"].start
-        of_state = _nowhere(columns.count - at)
+        of_state = _unused(columns.count - at)
         for row, column in zip(self.state, end_columns(plan), strict=True):
             of_state[column] = row.ctypes.data, row.strides[0] if len(row) > 1 else 0
         return np.concatenate([places, of_state])
 
-    def numbers(self, body: int) -> list[np.float64]:
-        """Of one body, in the order of the columns, as far as they are there without a run."""
-        arrays, found = numbers_of(self.problem) | self.starts, []
+    def numbers(self, trajectory: int) -> list[np.float64]:
+        """Return the numbers of one trajectory in the order of the columns, without a state."""
+        arrays, numbers = numbers_of(self.problem) | self.starts, []
         for field, _ in self.columns:
             if field.name in arrays:
                 array = arrays[field.name]
-                which = 0 if _is_shared(field, array) else body
+                which = 0 if _is_shared(field, array) else trajectory
                 item = array.reshape(-1, *field.shape)[which].ravel()
-                found += list(item if field.entries is None else item[list(field.entries)])
-        return found
+                numbers += list(item if field.entries is None else item[list(field.entries)])
+        return numbers

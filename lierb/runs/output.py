@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from lierb.kernels.functions.source_lines import line_that_raised
 from lierb.kernels.loops.record import (
+    carried_columns,
     end_columns,
     history_columns,
     lane_column,
-    marks_column,
     summary_columns,
 )
 from lierb.kernels.stepping.clock import Clock, time_of
@@ -29,11 +29,11 @@ from lierb.kernels.tracing import calls
 from lierb.support.arrays import Array
 from lierb.support.memory import room
 
-MESSAGE_LENGTH = 200  # of an exception's words, in one line
+MESSAGE_LENGTH = 200  # of an exception, in one line
 
 
 class Times(Protocol):
-    """When a run is, and which times of it are saved."""
+    """Times of a run: those that are saved, and its end."""
 
     @property
     def saved_rows(self) -> int: ...
@@ -47,16 +47,16 @@ class Times(Protocol):
 class Output:
     """Results of a run, as they become Arrow columns.
 
-    clock : the times of the run.
-    summary : [SUMMARY, then KEEPS of each observable][body].
-    history : [measure, then observable, then error of a joint][time][body].
-    states : [link, time][body][component]; if not recorded, of the end alone.
-    multipliers : [time][body][row of any joint].   reactions : [joint, time][body][component].
-    ends : the driver's own state at the end, [column][body], the columns being `end_columns`.
-    raised : what a function of the user's has raised, in words, by body: of the first such body.
-    plan : of the run.
-    events : [event][trajectory, which, t, state of every link, states and outputs], if there are
-        any; sorted by the first and third.
+    plan, clock : plan and times of the run.
+    summary : [SUMMARY, then KEEPS of each observable][trajectory].
+    history : [measure, then observable, then error of a joint][time][trajectory].
+    states : [link, time][trajectory][component]; of the end alone if not recorded.
+    multipliers : [time][trajectory][row of any joint].
+    reactions : [joint, time][trajectory][component].
+    ends : the driver's state at the end, [`end_columns`][trajectory].
+    raised : description of the exception of a user's function, by trajectory: the first alone.
+    events : [event][trajectory, index, t, state of every link, extra states and outputs], sorted by
+        trajectory and time; None without events.
     """
 
     plan: AnyPlan
@@ -82,12 +82,12 @@ class Output:
 
     @staticmethod
     def size(plan: AnyPlan, count: int, rows: int, with_state: bool) -> int:
-        """Bytes of one with so many saved rows, by whole numbers without an end."""
+        """Return the size in bytes of an output with `rows` saved rows."""
         return 9 * count + 8 * sum(map(math.prod, _shapes(plan, count, rows, with_state)))
 
     @cached_property
     def arrays(self) -> dict[str, Array]:
-        """As the driver takes them."""
+        """Arrays of the job record."""
         states = {
             field.name: a for field, a in zip(POSE_AND_TWIST.fields, self.states, strict=True)
         }
@@ -96,38 +96,38 @@ class Output:
 
     @property
     def rows(self) -> int:
-        """Of the states, for each link."""
+        """Number of rows of the states of each link."""
         return len(self.states[0]) // self.links
 
     @property
     def state(self) -> tuple[Array, ...]:
-        """At the end, in memory apart from the history's: [body][component]."""
+        """State of the first link at the end, [trajectory][component], copied from a history."""
         return self.state_of(0)
 
     def state_of(self, link: int) -> tuple[Array, ...]:
-        """The same of one link."""
+        """Return the state of a link at the end, [trajectory][component]."""
         last = self.rows * (link + 1) - 1
         return tuple(a[last].copy() if self.rows > 1 else a[last] for a in self.states)
 
     @property
     def kept(self) -> Array:
-        """[KEPT][body]."""
+        """Measures kept, [KEPT][trajectory]."""
         return self.summary[: len(KEPT)]
 
     @property
     def observed(self) -> Array:
-        """KEEPS of each observable: [column][body]."""
-        return self.summary[SUMMARY.count : lane_column(self.plan)]  # then JOINT_KEPT of each joint
+        """KEEPS of each observable, then JOINT_KEPT of each joint, [column][trajectory]."""
+        return self.summary[SUMMARY.count : lane_column(self.plan)]
 
     @cached_property
     def status(self) -> NDArray[np.int8]:
-        """By trajectory."""
+        """Status codes, [trajectory]."""
         codes: NDArray[np.int8] = self.summary[SUMMARY.index("status")].astype(np.int8)
         return codes
 
     @cached_property
     def t(self) -> Array:
-        """Of the end of each trajectory, s: [body]."""
+        """Time of the end of each trajectory, s."""
         if not isinstance(self.clock, Clock):
             return self.of_lanes("t")
         t = np.full(len(self.status), self.clock.end)
@@ -136,42 +136,43 @@ class Output:
         return t
 
     def of_lanes(self, name: str) -> Array:
-        """A column of LANE_SUMMARY."""
-        found: Array = self.summary[lane_column(self.plan) + LANE_SUMMARY.index(name)]
-        return found
+        """Return a column of LANE_SUMMARY."""
+        column: Array = self.summary[lane_column(self.plan) + LANE_SUMMARY.index(name)]
+        return column
 
     @property
     def signals(self) -> Array:
-        """The user's states and outputs at the end: [number][body]."""
+        """Extra states and outputs at the end, [number][trajectory]."""
         return self.summary[lane_column(self.plan) + LANE_SUMMARY.count :]
 
     def starts(self, first: int, stop: int) -> Array:
-        """1 for each of these bodies that starts on its joint, else 0."""
-        found: Array = self.summary[SUMMARY.index("starts"), first:stop]
-        return found
+        """Return 1 for each of these trajectories that starts on its joint, else 0."""
+        starts: Array = self.summary[SUMMARY.index("starts"), first:stop]
+        return starts
 
-    def hear(self, plan: AnyPlan, chunk: Chunk, is_last: bool) -> None:
-        """Take what functions have raised in a call of the driver, and free its memory."""
+    def collect_exceptions(self, chunk: Chunk, is_last: bool) -> None:
+        """Collect the exceptions of a call of the driver, and free their memory."""
         count = chunk.stop - chunk.start
         at_end = self.summary[SUMMARY.index("raised"), chunk.start : chunk.stop]
-        self.hear_marks(
-            plan, at_end if is_last else chunk.carried[marks_column(plan), :count], chunk.start
+        flags = (
+            at_end if is_last else chunk.carried[carried_columns(self.plan).index("flags"), :count]
         )
+        self.collect_flags(flags, chunk.start)
 
-    def hear_marks(self, plan: AnyPlan, marks: Array, first: int) -> None:
-        """The same of trajectories from `first` on."""
-        found = np.unique(np.abs(marks)).astype(np.int64).tolist()
-        errors = {mark: calls.exception_of(mark) for mark in found if mark > calls.HEARD}
-        for body in np.flatnonzero(marks > calls.HEARD)[:1].tolist():
-            if first + body < min(self.raised, default=math.inf):
+    def collect_flags(self, flags: Array, first: int) -> None:
+        """Collect the exceptions that flags refer to, of trajectories from `first` on."""
+        known = np.unique(np.abs(flags)).astype(np.int64).tolist()
+        errors = {flag: calls.exception_of(flag) for flag in known if flag > calls.HEARD}
+        for index in np.flatnonzero(flags > calls.HEARD)[:1].tolist():
+            if first + index < min(self.raised, default=math.inf):
                 self.raised.clear()
-                error = errors[int(marks[body])]
-                self.raised[first + body] = exception_told(plan, error)
+                error = errors[int(flags[index])]
+                self.raised[first + index] = describe_exception(self.plan, error)
 
 
 @lru_cache(64)
 def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tuple[int, ...], ...]:
-    """Of an Output's arrays."""
+    """Return the shapes of an Output's arrays."""
     system = system_of(plan)
     # The end is no row of the history where lanes have clocks of their own.
     states = ((rows + plan.has_lane_clocks) if with_state else 1) * system.links
@@ -186,9 +187,9 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
 
 
 class Chunk(NamedTuple):
-    """Bodies start … stop, which are integrated together.
+    """Trajectories start … stop, which are integrated together.
 
-    carried : [column][body, padded to full blocks], if it takes more than one call.
+    carried : [column][trajectory, padded to full blocks], if more than one call is needed.
     """
 
     start: int
@@ -196,11 +197,11 @@ class Chunk(NamedTuple):
     carried: Array
 
 
-def exception_told(plan: AnyPlan, error: Exception) -> str:
-    """What a function of the user's that runs body by body has raised, in words."""
+def describe_exception(plan: AnyPlan, error: Exception) -> str:
+    """Return a message for an exception of a user's function that runs body by body."""
     functions = [f for element in plan.elements for f in element.functions if not f.is_traced]
     names = " or ".join(dict.fromkeys(f.name for f in functions))
     message = shorten(str(error), MESSAGE_LENGTH)
-    what = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    raised = f"{type(error).__name__}: {message}" if message else type(error).__name__
     line = line_that_raised(error, [f.python for f in functions])
-    return f"{names} raised {what}{f' ({line})' if line else ''}"
+    return f"{names} raised {raised}{f' ({line})' if line else ''}"

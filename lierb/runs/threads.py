@@ -13,9 +13,8 @@ from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import is_whole
 from lierb.support.forks import check_threads
 
-# One call of the driver shall last about this long: short enough for Ctrl-C and a moving bar, long
-# enough that the 30 µs of a call do not show, nor the half microsecond that it takes to bring a
-# body into the registers and out again.
+# Duration of one call of the driver, s: short enough for Ctrl-C and a moving bar, long enough to
+# hide the 30 µs of a call and the 0.5 µs of loading and storing a block.
 CALL_SECONDS = 0.15
 
 
@@ -23,7 +22,7 @@ _driver_lock = threading.Lock()  # Numba's workqueue layer aborts the process wh
 
 
 def threading_layer() -> str:
-    """Numba's threading layer, its threads started."""
+    """Return Numba's threading layer, with its threads started."""
     check_threads()
     with _driver_lock:
         numba.get_num_threads()  # starts them
@@ -31,7 +30,7 @@ def threading_layer() -> str:
 
 
 def threads_for(count: int | None, blocks: int) -> int:
-    """How many threads a call uses: as many as asked for, but no more than it has blocks."""
+    """Return the number of threads of a call: `count`, but no more than it has blocks."""
     most = numba.config.NUMBA_NUM_THREADS
     if count is None:
         count = numba.get_num_threads()
@@ -44,14 +43,14 @@ def threads_for(count: int | None, blocks: int) -> int:
 
 @contextmanager
 def running(threads: int) -> Iterator[None]:
-    """Where compiled code runs on so many threads."""
+    """Context in which compiled code runs on this number of threads."""
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         yield
 
 
 @contextmanager
 def _thread_mask(count: int) -> Iterator[None]:
-    """This Python thread's number of Numba threads set, and set back."""
+    """Context in which this Python thread has this number of Numba threads."""
     before = numba.get_num_threads()
     if count != before:
         numba.set_num_threads(count)

@@ -94,7 +94,7 @@ def by_taylor(data: Data) -> list[dict]:
             return [[dot(row, col) for col in transposed(middle)] for row in G]
 
         def columns(beta, cos, sin):
-            """Columns of ω = a α̇ + e₂ β̇ in body axes, and dᵃ/dβ."""
+            """Coefficients of ω = a α̇ + e₂ β̇, body axes, and dᵃ/dβ."""
             b, t = cos(beta), sin(beta)
             return times_matrix(B, [-t, 0 * b, b]), times_matrix(B, [-b, 0 * b, -t])
 

@@ -87,10 +87,10 @@ def test_bits_of_adaptive_steps_do_not_depend_on_threads(threads, expected):
     np.testing.assert_array_equal(bits(run(threads=threads)), expected)
 
 
-@pytest.mark.parametrize("turns", [1, 8, 10_000])
-def test_bits_of_adaptive_steps_do_not_depend_on_calls(turns, expected, monkeypatch):
-    """Lanes stop after so many turns of their loop, and go on in the next call."""
-    monkeypatch.setattr(lanes, "FIRST_TURNS", turns)
+@pytest.mark.parametrize("iterations", [1, 8, 10_000])
+def test_bits_of_adaptive_steps_do_not_depend_on_calls(iterations, expected, monkeypatch):
+    """Lanes stop after so many iterations, and continue in the next call."""
+    monkeypatch.setattr(lanes, "FIRST_ITERATIONS", iterations)
     monkeypatch.setattr(lanes, "CALL_SECONDS", 0.0)
     np.testing.assert_array_equal(bits(run(TWISTS[:100])), expected[:100])
 
@@ -145,7 +145,7 @@ def test_bits_of_output_and_events_do_not_depend_on_neighbours():
 
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
-    """A trajectory that exceeds max_steps does not change how others end."""
+    """Trajectories that exceed max_steps end; the others end as they would."""
     steps = whole.summary["steps"].to_numpy()
     tried = steps + whole.summary["rejected"].to_numpy()
     most = int(np.median(tried))
@@ -223,7 +223,7 @@ def test_fixed_steps_with_output_between_them_end_at_the_bits_of_those_without()
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::lierb.errors.ScalarFunctionWarning")
 def test_marks_of_functions_that_raise_are_of_ends_alone(monkeypatch):
-    """Stale memory is no exception: calls end while trajectories are under way."""
+    """Stale memory is no exception: calls end while trajectories still run."""
 
     @lierb.wrench
     def damping(t, R, r, omega, v, params):
@@ -237,7 +237,7 @@ def test_marks_of_functions_that_raise_are_of_ends_alone(monkeypatch):
         return output
 
     monkeypatch.setattr(engine.Output, "empty", staticmethod(used))
-    monkeypatch.setattr(lanes, "FIRST_TURNS", 3)
+    monkeypatch.setattr(lanes, "FIRST_ITERATIONS", 3)
     body = lierb.Body(1.0, (0.1, 0.2, 0.25))
     problem = lierb.Problem(body, lierb.joints.free(), (0, 0, 0), forces=[damping()])
     result = run(np.tile([1.0, 20.0, 3.0, 0, 0, 0], (8, 1)), problem, rtol=1e-4)

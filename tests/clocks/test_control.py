@@ -73,7 +73,7 @@ def by_hand(rotation, omega, torque_of, ticks=TICKS, cspace="reduced"):
 
 
 def run(count=5, controller=None, cspace="reduced", ticks=TICKS, **options):
-    """Integrate with a history in every case, so that all runs share a kernel."""
+    """Record a history in every run, so that all share a kernel."""
     problem, start = satellites(*fleet(count), controller or pid())
     options = {
         "dt": DT, "t_end": ticks * EVERY, "method": "RK4", "save_at": [ticks * EVERY],
@@ -84,7 +84,7 @@ def run(count=5, controller=None, cspace="reduced", ticks=TICKS, **options):
 
 @pytest.mark.parametrize("cspace", tiered(["reduced", "SE3"], [], ["reduced"]))
 def test_pid_is_the_loop_written_by_hand(cspace):
-    """Equal steps differ by the rounding of 100 steps, damped by the controller."""
+    """Equal steps differ by the rounding of 100 steps, which the controller damps."""
     rotation, omega = fleet(5)
     integral = np.zeros((5, 3))
 
@@ -154,7 +154,7 @@ def test_outputs_are_held_between_ticks_and_zero_before_the_first():
 
 @lierb.controller(every=0.1, memory={"count": 0.0})
 def counter(t, memory):
-    """Count of calls, and time of the last one."""
+    """Count the ticks, and record the time of the last."""
     return {"ticks": memory.count + 1.0, "stamped": t}, {"count": memory.count + 1.0}
 
 
@@ -227,7 +227,7 @@ def test_a_run_goes_on_from_a_terminal_event_where_it_was(at):
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [0.3, 0.6])
 def test_a_terminal_event_at_a_tick_leaves_it_to_what_goes_on(at):
-    """The summary has the values that the event had."""
+    """The summary has the value at the event."""
     result = ball(at=at)
     (row,) = result.events.to_pylist()
     assert row["ticks"] == column(result.summary, "ticks")[0] == round(at / 0.3)
@@ -258,7 +258,7 @@ def test_a_run_broken_at_a_tick_has_the_bits_of_one_run(cut):
 
 @pytest.mark.slow
 def test_steps_reach_a_tick_that_is_nearly_a_whole_number_of_them_away():
-    """Periods are compared by their own length: 0.1 ns in 50 ms is no rounding."""
+    """Periods are compared relative to their length: 0.1 ns in 50 ms is no rounding."""
 
     @lierb.states(clock=0.0)
     def runs():
@@ -378,7 +378,7 @@ def drawn():
 
 @pytest.mark.slow
 def test_no_draw_comes_twice(drawn):
-    """Distinct trajectories, names, ticks and components: 80 000 doubles, no two equal."""
+    """Noise depends on trajectory, name, tick and component: 80 000 doubles are all different."""
     assert len(np.unique(drawn)) == drawn.size
 
 
@@ -416,7 +416,7 @@ def test_draws_do_not_know_of_each_other(drawn):
         assert abs((a * b).mean()) < 5 * scale / np.sqrt(a.size), name
 
 
-# ---- errors and warnings -----------------------------------------------------------------------
+# ---- what is told ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("made", "match"), [

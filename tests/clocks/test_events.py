@@ -209,7 +209,7 @@ WITHOUT_EXTENSION = slow_but(["RK4", "Heun", "CF4"])
 @pytest.mark.parametrize("below", [1e-3, 1e-6])
 @pytest.mark.parametrize("method", ["DP54", *WITHOUT_EXTENSION])
 def test_two_crossings_in_a_step_are_found(below, method):
-    """A level `below` m under the top of a parabola: two crossings closer than any step."""
+    """A level `below` m under the top of a parabola has two crossings closer than any step."""
     v = 4.0
     top = v * v / (2 * G)
     problem, start = thrown(0.0, v, events=[height(top - below), NEVER])
@@ -222,7 +222,7 @@ def test_two_crossings_in_a_step_are_found(below, method):
 
 
 def test_a_level_that_is_just_missed_is_not_crossed():
-    """A gap of 1e-9 m: the parabola does not reach the level."""
+    """A parabola that misses the level by 1e-9 m has no crossing."""
     v = 4.0
     top = v * v / (2 * G)
     problem, start = thrown(0.0, v, events=[height(top + 1e-9), NEVER])

@@ -54,7 +54,7 @@ def test_save_at_ends_are_the_start_and_the_end():
 
 
 def test_save_at_row_is_a_run_that_ends_there():
-    """Two runs of one tolerance agree to it: the last step of one is shortened."""
+    """Two runs agree to their tolerance, as the last step of one is cut."""
     rtol, t = 1e-9, 0.41
     row = states_of(heavy_top(rtol=rtol, save_at=(t,)).history, 0)
     there = states_of(heavy_top(rtol=rtol, t_end=t).summary, 0)
@@ -134,7 +134,7 @@ def test_pose_between_steps_is_on_the_subgroup(name, solver):
 @pytest.mark.slow
 @pytest.mark.parametrize("method", tiered([*METHODS, "RK4", "Heun", "Euler"], ["RK4"], ["DP54"]))
 def test_save_at_on_steps_is_save_every(method):
-    """Rows at the ends of steps need no interpolation, and differ by rounding."""
+    """Rows at the ends of steps differ by rounding, without interpolation."""
     options = {"dt": 1e-2, "t_end": 0.3, "method": method}
     every = heavy_top(**options, save_every=10).history
     found = heavy_top(**options, save_at=[0.0, 0.1, 0.2, 0.3]).history

@@ -1,4 +1,4 @@
-"""Global errors, in multiples of rtol.
+"""Global errors in multiples of rtol: the accuracy requested is attained.
 
 `rtol` bounds the error of a step. What a motion makes of it differs: the errors of all steps add
 up, and tops part from each other. The bound is thirty times rtol at the end, in the norm that steps
@@ -91,7 +91,7 @@ def test_other_formulations_keep_the_tolerance(name, options):
 
 @pytest.mark.long
 def test_a_mechanism_keeps_the_tolerance():
-    """Two links against a run at a thousandth of the tolerance: both c-spaces, one truth."""
+    """Two links agree with a run at a thousandth of the tolerance, in both c-spaces."""
     rod = lierb.bodies.box((0.05, 0.05, 0.5), mass=1.0)
     hinge = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}
     tip = {"parent_point": (0.0, 0.0, -0.25)}

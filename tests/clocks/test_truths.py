@@ -1,4 +1,4 @@
-"""The reference solutions of the tests of tolerances are checked themselves."""
+"""The reference solutions of the tolerance tests are themselves accurate."""
 
 import json
 

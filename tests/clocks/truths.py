@@ -115,7 +115,7 @@ def problem_of(name: str):
 
 
 def distance(found: State, true: State) -> float:
-    """Error of a state, in the norm of the step-size control.
+    """Return the distance of a state from the truth, in the norm of the step-size control.
 
     The largest of: the angle between the rotations, rad; ‖Δ‖/‖true‖ of position, ω and v.
     """

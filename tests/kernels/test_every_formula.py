@@ -49,7 +49,8 @@ POINT, ANCHOR = (0.05, 0.02, 0.01), (0.1, 0.2, 0.3)
 
 LOOPS = {  # code of Numba's, and what it works on
     "groups.lie_functions.apply", "loops.blocks.integrate_blocks",
-    "loops.blocks.integrate_on_threads", "loops.blocks.pack", "loops.job.job_of",
+    "loops.job.job_of", "loops.job.jobs_of", "loops.sharing.integrate_on_threads",
+    "loops.sharing.pack", "loops.tables.tables_at",
     "stepping.clock.Clock.end", "stepping.clock.Clock.saved_times", "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
@@ -94,10 +95,14 @@ OF_CLOCKS = (
     "systems.signals.Watching.travel",
     "stepping.stepper.between",
     "stepping.stepper.extended",
+    "loops.event_dips.",
     "loops.event_search.",
+    "loops.event_state.",
     "loops.workspace.",
     "stepping.lane_clock.",
     "loops.lanes.",
+    "loops.lane_between.",
+    "loops.lane_state.",
     "loops.lane_steps.",
     "stepping.step_size.",
 )

@@ -1,4 +1,4 @@
-"""Advance a system by many steps, the cheapest kind of step that its state allows."""
+"""Advance a block by a step, of the cheapest kind that its state allows."""
 
 from __future__ import annotations
 
@@ -21,26 +21,29 @@ from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, SINGULAR, State
 from lierb.kernels.systems.system_of import formulation_of, system_of, takes_gentle_steps
 from lierb.kernels.tracing import calls
+from lierb.kernels.tracing.trace import kernel
 
 
 def advance(
     plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
-    """Step number k, from `time` on.
+    """Make step number k, from `time` on.
 
-    A body that fails keeps its status and step, and is NaN from then on.
+    A trajectory that fails keeps its status and step, and is NaN from then on.
     """
     return _advanced(plan, body, state, record, k, time, h, ())
 
 
-def advance_still(
+def advance_invariant(
     plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
-    """The same, to the same bits, where `is_still`: half of a saddle point's operations."""
-    still = formulation_of(plan).still
-    if not still:
+    """Make the step of `advance`, to the same bits, where `is_invariant`: half of a saddle point's
+    operations.
+    """
+    invariant = formulation_of(plan).still
+    if not invariant:
         return state, record  # never
-    return _advanced(plan, body, state, record, k, time, h, still)
+    return _advanced(plan, body, state, record, k, time, h, invariant)
 
 
 def _advanced(
@@ -51,10 +54,10 @@ def _advanced(
     k: Any,
     time: Any,
     h: Any,
-    still: tuple[int, ...],
+    invariant: tuple[int, ...],
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
-    moved, singular = _stepped(plan, body, state, time, h, still)
+    moved, singular = _stepped(plan, body, state, time, h, invariant)
     # An angle that is not finite spoils all of Q.
     turns, places = system_of(plan).told_by(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
@@ -62,12 +65,12 @@ def _advanced(
     if plan.calls_functions:
         fine = fine & (calls.marks(record.status) == calls.CLEAR)
 
-    def marked() -> Any:
+    def failed() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
         alive = record.status == OK
         if plan.calls_functions:
             known = calls.marks(record.status)
-            now = where(known > calls.SILENT, float(RAISED), now)  # which NaN has made singular
+            now = where(known > calls.SILENT, float(RAISED), now)  # whose NaN made it singular
             fails = where(
                 (now > 0.0) | (record.status > 0.0), float(calls.SILENT), float(calls.CLEAR)
             )
@@ -81,7 +84,7 @@ def _advanced(
         )
 
     v_or_mu, status, failed_step = branch(
-        all_lanes(fine), lambda: (moved.v_or_mu, record.status, record.failed_step), marked
+        all_lanes(fine), lambda: (moved.v_or_mu, record.status, record.failed_step), failed
     )
     return (
         moved._replace(v_or_mu=v_or_mu),
@@ -90,46 +93,49 @@ def _advanced(
 
 
 def _stepped(
-    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, still: tuple[int, ...]
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any, invariant: tuple[int, ...]
 ) -> tuple[State, Any]:
-    """A step, with V's components that are `still` as structural zeros."""
+    """Make a step with the invariant components of V as structural zeros."""
     before = state.v_or_mu
-    moving = tuple(ZERO if i in still else v for i, v in enumerate(before))
+    moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
     moved, singular = step(plan, body, state._replace(v_or_mu=moving), time, h)
     pairs = zip(before, moved.v_or_mu, strict=True)
-    after = tuple(v if i in still else x for i, (v, x) in enumerate(pairs))
+    after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
     return moved._replace(v_or_mu=after), singular
 
 
-def has_still(plan: AnyPlan, h: Any) -> Any:
-    """Whether the plan's rows keep anything `still`."""
+def has_invariant(plan: AnyPlan, h: Any) -> Any:
+    """Return whether the plan's rows keep any component of V zero."""
     return all_lanes(h == h if formulation_of(plan).still else h < h)
 
 
-def is_still(plan: AnyPlan, state: State, h: Any) -> Any:
-    """Whether what the plan's rows keep `still` is so, in all lanes; and so it stays."""
+def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
+    """Return whether the components of V that the plan's rows keep zero are zero in all lanes; then
+    they remain so.
+    """
     velocity = state.v_or_mu
-    still = h == h
+    invariant = h == h
     for i in formulation_of(plan).still:
-        still = still & (velocity[i] == 0.0)
-    return all_lanes(still)
+        invariant = invariant & (velocity[i] == 0.0)
+    return all_lanes(invariant)
 
 
-def is_gentle(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
-    """Whether the next step's angles will be tiny in all lanes, as far as one can tell before."""
+def has_small_angles(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
+    """Return whether the next step's angles are likely to be tiny in all lanes."""
     if not takes_gentle_steps(plan):
         return all_lanes(h < h)  # never
-    gentle = record.dropped == 0.0
+    small = record.dropped == 0.0
     for square in system_of(plan).turning(body, state):
-        gentle = gentle & (h * h * plain(square) <= 0.8 * TINY)
-    return all_lanes(gentle)
+        small = small & (h * h * plain(square) <= 0.8 * TINY)
+    return all_lanes(small)
 
 
-def advance_gently(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) -> tuple[State, Any]:
-    """A step without a branch, and whether it is the step that `advance` makes.
+def advance_small_angles(
+    plan: AnyPlan, body: Any, state: State, time: Any, h: Any
+) -> tuple[State, Any]:
+    """Make a step without branches, where `is_invariant`. Return whether it is that of `advance`.
 
-    For states that are `still`. A branch for each stage's angle takes a spherical joint's step a
-    twentieth of its time.
+    A branch for each stage's angle takes a twentieth of the time of a spherical joint's step.
     """
     if not takes_gentle_steps(plan):
         return state, all_lanes(h < h)  # never
@@ -137,10 +143,17 @@ def advance_gently(plan: AnyPlan, body: Any, state: State, time: Any, h: Any) ->
         moved, singular = _stepped(plan, body, state, time, h, formulation_of(plan).still)
     _, places = system_of(plan).told_by(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
-    for condition in conditions:  # which no angle meets that is not finite
+    for condition in conditions:  # false for an angle that is not finite
         fine = fine & condition
     return moved, all_lanes(fine)
 
 
 def tidy(plan: AnyPlan, body: Any, state: State) -> State:
     return state._replace(chart=formulation_of(plan).tidied(body, state.chart))
+
+
+for _formula in (
+    advance, advance_invariant, has_invariant, is_invariant, has_small_angles, advance_small_angles,
+    tidy,
+):  # fmt: skip
+    kernel(_formula)

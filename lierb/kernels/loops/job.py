@@ -1,7 +1,8 @@
-"""Job record: what the loops of a run are called with."""
+"""Job record: the arguments of the compiled loops, of which only the address is passed on."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from struct import Struct
 from typing import get_type_hints
 
@@ -9,18 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.lane_clock import Span
+from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 
-# In place of step 0: for a start that is to be looked at, and for one that goes on from a state.
+# In place of step 0: check the start first; continue from a state.
 UNSEEN, RESUMED = -1, -2
-TWISTS, POSES, BODIES = range(3)  # each with those before it
+TWISTS, POSES, BODIES = range(3)  # what differs between trajectories; each includes those before
 
-
-ARRAYS = {
-    "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
-    "varying": "int64, [1][columns of inputs in which trajectories differ]",
-    "inputs": "[thread][column][lane], where each thread brings a block's numbers together",
-    "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
+RESULTS = {
     "summary": "[SUMMARY, KEEPS of each observable, JOINT_KEPT of each joint][trajectory]",
     "history": "[`history_measures`, observables, JOINT_ERRORS of each joint][time][trajectory]",
     **dict.fromkeys(
@@ -31,38 +29,70 @@ ARRAYS = {
     "reactions": "[joint, time][trajectory][component]",
     "ends": "[`end_columns`][trajectory]",
 }
+ARRAYS = {
+    "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
+    "varying": "int64, [1][columns of inputs in which trajectories differ]",
+    "inputs": "[thread][column][lane], where each thread gathers a block's numbers",
+    "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
+    **RESULTS,
+    # Of lanes with clocks of their own: of the run,
+    "save_at": "[1][row of the history], s",
+    "noise_indices": "[1][trajectory]",
+    "kinds": "[direction, is terminal][event]",
+    "jumps": "[1][time at which steps end], s",
+    # and of a thread's workspace.
+    "rows": "[row][lane], see `lierb.kernels.loops.workspace`",
+    "request": "[1][REQUEST]",
+    "shown": "[POSE_AND_TWIST of each link, extra states, outputs][lane]",
+    "sides": "[event][lane], see `lierb.kernels.loops.event_search.Search`",
+    "values": "[sample][event][lane]",
+    "dips": "[θ, value][event][lane]",
+    "roundings": "[event][lane]",
+    "events": "[index][EVENT_COLUMNS, state and signals]; [0][0] is their count",
+}
+SIZES = {
+    "first": "first trajectory of the chunk",
+    "stop": "the trajectory after its last",
+    "begin": "step at which a call begins; UNSEEN or RESUMED in place of 0",
+    "until": "step at which a call ends (0: check the start alone), or number of iterations in it",
+    "differ": "TWISTS, POSES or BODIES",
+    "rows_per_link": "rows of the states of each link: all saved times, or the last one",
+    "watched": "number of events",
+    "lane_column": "column of LANE_SUMMARY in a summary",
+    "serve": "entry of `lierb.kernels.loops.workspace.serve`",
+    "watch": "entry of `lierb.kernels.loops.event_search.watch`",
+}
 JOB = np.dtype(
     (
         np.record,
         [
             *((name, np.int64, (4,)) for name in ARRAYS),  # address and extents
-            ("first", np.int64),  # trajectory of the chunk
-            ("stop", np.int64),  # the one after its last
-            ("begin", np.int64),  # step of this call
-            ("end", np.int64),  # 0: to look at the start alone
-            ("differ", np.int64),  # from trajectory to trajectory: TWISTS, POSES or BODIES
-            ("rows", np.int64),  # of the states, for each link: all saved times, or the last one
-            *get_type_hints(Clock).items(),
+            *((name, np.int64) for name in SIZES),
+            *(get_type_hints(Clock) | get_type_hints(Span) | get_type_hints(Tolerances)).items(),
+            ("seed", np.float64),
         ],
     )
 )
-"""What the loops over blocks and steps work on: arrays, float64 and C-contiguous but for one,
-sizes, and the clock. In one record, of which nothing but its address goes through calls."""
+"""Arrays (float64 and C-contiguous unless stated otherwise), sizes, clock, tolerances and seed."""
 
-
-_CODES = {"i": "q", "f": "d", "V": "4q"}  # of whole numbers, reals, and addresses with extents
+_CODES = {"i": "q", "f": "d", "V": "4q"}  # integers, floats, addresses with extents
+_NAMES = tuple(JOB.names or ())[len(ARRAYS) :]
 _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or ()))
 
 
-def job_of(arrays: dict[str, NDArray], *sizes: int, clock: Clock) -> NDArray:
-    """The record, as an array of one; whoever calls keeps the arrays.
-
-    sizes : first, stop, begin, end, differ and rows.
-    """
-    numbers: list[int] = []
+def job_of(arrays: Mapping[str, NDArray], numbers: Mapping[str, float]) -> bytes:
+    """Pack a record; what is missing is zero. The caller keeps the arrays alive."""
+    content: list[float] = []
     for name in ARRAYS:
-        array = arrays[name]
-        extents = array.shape + (1,) * (3 - array.ndim)
-        numbers += (array.__array_interface__["data"][0], *extents)
-    content = _PACKED.pack(*numbers, *sizes, *clock)
-    return np.frombuffer(bytearray(content), JOB)
+        if name in arrays:
+            array = arrays[name]
+            extents = array.shape + (1,) * (3 - array.ndim)
+            content += (array.__array_interface__["data"][0], *extents)
+        else:
+            content += (0, 0, 0, 0)
+    return _PACKED.pack(*content, *(numbers.get(name, 0) for name in _NAMES))
+
+
+def jobs_of(*records: bytes, per_thread: int = 1) -> NDArray:
+    """Return an array of records, [thread][record]."""
+    return np.frombuffer(bytearray(b"".join(records)), JOB).reshape(-1, per_thread)

@@ -1,4 +1,4 @@
-"""Record of a run: what the loops load, measure and store, and the columns that it makes."""
+"""Record of a run: quantities that the loops load, measure and store, and their columns."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from lierb.kernels.numbers.arithmetic import (
     load,
     maximum,
     plain,
-    prefetch,
     real,
     scatter,
     sqrt,
@@ -21,8 +20,14 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.stepping.lane_clock import LaneClock
 from lierb.kernels.systems.formulations import LARGEST
-from lierb.kernels.systems.layout import LANE_SUMMARY, POSE_AND_TWIST
+from lierb.kernels.systems.layout import (
+    LANE_END,
+    LANE_SUMMARY,
+    Columns,
+    Field,
+)
 from lierb.kernels.systems.measures import (
     JOINT_ERRORS,
     JOINT_KEPT,
@@ -35,7 +40,6 @@ from lierb.kernels.systems.measures import (
 from lierb.kernels.systems.observables import (
     KEEPS,
     Kept,
-    columns_of,
     kept_of,
     may_raise,
     nothing_kept,
@@ -47,40 +51,46 @@ from lierb.kernels.systems.signals import lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing import calls
+from lierb.kernels.tracing.trace import kernel
 
 NAN = float("nan")
 
 
 @lru_cache(64)
 def history_measures(plan: AnyPlan) -> tuple[Measure, ...]:
-    """Those of a history: `work` where something does any."""
+    """Return the measures of a history: `work` where an element does work."""
     return tuple(m for m in MEASURES if m.name != "work" or plan.does_work)
 
 
 class Record(NamedTuple):
-    """What a run remembers of a body."""
+    """Quantities of a trajectory that are recorded along a run."""
 
-    kept: tuple[Any, ...]  # of KEPT; squares where a measure is one
+    kept: tuple[Any, ...]  # KEPT; squares where a measure is one
     first_energy: Any
     status: Any
     failed_step: Any
-    dropped: Any  # at the start; see `BodyConstants`
+    dropped: Any  # rows dropped at the start; see `BodyConstants`
     observed: tuple[Kept, ...] = ()
-    joints: tuple[Any, ...] = ()  # of a mechanism's joints, JOINT_KEPT of each: squares
+    joints: tuple[Any, ...] = ()  # JOINT_KEPT of each joint of a mechanism: squares
 
 
-def marks_column(plan: AnyPlan) -> int:
-    """Of what is carried: what functions have raised."""
-    return system_of(plan).state.count + len(KEPT) + len(Record._fields) - 3
-
-
-def carried_columns(plan: AnyPlan) -> int:
-    watched = len(Kept._fields) * len(observables_of(plan)) + joint_columns(plan)
-    return marks_column(plan) + 1 + watched
+@lru_cache(64)
+def carried_columns(plan: AnyPlan) -> Columns:
+    """Return the columns of a trajectory between two calls: state, record, clock, controllers."""
+    columns = (
+        Field("state", (system_of(plan).state.count,)), Field("kept", (len(KEPT),)),
+        Field("first_energy"), Field("status"), Field("failed_step"), Field("dropped"),
+        Field("flags"), Field("observed", (len(Kept._fields) * len(observables_of(plan)),)),
+        Field("joints", (joint_columns(plan),)),
+    )  # fmt: skip
+    if not plan.has_lane_clocks:
+        return Columns(*columns)
+    clock = Field("clock", (len(LaneClock._fields),))
+    return Columns(*columns, clock, *lane_end(plan).fields[len(LANE_END.fields) :])
 
 
 def joint_columns(plan: AnyPlan) -> int:
-    """Of a summary: JOINT_KEPT of every joint of a mechanism."""
+    """Return the number of a summary's columns for JOINT_KEPT of a mechanism's joints."""
     return len(JOINT_KEPT) * len(system_of(plan).joints)
 
 
@@ -89,13 +99,13 @@ def summary_columns(plan: AnyPlan) -> int:
 
 
 def lane_column(plan: AnyPlan) -> int:
-    """Of a summary: the first of LANE_SUMMARY, where lanes have clocks of their own."""
+    """Return the first column of LANE_SUMMARY in a summary, if lanes have clocks of their own."""
     return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
 
 
 def history_columns(plan: AnyPlan) -> int:
-    """Measures, observables, the errors of every joint of a mechanism, the user's states and
-    outputs.
+    """Return the number of a history's columns: measures, observables, errors of the joints of a
+    mechanism, extra states and outputs.
     """
     own = len(history_measures(plan)) + len(observables_of(plan))
     return own + len(JOINT_ERRORS) * len(system_of(plan).joints) + signals_width(plan)
@@ -105,33 +115,33 @@ def _columns(plan: AnyPlan, array: Any, columns: range, first: Any) -> list[Any]
     return [load(array, (c, first), plan.lanes) for c in columns]
 
 
-def _inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
-    """All numbers but a state to go on from."""
+def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
+    """Load the inputs, except a state to continue from."""
     return _columns(plan, inputs, range(system_of(plan).inputs["state"].start), 0)
 
 
 def load_body(plan: AnyPlan, inputs: Any) -> Any:
-    return system_of(plan).body(_inputs(plan, inputs))
+    return system_of(plan).body(load_inputs(plan, inputs))
 
 
 def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
-    """What all starts in one pose have in common."""
-    return system_of(plan).placed(body, _inputs(plan, inputs))
+    """Load what all starts in one pose have in common."""
+    return system_of(plan).placed(body, load_inputs(plan, inputs))
 
 
 def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
-    """The same of what is looked at, whether they are on the joint."""
-    return system_of(plan).given(_inputs(plan, inputs), time)
+    """Load what starts in one pose have in common for the check that they are on the joint."""
+    return system_of(plan).given(load_inputs(plan, inputs), time)
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
-    state: State = system_of(plan).start(body, placed, _inputs(plan, inputs))
+    state: State = system_of(plan).start(body, placed, load_inputs(plan, inputs))
     return state
 
 
 def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
-    """Nothing kept so far, as numbers of the state's own type."""
-    nothing = 0.0 * body.mass  # no constant: 1 / t of a motor is inf, no error
+    """Return a record at the start, of numbers of the state's own type."""
+    nothing = 0.0 * body.mass  # not a constant: 1 / t of a motor is inf, no error
     system = system_of(plan)
     seen = system.measured(body, state, system.seen(body, state, nothing), nothing)
     energy = seen.values["energy"]
@@ -145,7 +155,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
 
 
 def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
-    """The one that a run goes on from."""
+    """Load the state that a run continues from."""
     at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
     state: State = system_of(plan).state_of(numbers, body)
@@ -153,7 +163,7 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
 
 
 def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
-    """Record with the rank at the start of the run that goes on, unless that had other rows."""
+    """Return the record with the rank at the start of the continued run, unless its rows differ."""
     if not plan.keeps_rank:
         return record
     at = system_of(plan).inputs["lane"]
@@ -161,38 +171,42 @@ def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
     return record._replace(dropped=where(dropped == dropped, dropped, record.dropped))
 
 
-def load_state(plan: AnyPlan, body: Any, carried: Any, first: Any) -> State:
-    numbers = _columns(plan, carried, range(system_of(plan).state.count), first)
-    state: State = system_of(plan).state_of(numbers, body)
-    return state
+def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
+    """Return the body with the number of rows that were redundant at the start."""
+    return body._replace(dropped=record.dropped)
 
 
-def load_record(plan: AnyPlan, carried: Any, first: Any) -> Record:
-    marks, watched = marks_column(plan), len(Kept._fields) * len(observables_of(plan))
-    numbers = _columns(plan, carried, range(system_of(plan).state.count, marks), first)
-    more = tuple(_columns(plan, carried, range(marks + 1, carried_columns(plan)), first))
-    kept, (energy, status, step, dropped) = tuple(numbers[: len(KEPT)]), numbers[len(KEPT) :]
-    seen = kept_of(more[:watched]), more[watched:]
-    record = Record(kept, energy, status, step, dropped, *seen)
+def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[State, Record]:
+    """Load state and record of a block after the last call, and its exception flags."""
+    columns = carried_columns(plan)
+    parts = columns.parts(_columns(plan, carried, range(columns.count), first))
+    state: State = system_of(plan).state_of(parts["state"], body)
+    numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
+    energy, status, step, dropped = numbers
+    observed = kept_of(parts["observed"])
+    record = Record(parts["kept"], energy, status, step, dropped, observed, parts["joints"])
     if plan.calls_functions:
-        before = load(carried, (marks, first), plan.lanes)
-        # Lanes with clocks of their own are heard once they have handed over their ends.
+        (before,) = parts["flags"]
+        # Exceptions of lanes with clocks of their own are collected at the end of a trajectory.
         known = before if plan.has_lane_clocks else where(before > 0.0, float(calls.HEARD), before)
         fine = where(record.status == OK, float(calls.CLEAR), float(calls.SILENT))
         calls.set_marks(where(before > calls.SILENT, known, fine))
-    return record
+    return state, record
 
 
 def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record: Record) -> None:
-    kept, *more, watched, joints = record
-    numbers = (*flatten(state), *kept, *more, *_raised_in_call(plan, record))
-    for c, number in enumerate(numbers):
+    """Store state and record of a block for the next call, and its exception flags."""
+    kept, *numbers, observed, joints = record
+    flags = exception_flags(plan, record)
+    for c, number in enumerate((*flatten(state), *kept, *numbers, *flags)):
         store(carried, (c, first), number, plan.lanes)
-    for c, number in enumerate(flatten((watched, joints)), marks_column(plan) + 1):
+    behind = carried_columns(plan)["observed"].start
+    for c, number in enumerate(flatten((observed, joints)), behind):
         store(carried, (c, first), number, plan.lanes)
 
 
 def store_end(plan: AnyPlan, state: State, record: Record, ends: Any, column: Any) -> None:
+    """Store the state, and the rank at the start, for a run that continues."""
     numbers = [*flatten(state)]
     going_on = [numbers[c] for c in state_columns(plan)]
     if plan.keeps_rank:
@@ -203,15 +217,17 @@ def store_end(plan: AnyPlan, state: State, record: Record, ends: Any, column: An
 
 @lru_cache(64)
 def end_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Of a state to go on from those that are kept at the end: `state_columns`, then `lane_end`."""
+    """Return the columns of a continued state that are stored at the end: `state_columns`, then
+    `lane_end`.
+    """
     first = system_of(plan).state.count
     return (*state_columns(plan), *range(first, first + lane_end(plan).count))
 
 
 @lru_cache(64)
 def state_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Of the state's numbers those that are kept at the end: what the plan has, but W, which counts
-    from the start of its own run.
+    """Return the numbers of a state that are stored at the end: all that the plan has, except W,
+    which counts from the start of a run.
     """
     columns = system_of(plan).state
     numbers = flatten(system_of(plan).state_of((1.0,) * columns.count))
@@ -219,9 +235,9 @@ def state_columns(plan: AnyPlan) -> tuple[int, ...]:
     return tuple(c for c, number in enumerate(numbers) if c != work and not is_zero(number))
 
 
-def heard(plan: AnyPlan, record: Record, k: Any) -> Record:
-    """The record, where a function has raised since the last step: asked for λ or the reaction, or
-    an observable.
+def with_exceptions(plan: AnyPlan, record: Record, k: Any) -> Record:
+    """Return the record with the status RAISED where a function has raised since the last step: in
+    λ, the reaction or an observable.
     """
     if not plan.calls_functions:
         return record  # never
@@ -232,8 +248,8 @@ def heard(plan: AnyPlan, record: Record, k: Any) -> Record:
     )
 
 
-def _raised_in_call(plan: AnyPlan, record: Record) -> Any:
-    """What functions have raised; negative where the body had failed before."""
+def exception_flags(plan: AnyPlan, record: Record) -> Any:
+    """Return the exception flags; negative where the trajectory had failed before."""
     if not plan.calls_functions:
         return ()
     known = calls.marks(record.status)
@@ -242,9 +258,9 @@ def _raised_in_call(plan: AnyPlan, record: Record) -> Any:
 
 
 def are_finite(*numbers: Any) -> Any:
-    """Whether all of them are, and so is their sum."""
+    """Return whether all numbers are finite, and so is their sum."""
     numbers = numbers or (ZERO,)
-    while len(numbers) > 1:  # by halves: a sum of one after the other keeps the next step waiting
+    while len(numbers) > 1:  # pairwise: a sequential sum would delay the next step
         half = len(numbers) // 2
         pairs = zip(numbers[:half], numbers[half : 2 * half], strict=True)
         numbers = (*(a + b for a, b in pairs), *numbers[2 * half :])
@@ -261,29 +277,30 @@ def observe(
     share: Any = ZERO,
     by_halves: bool = False,
 ) -> tuple[tuple[Any, ...], Record]:
-    """The measures and observables of a history at step k, and the record with what is kept of
-    them.   share : of the run's time, that the step counts for in means; `by_halves`, half the time
-    since the last one, which both count for.
+    """Return the measures and observables of a history at step k, and the updated record.
 
-    Where they are not finite they tell nothing, and the body has failed, though its state may be
-    finite: squares and energies overflow long before it.
+    share : weight of the step in means, a fraction of the run's time; with `by_halves`, half the
+        time since the last step, which counts for both.
+
+    A trajectory whose measures are not finite has failed, though its state may be finite: squares
+    and energies overflow long before it.
     """
     system = system_of(plan)
     seen = system.seen(body, state, time)
     values = system.observed(body, seen, time)
     if may_raise(plan):
-        record = heard(plan, record, k)
+        record = with_exceptions(plan, record, k)
     now, joints = system.measured(body, state, seen, time, record.first_energy)
     sizes = {measure.name: measure.size(now[measure.name]) for measure in MEASURES}
     fine = are_finite(*(sizes[name] for name in MUST_BE_FINITE))
     so_far = (record.status, record.failed_step)
     alive = (record.status == OK) & fine
 
-    def marked() -> Any:
+    def failed() -> Any:
         fresh = where(record.status == OK, (float(NON_FINITE), real(k)), so_far)
         return where(fine, so_far, fresh)
 
-    status, failed_step = branch(all_lanes(fine), lambda: so_far, marked)
+    status, failed_step = branch(all_lanes(fine), lambda: so_far, failed)
     kept = []
     for (measure, how), old in zip(KEPT, record.kept, strict=True):
         size = sizes[measure.name]
@@ -292,7 +309,7 @@ def observe(
         else:
             kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
-    # As wide as the block: a function of time alone, called body by body, has one value for it.
+    # A function of time alone has one value for the block; `where` widens it.
     values = tuple(where(alive, value, NAN) for value in values)
     pairs = zip(record.observed, values, strict=True)
     errors = tuple(sqrt(square) for joint in joints for square in joint)
@@ -308,20 +325,20 @@ def observe(
 def _joints_kept(
     record: Record, joints: tuple[tuple[Any, ...], ...], alive: Any
 ) -> tuple[Any, ...]:
-    """JOINT_KEPT of every joint, with what is seen now."""
-    found = []
+    """Return JOINT_KEPT of every joint, updated with the squares of its errors."""
+    kept = []
     places = ((joint, measure, how) for joint in joints for measure, how in JOINT_KEPT)
     for (joint, measure, how), old in zip(places, record.joints, strict=True):
         square = joint[JOINT_ERRORS.index(measure)]
         if how == "final":
-            found.append(where(alive, plain(square), NAN))
+            kept.append(where(alive, plain(square), NAN))
         else:
-            found.append(old if is_zero(square) else where(alive, maximum(old, square), old))
-    return tuple(found)
+            kept.append(old if is_zero(square) else where(alive, maximum(old, square), old))
+    return tuple(kept)
 
 
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
-    """The record after a step that is saved and not measured.   seen : as `observe` has it."""
+    """Return the record after a step that is saved and not measured.   seen : from `observe`."""
     if not may_raise(plan):
         return record
     raised = (seen.status == RAISED) & (record.status == OK)
@@ -331,107 +348,9 @@ def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
     )
 
 
-def store_measures(
-    plan: AnyPlan, record: Record, shown: tuple[Any, ...], history: Any, row: Any, first: Any
-) -> None:
-    """One row of the history's scalar columns.
-
-    The next row is far from this one, where no hardware looks for it: fetched now, it is at hand
-    when the steps to it are made. Otherwise its cache misses take as long as four steps.
-    """
-    places = [(c, row, first) for c in range(len(shown))]
-    alive = record.status == OK
-    scatter(history, 2, places, where(alive, tuple(shown), (NAN,) * len(shown)), plan.lanes)
-    for c in range(len(shown)):
-        prefetch(history, (c, row + 1, first), plan.lanes)
-
-
-def user_state(
-    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record
-) -> list[tuple[Any, ...]]:
-    """R (row by row), r, ω, v in the user's frames, of every link; NaN after a failure."""
-    links = system_of(plan).in_user_frames(body, _inputs(plan, inputs), state)
-    alive = record.status == OK
-    return [where(alive, numbers, (NAN,) * len(numbers)) for numbers in links]
-
-
-def store_state(
-    plan: AnyPlan,
-    body: Any,
-    inputs: Any,
-    state: State,
-    record: Record,
-    states: Any,
-    row: Any,
-    rows: Any,
-    column: Any,
-) -> None:
-    """One row of the states: R, r, ω and v, each [link, time][body][component].
-
-    rows : of each link.
-    """
-    for numbers in user_state(plan, body, inputs, state, record):
-        for array, part in zip(states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
-            scatter(array, 1, [(row, column, c) for c in range(len(part))], part, plan.lanes)
-            prefetch(array, (row + 1, column, 0), plan.lanes * len(part))
-        row = row + rows
-
-
-def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
-    """Body with the number of rows that were redundant at the start."""
-    return body._replace(dropped=record.dropped)
-
-
-def store_forces(
-    plan: AnyPlan,
-    body: Any,
-    state: State,
-    record: Record,
-    multipliers: Any,
-    reactions: Any,
-    row: Any,
-    rows: Any,
-    first: Any,
-    time: Any,
-) -> None:
-    """One row of the history's λ, [time][body][row], and of reactions, [joint, time][body][…].
-
-    rows : of each joint.
-    """
-    if not (plan.multipliers or plan.reaction):
-        return
-    found, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
-    alive = record.status == OK
-    if plan.multipliers and found:
-        places = [(row, first, c) for c in range(len(found))]
-        scatter(multipliers, 1, places, where(alive, found, (NAN,) * len(found)), plan.lanes)
-        prefetch(multipliers, (row + 1, first, 0), plan.lanes * len(found))
-    for wrench in wrenches if plan.reaction else ():
-        places = [(row, first, c) for c in range(6)]
-        scatter(reactions, 1, places, where(alive, wrench, (NAN,) * 6), plan.lanes)
-        prefetch(reactions, (row + 1, first, 0), plan.lanes * 6)
-        row = row + rows
-
-
-def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> None:
-    """What is kept of the measures, status and the step of a failure."""
-    r = record
-    kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
-    numbers = (*kept, r.status, r.failed_step, *_raised_in_call(plan, r))
-    watched = (
-        *(x for kept in r.observed for x in columns_of(kept)),
-        *(sqrt(square) for square in r.joints),
-    )
-    places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
-    scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
-
-
-def store_start(
-    plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
-) -> None:
-    """Whether the start, as given, is on the joint.
-
-    time : s, of the start.
-    """
-    starts = system_of(plan).starts_well(given, _inputs(plan, inputs), time)
-    scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
+for _formula in (
+    load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
+    resumed_record, with_rank, load_carried, store_carried, observe, without_measures,
+    with_exceptions, store_end,
+):  # fmt: skip
+    kernel(_formula)

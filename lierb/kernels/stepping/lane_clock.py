@@ -1,7 +1,7 @@
-"""A clock for each lane: when its trajectory is, how long the next step is, when it ends.
+"""Clock of a lane: time of its trajectory, length of the next step, end.
 
-Fixed steps end at t = anchor + dt·k, the same doubles as if all lanes had one clock; adaptive ones
-where the step-size control says. Both end where a controller ticks, and at the end of the run.
+Fixed steps end at t = anchor + dt·k, the same doubles as if all lanes had one clock. Adaptive steps
+end at the step-size control's choice. Both end where a controller ticks and at the end of the run.
 """
 
 from __future__ import annotations
@@ -33,20 +33,23 @@ from lierb.kernels.systems.state import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISE
 from lierb.kernels.tracing import calls
 
 INF = float("inf")
-PASSED = 1.1  # by so much of `longest` a step may be longer, as velocities change in it
-NEARLY = 1e-9  # of a step: what is left of a run, less than that, belongs to the step
+PASSED = 1.1  # factor by which a step may exceed `longest`, as velocities change in it
+NEARLY = 1e-9  # fraction of a step: a remainder of the run shorter than that joins the step
 
 
 def rounding_at(time: Any) -> Any:
-    """How far apart two times may be that are one, s: sums of steps, and multiples of a period."""
+    """Return the distance within which two times count as equal, s.
+
+    Times are sums of steps and multiples of a period.
+    """
     return 4.0 * EPS * absolute(time)
 
 
 class Span(NamedTuple):
-    """Of a run, s.
+    """Start and end of a run, s.
 
-    origin, counted : of fixed steps, the start is so many steps after that time.
-    every : how many steps between two measurements.
+    origin, counted : fixed steps start `counted` steps after `origin`, s.
+    every : number of steps between two measurements.
     """
 
     start: float
@@ -57,11 +60,13 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """t : now, s.   h : the next step, as far as nothing cuts it short, s.
+    """Clock of a lane.
 
-    anchor, counted : fixed steps are counted from there.   before : of the step-size control.
-    steps, rejected : so far.   seen : when the observables were looked at last, s.
-    due : when the next row of the history is, s.   ahead : steps before the start.
+    t : current time, s.   h : length of the next step unless something cuts it short, s.
+    anchor, counted : fixed steps are counted from `anchor`, s.
+    before : level of the last error, for the step-size control; see `Change`.
+    steps, rejected : counts so far.   seen : time at which observables were last evaluated, s.
+    due : time of the next row of the history, s.   ahead : number of steps before the start.
     """
 
     t: Any
@@ -77,8 +82,9 @@ class LaneClock(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """A step to be tried: from `start` on, h long, to `end`, s.   lands : 1 where something cuts it
-    short.
+    """A step to be tried: from `start` to `end`, of length h, s.
+
+    lands : 1 where something cuts it short.
     """
 
     start: Any
@@ -88,7 +94,7 @@ class Trial(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """accepted : 1 where the step is taken.   failed : a status, or OK."""
+    """Outcome of a step.   accepted : 1 where it is accepted.   failed : a status, or OK."""
 
     accepted: Any
     failed: Any
@@ -98,7 +104,7 @@ class Verdict(NamedTuple):
 def first_clock(
     plan: AnyPlan, body: Any, state: State, span: Span, limits: Tolerances, zero: Any
 ) -> LaneClock:
-    """Before anything is due.   zero : of each lane."""
+    """Return the clock at the start, with no row due.   zero : 0 in each lane."""
     start, length = zero + span.start, zero + (span.end - span.start)
     h = zero + limits.dt
     if plan.embedded is not None:
@@ -120,13 +126,13 @@ def first_clock(
 
 
 def continued(
-    plan: AnyPlan, clock: LaneClock, limits: Tolerances, found: dict[str, tuple[Any, ...]]
+    plan: AnyPlan, clock: LaneClock, limits: Tolerances, ends: dict[str, tuple[Any, ...]]
 ) -> LaneClock:
-    """The clock of a run that goes on: where nothing else is asked for, as that before has left it.
+    """Return the clock of a continued run, as the run before has left it unless options differ.
 
-    found : LANE_END; NaN where that run had but one clock.
+    ends : LANE_END; NaN where the run before had one clock for all lanes.
     """
-    anchor, counted, h, before, ahead = (found[field.name][0] for field in LANE_END.fields)
+    anchor, counted, h, before, ahead = (ends[field.name][0] for field in LANE_END.fields)
     if plan.embedded is None:
         same = h == clock.h
         return clock._replace(
@@ -144,9 +150,11 @@ def continued(
 
 
 def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
-    """stop : where the step ends at the latest, s.   active : 0 where nothing is to be tried.
+    """Return the next step to be tried.
 
-    A fixed step that ends there of itself is none that has been cut: steps are counted on.
+    stop : its latest end, s.   active : 0 where the lane is idle.
+
+    A fixed step that ends at `stop` by itself is not cut: steps are counted on.
     """
     left = stop - clock.t
     lands = clock.h * (1.0 + NEARLY) >= left
@@ -156,7 +164,7 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
         is_whole = absolute(left - clock.h) <= rounding_at(absolute(stop) + clock.h)
         lands = lands & ~is_whole
         h = where(lands, left, clock.h)
-    else:  # no sliver is left for the last one
+    else:  # no sliver is left for the last step
         half = clock.t + 0.5 * left
         ahead = where(clock.h > 0.5 * left, half, clock.t + clock.h)
         end = where(lands, stop, ahead)
@@ -178,46 +186,37 @@ def judged(
     limits: Tolerances,
     active: Any,
 ) -> Verdict:
-    """fine : a mask, of what is finite and no singular configuration.   square : of the error.
-    longest : step that elements allow, s, by the velocity at its end; None for any.
-    singular : 1 where a step that cannot be shortened ends as such.
+    """Accept or reject a step, and choose the next one.
+
+    fine : mask of states that are finite and not singular.
+    singular : 1 where a step that cannot be shortened ends as SINGULAR.
+    square : square of the error.
+    longest : longest step that elements allow, s, from the velocity at its end; None for any.
     """
-    going = active > 0.5
-    worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
-    raised = going & ~going
+    running = active > 0.5
+    raised = running & ~running
     if plan.calls_functions:
-        raised = going & (calls.marks(clock.t) > calls.SILENT)
-    steps = clock.steps
+        raised = running & (calls.marks(clock.t) > calls.SILENT)
+    worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
     if plan.embedded is None:
-        moves = trial.end > trial.start
-        accepted = going & fine & moves & ~raised
-        failed = where(going & ~accepted, where(moves, worse, float(DT_MIN)), float(OK))
-        counted = clock._replace(steps=where(accepted, steps + 1.0, steps))
-        cut = accepted & (trial.lands > 0.5)
-        moved = counted._replace(
-            t=where(accepted, trial.end, clock.t),
-            anchor=where(cut, trial.end, clock.anchor),
-            counted=where(cut, 0.0, where(accepted, clock.counted + 1.0, clock.counted)),
-        )
-        return Verdict(
-            where(accepted, 1.0, 0.0 * steps), where(raised, float(RAISED), failed), moved
-        )
+        return _fixed(clock, trial, fine, worse, raised, running)
+    steps = clock.steps
     meets = fine & (square <= 1.0) & (trial.end > trial.start)  # false for NaN
     if longest is not None:
         meets = meets & (trial.h <= PASSED * longest)
-    accepted = going & meets & ~raised
+    accepted = running & meets & ~raised
     by = change(plan, where(fine & (square == square), square, INF), clock.before, meets)
     grown = trial.h * by.factor
     if longest is not None:
         grown = where(meets, grown, minimum(grown, longest))
-    # A step that was cut short says little about a long one.
+    # A step that was cut short is no measure of a long one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
     taken = clock._replace(
         t=trial.end, h=within(longer, limits), before=by.level, steps=steps + 1.0
     )
 
     def some_refused() -> tuple[Any, Any, LaneClock]:
-        refused = going & ~meets & ~raised
+        refused = running & ~meets & ~raised
         least = maximum(limits.dt_min, LEAST_ULPS * EPS * absolute(clock.t))
         too_small = refused & (trial.h <= least)
         too_many = refused & (steps + clock.rejected + 1.0 >= limits.max_steps)
@@ -233,36 +232,59 @@ def judged(
         return where(accepted, 1.0, 0.0 * steps), failed, where(accepted, taken, again)
 
     zero = 0.0 * steps
-    found: tuple[Any, Any, LaneClock] = branch(
+    outcome: tuple[Any, Any, LaneClock] = branch(
         all_lanes(accepted), lambda: (zero + 1.0, zero + float(OK), taken), some_refused
     )
-    return Verdict(*found)
+    return Verdict(*outcome)
 
 
-def to_tidy(clock: LaneClock, fresh: Any, fate: Any) -> Any:
-    """Where rounding is to be taken off: every so many steps, those before a break included."""
+def _fixed(
+    clock: LaneClock, trial: Trial, fine: Any, worse: Any, raised: Any, running: Any
+) -> Verdict:
+    """Accept a fixed step, or end the trajectory.   worse : status where it is not fine."""
+    steps, moves = clock.steps, trial.end > trial.start
+    accepted = running & fine & moves & ~raised
+    failed = where(running & ~accepted, where(moves, worse, float(DT_MIN)), float(OK))
+    counted = clock._replace(steps=where(accepted, steps + 1.0, steps))
+    cut = accepted & (trial.lands > 0.5)
+    moved = counted._replace(
+        t=where(accepted, trial.end, clock.t),
+        anchor=where(cut, trial.end, clock.anchor),
+        counted=where(cut, 0.0, where(accepted, clock.counted + 1.0, clock.counted)),
+    )
+    failed = where(raised, float(RAISED), failed)
+    return Verdict(where(accepted, 1.0, 0.0 * steps), failed, moved)
+
+
+def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
+    """True where the pose is to be renormalised: every TIDY_EVERY steps, those before a break
+    included.
+    """
     counted = clock.steps + clock.ahead
     turns = is_multiple(counted, float(TIDY_EVERY))
-    return (fresh > 0.5) & (fate == 0.0) & turns & (counted > 0.0)
+    return (fresh > 0.5) & (termination == 0.0) & turns & (counted > 0.0)
 
 
-def to_measure(clock: LaneClock, span: Span, fresh: Any, fate: Any) -> Any:
-    """Where a trajectory is measured: every so many steps, and at its end."""
-    return (fresh > 0.5) & (is_multiple(clock.steps, span.every) | (fate > 0.0))
+def to_measure(clock: LaneClock, span: Span, fresh: Any, termination: Any) -> Any:
+    """True where a trajectory is measured: every `span.every` steps, and at its end."""
+    return (fresh > 0.5) & (is_multiple(clock.steps, span.every) | (termination > 0.0))
 
 
 def is_multiple(count: Any, every: Any) -> Any:
-    """Of whole numbers. The quotient need but be near the whole one, and lanes share 1 / every."""
+    """Return whether a whole number is a multiple of another.
+
+    An approximate quotient is enough, and lanes share 1 / every.
+    """
     return count == every * rint(count * (1.0 / every))
 
 
-def fate_of(
-    clock: LaneClock, span: Span, limits: Tolerances, status: Any, fresh: Any, fate: Any
+def termination_of(
+    clock: LaneClock, span: Span, limits: Tolerances, status: Any, fresh: Any, termination: Any
 ) -> Any:
-    """0 where a trajectory goes on; elsewhere its status and 1."""
-    fresh = (fresh > 0.5) & (fate == 0.0)
+    """Return the termination code: 0 while a trajectory runs, then its status + 1."""
+    fresh = (fresh > 0.5) & (termination == 0.0)
     many = clock.steps + clock.rejected >= limits.max_steps
-    found = where(many, float(MAX_STEPS + 1), ZERO)
-    found = where(clock.t >= span.end, float(OK + 1), found)
-    found = where(status > 0.0, status + 1.0, found)
-    return where(fresh, found, fate)
+    code = where(many, float(MAX_STEPS + 1), ZERO)
+    code = where(clock.t >= span.end, float(OK + 1), code)
+    code = where(status > 0.0, status + 1.0, code)
+    return where(fresh, code, termination)

@@ -1,9 +1,9 @@
-"""How long a lane's next step is: the error of the last one against what is allowed.
+"""Step-size control of a lane: the error of a step relative to its tolerances, and the next step.
 
 Errors are those of an embedded method, in the Lie algebra, in blocks: rotation, position, ω, v, and
-each of the user's own states. A block's error e is held against atol² + rtol² ‖y‖², where ‖y‖ is
-the block's own size, that of a rotation 1 rad; the largest block counts. Control is PI, as in
-Hairer, Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by logarithms of squares.
+each extra state. The square of a block's error is compared with atol² + rtol² ‖y‖², where ‖y‖ is
+the block's own size, 1 rad for a rotation; the largest block counts. Control is PI, as in Hairer,
+Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by logarithms of squares.
 """
 
 from __future__ import annotations
@@ -32,32 +32,33 @@ from lierb.kernels.tracing.words import rough_exp2, rough_log2
 
 EPS = 2.0**-52
 SAFETY = 0.8
-SHRINKS, GROWS = 0.2, 6.0  # at most, from one step to the next
+SHRINKS, GROWS = 0.2, 6.0  # limits of the factor from one step to the next
 DAMPING = 0.1  # of the PI controller: β = 0.1 / k, α = 1 / k − 0.75 β
 LEAST_REMEMBERED = -26.0  # log₂ of a squared error: 1e-8
-SMALLEST, LARGEST = 1e-20, 1e60  # of a squared error: what is beyond changes a step no more
-LEAST_ULPS = 16.0  # of the time, in a step
-# What rounding may leave of what gravity does to v and to a position in a step: high orders have
-# weights of up to 50 and more.
+SMALLEST, LARGEST = 1e-20, 1e60  # limits of a squared error, beyond which a step is the same
+LEAST_ULPS = 16.0  # least step, in roundings of the time
+# Rounding of the effect of gravity on v and on a position in a step, relative; high orders have
+# weights of 50 and more.
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
-# Of a start's twist and pose, relative: its tolerance times what the rows may make of it.
+# Relative error of a start's twist and pose: its tolerance times the rows' amplification.
 ADMITTED = 1e3 * START_TOLERANCE
-LEAST_OF_STEP = 1e-6  # of a step: no bound is shorter, so that the next one leads past a kink
-# A step is too rough to be judged by its error estimate where the rate of one stage, taken for the
-# whole step, changes a velocity by ROUGH of itself and moves the pose by THROW, in rad or in radii
-# of gyration. Its squared error is then at least ROUGH_ERROR.
+LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step: the next step then passes a kink
+# A step is too rough for its error estimate where the rate of one stage, applied to the whole step,
+# changes a velocity by ROUGH times its size and moves the pose by THROW, in rad or in radii of
+# gyration. Its squared error is then at least ROUGH_ERROR.
 ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
-MOST_PARTS = 32  # of a step, in which events are looked for
+MOST_PARTS = 32  # of a step, in each of which events are searched
 INF = float("inf")
 DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
 
 
 class Tolerances(NamedTuple):
-    """rtol, and atol of each block: rad, m, rad/s, m/s, and the units of the user's states.
+    """Tolerances and limits of steps.
 
-    position_is_own, v_is_own : 1 where atol counts in the body's own radius of gyration, not in m.
-    dt : the first step, s, or 0 to choose it; of fixed steps all of them.
-    dt_min, dt_max : s.   max_steps : accepted and rejected ones.
+    dt : length of the first adaptive step, 0 to choose it, or of all fixed steps, s.
+    rtol, …_atol : of each block, rad, m, rad/s, m/s, and units of the extra states.
+    position_is_own, v_is_own : 1 where atol is in the body's radii of gyration instead of m.
+    dt_min, dt_max : s.   max_steps : accepted and rejected steps.
     """
 
     dt: float
@@ -75,16 +76,16 @@ class Tolerances(NamedTuple):
 
 
 def within(h: Any, limits: Tolerances) -> Any:
-    """A step's length, no longer and no shorter than is allowed, s."""
+    """Return the step length nearest to h within the limits, s."""
     return maximum(minimum(h, limits.dt_max), limits.dt_min)
 
 
 def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
-    """How long a step from `state` may be where elements act in a part of the way alone, s; None
-    where nothing bounds it.
+    """Return the longest step from `state`, s, that does not jump over a region in which an element
+    acts; None if no element bounds it.
 
-    moved : the state whose velocity counts: `state` before the step is tried, its end afterwards.
-    h : the step that the error control proposes. No bound is so short beside it, or beside the
+    moved : state whose velocity counts: `state` before the step is tried, its end afterwards.
+    h : step that the error control proposes, s. A bound is never so short relative to it, or to the
         time, that a trajectory stalls.
     """
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
@@ -103,7 +104,7 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
 
 
 def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
-    """Number of equal parts of a step in which events are looked for, one after the other."""
+    """Return the number of equal parts of a step in which events are searched one by one."""
     system = system_of(plan)
     start, end = (system.seen(body, each, trial.start) for each in (state, moved))
     fastest: Any = 0.0 * trial.h
@@ -117,16 +118,16 @@ def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: 
 def squared_error(
     plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any, limits: Any
 ) -> Any:
-    """The square of a step's error, against 1."""
+    """Return the square of a step's error, relative to its tolerance."""
     assert plan.embedded is not None
     scales = _scales(plan, body, state, moved, limits, h)
-    found = [
+    estimates = [
         _largest(plan, body, _defect(plan, body, slopes, h, weights), scales)
         for weights in plan.embedded.weights
     ]
-    error = found[0]
-    if len(found) > 1:
-        fine, coarse = found  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
+    error = estimates[0]
+    if len(estimates) > 1:
+        fine, coarse = estimates  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
         total = fma(DOP853_MIX, coarse, fine)
         error = where(total > 0.0, fine * fine / where(total > 0.0, total, 1.0), fine)
     if any(element.bounds_steps for element in plan.acting):
@@ -136,11 +137,11 @@ def squared_error(
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
-    """Whether a stage met a force that would change a velocity by far more than the step did.
+    """Return whether a stage met a force that would change a velocity by far more than the step.
 
-    One stage far inside a stiff stop throws the stages that follow out of it again. Methods of high
-    order have weights of zero for their first stages: then neither the step nor its error estimate
-    has any trace of the stop.
+    A stage far inside a stiff stop throws the stages that follow out of it again. Methods of high
+    order have zero weights for their first stages: then neither the step nor its error estimate
+    shows the stop.
     """
     velocity = formulation_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
@@ -165,25 +166,25 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
 def squared_correction(
     plan: AnyPlan, body: Any, state: State, kept: Stabilised, h: Any, limits: Any, is_first: Any
 ) -> Any:
-    """The square of what a stabilisation has moved pose and V by, against 1; structurally zero
-    where nothing does.
+    """Return the square of a stabilisation's correction of pose and V, relative to the tolerance;
+    structurally zero without stabilisation.
 
-    The exact motion stays on the rows, and what is nearest to it there is no farther than it is: so
-    the correction is a part of the step's error, one that the embedded method does not see. Near a
-    singular pose the rows divide it by a small singular value, and it is all of the error.
+    The exact motion satisfies the rows, and the projection moves no farther than to it: so the
+    correction is a part of the step's error that the embedded method does not estimate. Near a
+    singular pose the rows divide it by a small singular value, and it dominates the error.
 
-    is_first : a mask. The first step also corrects what a start is allowed to be off.
+    is_first : mask of first steps, which also correct the residual that a start may have.
     """
     if not kept.x:
         return ZERO
     rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
-    still = (ZERO,) * len(state.states)
-    return _largest(plan, body, _Defect(kept.x, kept.v_or_mu, still), scales)
+    states = (ZERO,) * len(state.states)
+    return _largest(plan, body, _Defect(kept.x, kept.v_or_mu, states), scales)
 
 
 class _Defect(NamedTuple):
-    """In the algebra, in twists, and in the user's states."""
+    """Error of a step: in the algebra, in twists, in the extra states."""
 
     x: Vec
     twist: Vec
@@ -193,7 +194,7 @@ class _Defect(NamedTuple):
 def _defect(
     plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]
 ) -> _Defect:
-    """h Σ weights · slopes."""
+    """Return h Σ weights · slopes."""
     base, rest = beside_the_step(plan.weights, weights)
 
     def times(unit: Any, rates: tuple[Vec, ...]) -> Vec:
@@ -210,10 +211,10 @@ def _defect(
 def beside_the_step(
     step: tuple[float, ...], error: tuple[float, ...]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """An error's weights as those of the step and few others, or as they are.
+    """Return an error's weights as those of the step plus few others, or unchanged.
 
-    The step's sum is emitted as in the step itself, and LLVM takes the one for the other. DOP853's
-    weights of third order differ from the step's in 3 of 12.
+    LLVM then reuses the step's own sum. DOP853's weights of third order differ from the step's in
+    3 of 12.
     """
     step += (0.0,) * (len(error) - len(step))
     rest = tuple(e - b for e, b in zip(error, step, strict=True))
@@ -223,7 +224,7 @@ def beside_the_step(
 
 
 class _Scales(NamedTuple):
-    """1 / the squares of what is allowed, of each block; `states` has one for each of them."""
+    """Reciprocals of the squared tolerance of each block; `states` has one for each state."""
 
     rotation: Any
     position: Any
@@ -235,10 +236,10 @@ class _Scales(NamedTuple):
 def _scales(
     plan: AnyPlan, body: Any, state: State, moved: State, limits: Tolerances, h: Any = ZERO
 ) -> _Scales:
-    """By the larger of a block's sizes at both ends of the step.
+    """Return the scales of a step, from the larger of a block's sizes at both ends.
 
-    Where atol is the body's own, no less is asked for than rounding leaves of its weight and of a
-    force that holds it: a small body's size is less than that.
+    Where atol is in radii of gyration, the tolerance is at least the rounding of the weight and of
+    a force that supports it, which exceeds a small body's radius.
     """
     ends = [_sizes(plan, body, each) for each in (state, moved)]
     rtol = limits.rtol * limits.rtol
@@ -272,7 +273,7 @@ def _scales(
 
 
 def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:
-    """‖y‖² of position, ω, v, and of each of the user's states."""
+    """Return ‖y‖² of position, ω, v, and of each extra state."""
     formulation = formulation_of(plan)
     place = formulation.places(state.chart)
     twist = formulation.velocity(body, state.v_or_mu)
@@ -281,13 +282,13 @@ def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple
 
 
 def _squares(sixes: Vec, first: int) -> Any:
-    """‖·‖² of the angular (first = 0) or the linear parts (3) of twists side by side."""
+    """Return ‖·‖² of the angular (first = 0) or linear parts (3) of concatenated twists."""
     parts = tuple(x for i in range(first, len(sixes), 6) for x in sixes[i : i + 3])
     return dot(parts, parts)
 
 
 def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
-    """Over all blocks, ‖e‖² · scale. NaN where any of them is."""
+    """Return the largest ‖e‖² · scale of all blocks; NaN where one is NaN."""
     pairs = [
         (_squares(defect.x, 0), scales.rotation),
         (_squares(defect.x, 3), scales.position),
@@ -296,37 +297,37 @@ def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
     ]
     parts = in_states(plan, defect.states)
     pairs += [(dot(part, part), scale) for part, scale in zip(parts, scales.states, strict=True)]
-    found: Any = ZERO
+    largest: Any = ZERO
     for square, scale in pairs:
         if not is_zero(square):
             # 0 / 0 is no error; 1 / 0, with atol = 0, is one beyond all bounds.
             ratio = where(square == 0.0, 0.0, square * scale)
-            found = ratio if is_zero(found) else where(ratio <= found, found, ratio)
-    return 0.0 * body.mass if is_zero(found) else found
+            largest = ratio if is_zero(largest) else where(ratio <= largest, largest, ratio)
+    return 0.0 * body.mass if is_zero(largest) else largest
 
 
 # ---- the next step -----------------------------------------------------------------------------
 
 
 class Change(NamedTuple):
-    """By how much the next step is longer than the one that was tried, and what the control
-    remembers of that: log₂ of its squared error.
-    """
+    """Factor from the step tried to the next one, and log₂ of the squared error."""
 
     factor: Any
     level: Any
 
 
-def change(plan: AnyPlan, square: Any, remembered: Any, accepted: Any) -> Change:
-    """square : of the error; ∞ where it is no number.   remembered : of the step before, the level.
-    accepted : where it is.
+def change(plan: AnyPlan, square: Any, before: Any, accepted: Any) -> Change:
+    """Return the change of the step length, by PI control.
 
-    PI control by logarithms of squares; that they are rough, by 0.4 % of a step, is nothing here.
+    square : square of the error; ∞ where it is NaN.   before : level of the step before.
+    accepted : mask of accepted steps.
+
+    Approximate logarithms change a step by 0.4 % at most.
     """
     k = _power_of(plan)
     beta = DAMPING / k
     level = rough_log2(minimum(maximum(square, SMALLEST), LARGEST))
-    longer = 0.5 * (beta * remembered - (1.0 / k - 0.75 * beta) * level)
+    longer = 0.5 * (beta * before - (1.0 / k - 0.75 * beta) * level)
     shorter = (-0.5 / k) * level
     factor = SAFETY * rough_exp2(where(accepted, longer, shorter))
     most = where(accepted, GROWS, SAFETY)
@@ -334,7 +335,7 @@ def change(plan: AnyPlan, square: Any, remembered: Any, accepted: Any) -> Change
 
 
 def _power_of(plan: AnyPlan) -> int:
-    """Of the step in the error."""
+    """Return the power of h in the error."""
     assert plan.embedded is not None
     return plan.embedded.order + 1
 
@@ -342,8 +343,8 @@ def _power_of(plan: AnyPlan) -> int:
 def first_step(
     plan: AnyPlan, body: Any, state: State, time: Any, length: Any, limits: Tolerances
 ) -> Any:
-    """Hairer's choice (Solving ODEs I, II.4): a hundredth of the block's own size by its rate, then
-    an Euler step to see how fast that rate changes.
+    """Return the first step, s, by Hairer's choice (Solving ODEs I, II.4): a hundredth of a block's
+    size over its rate, then an Euler step to estimate how fast that rate changes.
 
     length : of the run, s.
     """
@@ -370,30 +371,30 @@ def first_step(
     )
     bend = _rate_against(plan, body, change, scales) / (guess * guess)
     largest = maximum(speed, bend)
-    still = largest < 1e-30
-    level = rough_log2(minimum(maximum(1e-4 / where(still, 1.0, largest), 1e-200), 1e200))
+    at_rest = largest < 1e-30
+    level = rough_log2(minimum(maximum(1e-4 / where(at_rest, 1.0, largest), 1e-200), 1e200))
     wanted = rough_exp2((0.5 / _power_of(plan)) * level)
-    wanted = where(still, maximum(1e-6 * length, guess * 1e-3), wanted)
+    wanted = where(at_rest, maximum(1e-6 * length, guess * 1e-3), wanted)
     wanted = minimum(100.0 * guess, wanted)
-    # NaN: a trial will tell. Nothing, where nothing is allowed: growing finds what is.
+    # NaN: the trial decides. 0 for tolerances of 0: the step then grows.
     return where(wanted < length, maximum(wanted, 1e-12 * length), length)
 
 
-def _parts(of: Any) -> tuple[Vec, Vec, Vec]:
-    """Of a state or its rates."""
-    return of.x, of.v_or_mu, of.states
+def _parts(state: Any) -> tuple[Vec, Vec, Vec]:
+    """Return the blocks of a state or of its rates."""
+    return state.x, state.v_or_mu, state.states
 
 
 def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> Any:
-    """‖y‖² · scale of the largest block; a rotation's is 1 rad."""
+    """Return the largest ‖y‖² · scale of all blocks; a rotation's size is 1 rad."""
     place, turning, moving, states = _sizes(plan, body, state)
-    found: Any = scales.rotation
+    largest: Any = scales.rotation
     for square, scale in zip(
         (place, turning, moving, *states), (*scales[1:4], *scales.states), strict=True
     ):
         if not is_zero(square):
-            found = maximum(found, where(square == 0.0, 0.0, square * scale))
-    return found
+            largest = maximum(largest, where(square == 0.0, 0.0, square * scale))
+    return largest
 
 
 def _rate_against(plan: AnyPlan, body: Any, rates: Any, scales: _Scales) -> Any:

@@ -1,0 +1,196 @@
+"""States between the ends of a step, for rows of histories and for events."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.loops import workspace as ws
+from lierb.kernels.loops.lane_state import Lanes, put_row, put_rows, row_of
+from lierb.kernels.loops.lane_steps import Made, inside
+from lierb.kernels.loops.record import Record, observe, without_measures
+from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
+from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
+from lierb.kernels.stepping.step_size import parts_to_watch
+from lierb.kernels.stepping.stepper import between, extended
+from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import events_of
+from lierb.kernels.systems.state import EVENT, State
+from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.tracing.trace import kernel
+
+
+def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Trial) -> Any:
+    """Return the slopes of the continuous extension."""
+    if not plan.looks or plan.extension is None:
+        return ()
+    return extended(plan, body, state, *inside(plan, trial), trial.h, made.slopes)
+
+
+def state_between(
+    plan: AnyPlan, body: Any, state: State, slopes: Any, trial: Trial, theta: Any
+) -> State:
+    """Return the state at θ of a step."""
+    if not plan.looks:
+        return state  # never
+    return between(plan, body, state, *inside(plan, trial), trial.h, slopes, theta)
+
+
+def time_between(trial: Trial, theta: Any) -> Any:
+    return trial.start + theta * trial.h
+
+
+# ---- rows of the history ----
+
+
+def _is_due_before(clock: LaneClock, accepted: Any) -> Any:
+    """True where a row is due before the end of an accepted step; one due there is saved after a
+    tick.
+    """
+    return (accepted > 0.5) & (clock.t - clock.due > rounding_at(clock.t))
+
+
+def is_due_between(plan: AnyPlan, lanes: Lanes, accepted: Any) -> Any:
+    """Return whether a row of some history is due before the end of an accepted step.
+
+    lanes : at that end.
+    """
+    if not plan.looks:
+        return all_lanes(lanes.clock.t < lanes.clock.t)  # never
+    return any_lanes(_is_due_before(lanes.clock, accepted))
+
+
+def select_due_between(plan: AnyPlan, rows: Any, lanes: Lanes, trial: Trial, accepted: Any) -> None:
+    """Select the lanes in which a row of the history is due, and set its θ."""
+    clock = lanes.clock
+    due = _is_due_before(clock, accepted)
+    length = where(trial.h > 0.0, trial.h, 1.0)
+    put_row(plan, rows, ws.SELECTED, where(due, 1.0, 0.0 * clock.t))
+    put_row(plan, rows, ws.THETA, where(due, (clock.due - trial.start) / length, 0.0))
+
+
+def shown_between(
+    plan: AnyPlan, body: Any, state: State, lanes: Lanes
+) -> tuple[tuple[Any, ...], Record]:
+    """Return a row of the history at the time that it is due, and the record."""
+    shown, seen = observe(plan, body, state, lanes.record, lanes.clock.steps, lanes.clock.due)
+    record = without_measures(plan, lanes.record, seen)
+    return (*shown, *state.states, *lanes.held.controls), record
+
+
+def with_record(lanes: Lanes, record: Record) -> Lanes:
+    return lanes._replace(record=record)
+
+
+# ---- events ----
+
+
+def put_values(
+    plan: AnyPlan, body: Any, state: State, held: Held, time: Any, values: Any, sample: Any
+) -> None:
+    """Store the values of all events, [sample][event][lane]."""
+    if events_of(plan):
+        system, body = system_of(plan), with_signals(plan, body, state, held)
+        for i, value in enumerate(system.events(body, system.seen(body, state, time), time)):
+            store(values, (sample, i, 0), value, plan.lanes)
+
+
+def put_roundings(
+    plan: AnyPlan, body: Any, lanes: Lanes, values: Any, sample: Any, roundings: Any
+) -> None:
+    """Store the effect of rounding on the events' values now, which are those of `sample`."""
+    if events_of(plan):
+        state, time = lanes.state, lanes.clock.t
+        system, body = system_of(plan), with_signals(plan, body, state, lanes.held)
+        nearby = system.events_nearby(body, system.seen(body, state, time), time)
+        now = [load(values, (sample, i, 0), plan.lanes) for i in range(len(nearby))]
+        pairs = zip(nearby, now, strict=True)
+        put_rows(plan, roundings, 0, tuple(absolute(x - value) for x, value in pairs))
+
+
+class Part(NamedTuple):
+    """One of the equal parts of a step in which events are searched, lane by lane.
+
+    index, count : of the parts.   open : 1 where the part is searched.
+    is_last : 1 where the step ends with it.
+    """
+
+    index: Any
+    count: Any
+    open: Any
+    is_last: Any
+
+
+def parts_of(
+    plan: AnyPlan, body: Any, state: State, moved: State, trial: Trial, accepted: Any
+) -> Part:
+    """Return the first part, which is open in every accepted step."""
+    if not events_of(plan):
+        return Part(accepted, accepted, accepted, accepted)  # never
+    count = parts_to_watch(plan, body, state, moved, trial)
+    return _part(0.0 * count, count, accepted)
+
+
+def next_part(part: Part, termination: Any) -> Part:
+    """Return the next part, open where there is one and nothing has ended the trajectory."""
+    is_open = (part.open > 0.5) & (part.is_last < 0.5) & (termination == 0.0)
+    return _part(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
+
+
+def _part(index: Any, count: Any, is_open: Any) -> Part:
+    return Part(index, count, is_open, where(index + 1.0 >= count, 1.0, 0.0 * index))
+
+
+def ends_step(part: Part) -> Any:
+    """Return whether the part is the last one in every lane in which it is open."""
+    return all_lanes((part.is_last > 0.5) | (part.open < 0.5))
+
+
+def in_step(part: Part, theta: Any) -> Any:
+    """Return θ of the step from θ of its part."""
+    return (part.index + theta) / part.count
+
+
+def put_part(plan: AnyPlan, rows: Any, trial: Trial, part: Part) -> None:
+    """Store the part as the step in which events are searched."""
+    put_row(plan, rows, ws.ACCEPTED, part.open)
+    put_row(plan, rows, ws.START, time_between(trial, in_step(part, 0.0)))
+    put_row(plan, rows, ws.LENGTH, trial.h / part.count)
+
+
+class Ending(NamedTuple):
+    """A step with a terminal event: state and lanes at its end, and the termination codes."""
+
+    state: State
+    lanes: Lanes
+    termination: Any
+
+
+def ended_between(
+    plan: AnyPlan,
+    rows: Any,
+    there: State,
+    moved: State,
+    trial: Trial,
+    part: Part,
+    lanes: Lanes,
+    termination: Any,
+) -> Ending:
+    """End the step at its first terminal event.   there : states at θ = LAST of the part."""
+    last, clock = row_of(plan, rows, ws.LAST), lanes.clock
+    ends = last <= 1.0
+    state = where(ends, there, moved)
+    t = where(ends, time_between(trial, in_step(part, last)), clock.t)
+    clock = clock._replace(
+        t=t, anchor=where(ends, t, clock.anchor), counted=where(ends, 0.0, clock.counted)
+    )
+    code = where(ends, float(EVENT + 1), termination)
+    return Ending(state, lanes._replace(clock=clock), code)
+
+
+for _formula in (
+    slopes_between, state_between, time_between, is_due_between, select_due_between, shown_between,
+    with_record, put_values, put_roundings, parts_of, next_part, ends_step, in_step, put_part,
+    ended_between,
+):  # fmt: skip
+    kernel(_formula)

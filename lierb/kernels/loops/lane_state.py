@@ -1,0 +1,234 @@
+"""State of all lanes of a thread, where each has a clock of its own: load, start, store."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.loops.record import (
+    NAN,
+    Record,
+    carried_columns,
+    initial_record,
+    initial_state,
+    load_carried,
+    load_placed,
+    resumed_record,
+    state_columns,
+    store_carried,
+)
+from lierb.kernels.loops.tables import user_state
+from lierb.kernels.loops.workspace import DUE, NOISE_INDEX
+from lierb.kernels.numbers.arithmetic import (
+    absolute,
+    any_lanes,
+    flatten,
+    floor,
+    load,
+    plain,
+    rint,
+    store,
+    where,
+)
+from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.stepping.lane_clock import (
+    LaneClock,
+    Span,
+    continued,
+    first_clock,
+    rounding_at,
+)
+from lierb.kernels.stepping.step_size import Tolerances
+from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.layout import LANE_END
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.signals import (
+    controllers_of,
+    lane_end,
+    outputs_of,
+    states_of,
+)
+from lierb.kernels.systems.state import OK, State
+from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.tracing import calls
+from lierb.kernels.tracing.trace import kernel
+
+
+class Lanes(NamedTuple):
+    """State of all lanes: of the system, of what is recorded, of time, of controllers."""
+
+    state: State
+    record: Record
+    clock: LaneClock
+    held: Held
+
+
+def any_of(numbers: Any) -> Any:
+    """Return whether some lane's number is above 0."""
+    return any_lanes(numbers > 0.0)
+
+
+def taken(mask: Any, new: Any, old: Any) -> Any:
+    """Return `new` where the mask, 1 or 0, is 1, and `old` elsewhere."""
+    return where(mask > 0.5, new, old)
+
+
+def row_of(plan: AnyPlan, rows: Any, row: Any) -> Any:
+    return load(rows, (row, 0), plan.lanes)
+
+
+def put_row(plan: AnyPlan, rows: Any, row: Any, numbers: Any) -> None:
+    store(rows, (row, 0), numbers, plan.lanes)
+
+
+def put_rows(plan: AnyPlan, rows: Any, first: int, numbers: Any) -> None:
+    """Store numbers in successive rows."""
+    for row, number in enumerate(flatten(numbers), first):
+        put_row(plan, rows, row, number)
+
+
+def load_lanes(plan: AnyPlan, body: Any, carried: Any) -> Lanes:
+    state, record = load_carried(plan, body, carried, 0)
+    columns = carried_columns(plan)
+    clock, *held = (
+        [row_of(plan, carried, row) for row in range(columns[name].start, columns[name].stop)]
+        for name in ("clock", *Held._fields)
+    )
+    return Lanes(state, record, LaneClock(*clock), Held(*map(tuple, held)))
+
+
+def store_lanes(plan: AnyPlan, carried: Any, lanes: Lanes) -> None:
+    store_carried(plan, carried, 0, lanes.state, lanes.record)
+    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.held))
+
+
+# ---- exception flags of functions that are called body by body ----
+
+
+def suppress_exceptions(plan: AnyPlan, mask: Any) -> Any:
+    """Call functions where the mask is 1 alone, from now on; return the flags so far.
+
+    Speculatively computed lanes must not raise.
+    """
+    if not plan.calls_functions:
+        return mask
+    before = calls.marks(mask)
+    calls.set_marks(where(mask > 0.5, before, float(calls.SILENT)))
+    return before
+
+
+def clear_exceptions(plan: AnyPlan, fresh: Any) -> Any:
+    """Clear the flags of trajectories that start, suppress others; return the flags so far."""
+    if not plan.calls_functions:
+        return fresh
+    before = calls.marks(fresh)
+    calls.set_marks(where(fresh > 0.5, float(calls.CLEAR), float(calls.SILENT)))
+    return before
+
+
+def restore_exceptions(plan: AnyPlan, before: Any, mask: Any) -> None:
+    """Restore the flags where the mask is not 1."""
+    if plan.calls_functions:
+        calls.set_marks(where(mask > 0.5, calls.marks(mask), before))
+
+
+# ---- start of a trajectory ----
+
+
+def own_start(plan: AnyPlan, body: Any, inputs: Any, rows: Any) -> State:
+    """Return the initial state, with initial values of the extra states."""
+    placed = load_placed(plan, body, inputs)
+    state, zero = initial_state(plan, body, placed, inputs), 0.0 * row_of(plan, rows, NOISE_INDEX)
+    own = system_of(plan).initial_states(body) if states_of(plan) else ()
+    return state._replace(states=tuple(zero + x for x in own))
+
+
+def started(
+    plan: AnyPlan, body: Any, state: State, rows: Any, span: Span, limits: Tolerances
+) -> Lanes:
+    """Return the lanes before the first tick."""
+    due = row_of(plan, rows, DUE)
+    zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
+    system, periods = system_of(plan), periods_of(plan, body)
+    held = Held(
+        (zero,) * size_of(outputs_of(plan)),
+        tuple(zero + x for x in system.initial_memory(body)) if periods else (),
+        tuple(zero + _first_tick(span.start, period) for period in periods),
+    )
+    body = with_signals(plan, body, state, held)
+    clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
+    return Lanes(state, initial_record(plan, body, state), clock, held)
+
+
+def periods_of(plan: AnyPlan, body: Any) -> Vec:
+    """Return the controllers' periods, s."""
+    return system_of(plan).periods(body) if controllers_of(plan) else ()
+
+
+def _first_tick(start: Any, period: Any) -> Any:
+    """Return the number of the first tick that is not before the start."""
+    count = plain(start) / period
+    whole = rint(count)
+    is_whole = absolute(count - whole) <= rounding_at(count)
+    return where(is_whole, whole, floor(count) + 1.0)
+
+
+def resumed(plan: AnyPlan, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
+    """Return the lanes with clock and controllers as the run before has left them."""
+    at, columns = system_of(plan).inputs["lane"], lane_end(plan)
+    before = columns.parts([load(inputs, (c, 0), plan.lanes) for c in range(at.start, at.stop)])
+    held = (
+        tuple(where(y == y, y, x) for x, y in zip(mine, before[name], strict=True))
+        for name, mine in lanes.held._asdict().items()
+    )
+    clock = continued(plan, lanes.clock, limits, before)
+    record = resumed_record(plan, inputs, lanes.record)
+    return lanes._replace(record=record, clock=clock, held=Held(*held))
+
+
+# ---- results ----
+
+
+def put_shown(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, lanes: Lanes, shown: Any
+) -> None:
+    """Store what tables show of a state."""
+    links = user_state(plan, body, inputs, state, lanes.record)
+    put_rows(plan, shown, 0, (*links, state.states, lanes.held.controls))
+
+
+def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
+    """Store LANE_SUMMARY, the extra states and controls, from a column on."""
+    clock = lanes.clock
+    numbers = (clock.t, clock.steps, clock.rejected, clock.h)
+    alive = lanes.record.status == OK
+    signals = (where(alive, x, NAN) for x in (*lanes.state.states, *lanes.held.controls))
+    for i, number in enumerate((*numbers, *signals)):
+        put_row(plan, summary, column + i, number)
+
+
+def store_lane_end(plan: AnyPlan, lanes: Lanes, ends: Any) -> None:
+    """Store clock and controllers behind the state, for a run that continues."""
+    clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
+    own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
+    put_rows(plan, ends, len(state_columns(plan)) + plan.keeps_rank, (own, lanes.held))
+
+
+def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:
+    """Return the record of trajectories that have terminated: with the status of the termination
+    code, and means over the time that they lasted.
+    """
+    record, lasted = lanes.record, lanes.clock.t - span.start
+    lasted = where(lasted > 0.0, lasted, 1.0)
+    observed = (each._replace(total=each.total / lasted) for each in record.observed)
+    status = where(termination > 0.5, termination - 1.0, 0.0)
+    status = where(record.status > 0.5, record.status, status)
+    return record._replace(observed=tuple(observed), status=status)
+
+
+for _formula in (
+    any_of, taken, row_of, put_row, load_lanes, store_lanes, suppress_exceptions, clear_exceptions,
+    restore_exceptions, own_start, started, resumed, put_shown, store_lane_summary, store_lane_end,
+    as_ended, with_signals,
+):  # fmt: skip
+    kernel(_formula)

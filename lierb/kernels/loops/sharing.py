@@ -1,0 +1,56 @@
+"""Share the trajectories of a run among threads, and gather their input numbers."""
+
+from __future__ import annotations
+
+from numba import prange
+
+from lierb.compiler.code import cached
+from lierb.compiler.entries import call, raise_again, take_turns
+from lierb.compiler.loops import histories_at, integers_at, number_at, shared
+
+SHARES = 8  # parts into which a thread's even share would be cut, to begin with
+
+
+@shared
+def take_share(counter, count, threads):
+    """Return the first of the next numbers below `count` for a thread, and the one after the last.
+
+    Shares shrink, so that all threads end together on cores that are not equally fast. A share is
+    contiguous: two threads that write side by side wait for each other, in short runs for as long
+    as the work takes.
+    """
+    size = max((count - counter[0]) // (SHARES * threads), 1)
+    first = take_turns(counter, size)
+    return first, min(first + size, count)
+
+
+@shared
+def pack(job, inputs, first, is_new):
+    """Gather a block's input numbers; past the last trajectory, repeat its numbers.
+
+    is_new : whether `inputs` lacks even the numbers that all trajectories share.
+    """
+    places, varying = integers_at(job.places), integers_at(job.varying)
+    begin, last = job.first + first, job.stop - job.first - first - 1
+    for i in range(inputs.shape[0] if is_new else varying.shape[1]):
+        c = i if is_new else varying[0, i]
+        stride = places[c, 1]
+        address = places[c, 0] + stride * begin
+        for lane in range(inputs.shape[1]):
+            inputs[c, lane] = number_at(address)
+            address += stride if lane < last else 0
+
+
+@cached(parallel=True)
+def integrate_on_threads(integrate, counter, threads, jobs):
+    """Run `integrate`, an entry of compiled code, on every thread: one parallel loop for all plans.
+
+    jobs : [thread][record].
+    """
+    for thread in prange(threads):
+        own = jobs[thread]
+        inputs = histories_at(own[0].inputs)[thread]
+        raised = call(integrate, inputs, counter, own)
+        if raised != 0:
+            counter[1] = raised
+    raise_again(counter[1])

@@ -1,0 +1,137 @@
+"""Tables of a run: rows of histories and states, summaries, and checks of starts."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.compiler.loops import histories_at, shared
+from lierb.kernels.loops.record import NAN, Record, exception_flags, load_inputs, with_rank
+from lierb.kernels.numbers.arithmetic import prefetch, scatter, sqrt, where
+from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.systems.layout import POSE_AND_TWIST
+from lierb.kernels.systems.measures import KEPT, SUMMARY
+from lierb.kernels.systems.observables import columns_of
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.state import OK, State
+from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.tracing.trace import kernel
+
+
+class Tables(NamedTuple):
+    """Result arrays of a history: see `lierb.kernels.loops.job.RESULTS`."""
+
+    history: Any
+    multipliers: Any
+    reactions: Any
+    states: tuple[Any, Any, Any, Any]
+
+
+@shared
+def tables_at(job):
+    """Return the result arrays of a job record."""
+    states = (
+        histories_at(job.rotation),
+        histories_at(job.position),
+        histories_at(job.omega),
+        histories_at(job.v),
+    )
+    return Tables(
+        histories_at(job.history),
+        histories_at(job.multipliers),
+        histories_at(job.reactions),
+        states,
+    )
+
+
+class Place(NamedTuple):
+    """Place of a row in result arrays.
+
+    row : time.   rows : number of rows of each link or joint.   column : first trajectory.
+    """
+
+    row: Any
+    rows: Any
+    column: Any
+
+
+def store_row(
+    plan: AnyPlan,
+    body: Any,
+    state: State,
+    record: Record,
+    shown: Vec,
+    tables: Tables,
+    at: Place,
+    time: Any,
+) -> None:
+    """Store one row of the history's scalar columns, of λ and of reactions; prefetch the next.
+
+    The next row is too far away for the hardware to prefetch; its cache misses would take as long
+    as four steps.
+    """
+    alive = record.status == OK
+
+    def put(array: Any, axis: int, places: list[tuple[Any, ...]], numbers: Vec) -> None:
+        scatter(array, axis, places, where(alive, numbers, (NAN,) * len(numbers)), plan.lanes)
+
+    put(tables.history, 2, [(c, at.row, at.column) for c in range(len(shown))], tuple(shown))
+    for c in range(len(shown)):
+        prefetch(tables.history, (c, at.row + 1, at.column), plan.lanes)
+    if not (plan.multipliers or plan.reaction):
+        return
+    multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
+    if plan.multipliers and multipliers:
+        count = len(multipliers)
+        put(tables.multipliers, 1, [(at.row, at.column, c) for c in range(count)], multipliers)
+        prefetch(tables.multipliers, (at.row + 1, at.column, 0), plan.lanes * count)
+    row = at.row
+    for wrench in wrenches if plan.reaction else ():
+        put(tables.reactions, 1, [(row, at.column, c) for c in range(6)], wrench)
+        prefetch(tables.reactions, (row + 1, at.column, 0), plan.lanes * 6)
+        row = row + at.rows
+
+
+def user_state(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record
+) -> list[tuple[Any, ...]]:
+    """Return R (row by row), r, ω, v of every link, in the user's frames; NaN after a failure."""
+    links = system_of(plan).in_user_frames(body, load_inputs(plan, inputs), state)
+    alive = record.status == OK
+    return [where(alive, numbers, (NAN,) * len(numbers)) for numbers in links]
+
+
+def store_state(
+    plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, tables: Tables, at: Place
+) -> None:
+    """Store one row of the states: R, r, ω and v, each [link, time][trajectory][component]."""
+    row = at.row
+    for numbers in user_state(plan, body, inputs, state, record):
+        for array, part in zip(tables.states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
+            scatter(array, 1, [(row, at.column, c) for c in range(len(part))], part, plan.lanes)
+            prefetch(array, (row + 1, at.column, 0), plan.lanes * len(part))
+        row = row + at.rows
+
+
+def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> None:
+    """Store the measures kept, the status and the step of a failure."""
+    r = record
+    kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
+    numbers = (*kept, r.status, r.failed_step, *exception_flags(plan, r))
+    watched = (
+        *(x for kept in r.observed for x in columns_of(kept)),
+        *(sqrt(square) for square in r.joints),
+    )
+    places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
+    scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
+
+
+def store_start(
+    plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
+) -> None:
+    """Store whether the start, as given, is on the joint.   time : of the start, s."""
+    starts = system_of(plan).starts_well(given, load_inputs(plan, inputs), time)
+    scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
+
+
+for _formula in (store_row, store_state, store_summary, store_start):
+    kernel(_formula)

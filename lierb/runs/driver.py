@@ -1,0 +1,79 @@
+"""Calls of the compiled driver in a run, whatever the clock of its lanes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.compiler.code import compiled
+from lierb.compiler.entries import entry_of
+from lierb.kernels.loops.sharing import integrate_on_threads
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.runs.inputs import Inputs
+from lierb.runs.output import Output, Times
+from lierb.runs.threads import running
+from lierb.support.arrays import Array
+
+Clocks = TypeVar("Clocks", bound=Times)
+
+
+@dataclass(frozen=True)
+class Run(Generic[Clocks]):
+    """A run: its plan, inputs, times and results, and the number of threads."""
+
+    plan: AnyPlan
+    inputs: Inputs
+    times: Clocks
+    output: Output
+    threads: int
+
+    @property
+    def total(self) -> tuple[int, str]:
+        """Amount of work, and its unit."""
+        raise NotImplementedError
+
+    @property
+    def checks_late(self) -> bool:
+        """Return whether the starts are checked by the first call of `calls`."""
+        return False
+
+    def starts(self) -> Iterator[tuple[int, Array]]:
+        """Check the starts alone; yields the first trajectory and `Output.starts` of each part."""
+        raise NotImplementedError
+
+    def calls(self, begin: int) -> Iterator[int]:
+        """Run all trajectories to the end; yields the work done after each call of the driver.
+
+        begin : 0, UNSEEN or RESUMED.
+        """
+        raise NotImplementedError
+
+    def result(self) -> Output:
+        return self.output
+
+    @cached_property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays of the job record."""
+        places = self.inputs.places(self.plan)
+        varying = np.flatnonzero(places[:, 1])[None]
+        inputs = np.zeros((self.threads, len(places), self.plan.lanes))
+        return {"places": places, "varying": varying, "inputs": inputs, **self.output.arrays}
+
+    def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:
+        """Run a loop on all threads; return the seconds taken, compilation excluded.
+
+        jobs : [thread][record].
+        """
+        entry = entry_of(integrate, self.plan, self.arrays["inputs"][0], counter, jobs[0])
+        loop = (entry, counter, self.threads, jobs)
+        run = compiled(integrate_on_threads, *loop)
+        with running(self.threads):
+            began = time.perf_counter()
+            run(*loop)
+            return max(time.perf_counter() - began, 1e-6)
