@@ -33,7 +33,6 @@ from lierb.results.tables import (
 from lierb.runs import engine
 from lierb.runs import start_checks as checks
 from lierb.runs.continuation import End
-from lierb.runs.lane_engine import LaneTime
 from lierb.runs.mechanism_checks import violation
 from lierb.runs.options import check_options
 from lierb.runs.provenance import described_array, provenance
@@ -251,7 +250,7 @@ def integrate(
             problem, pose0, twist0, clock, float(t0), space, stabilise, described
         )
     plan, inputs, count = ready.plan, ready.inputs, ready.inputs.count
-    times: Clock | LaneTime
+    times: Clock
     numbers = None if trajectories is None else checked_numbers(trajectories, count)
     if numbers is not None and problem.controllers:
         more["trajectories"] = described_array(numbers)

@@ -194,7 +194,7 @@ EDITS = {
         {"v": -16.0, "r": -6.0},
     ),
     "step size": (
-        "stepping/stepper.py",
+        "systems/combine.py",
         "else h * weight",
         "else 2.0 * h * weight",
         {"v": -16.0, "r": -12.0},

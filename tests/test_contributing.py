@@ -14,7 +14,7 @@ PAGE = ROOT / "CONTRIBUTING.md"
 IN_PACKAGE = (
     "lierb/model/joints/catalogue.py", "lierb/kernels/mechanics/rows.py",
     "lierb/model/forces/springs.py", "lierb/methods/classical.py",
-    "lierb/kernels/systems/measures.py", "lierb/kernels/systems/tree_system.py",
+    "lierb/kernels/systems/measures.py", "lierb/kernels/systems/tree_measures.py",
 )  # fmt: skip
 CATALOGUES = (
     "test_joints", "test_oracle", "test_initial_conditions", "test_prediction", "test_scale",

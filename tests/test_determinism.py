@@ -8,7 +8,7 @@ from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, RECORD, box, joint, slow_bu
 
 import lierb
 from lierb.errors import FailedTrajectoryWarning, PoseError, TwistError
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.layout import inputs_of
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.state import NON_FINITE, OK, SINGULAR
@@ -178,13 +178,14 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     """Fed to the runner directly: the public face lets no NaN in."""
     twists = TWISTS[:17].copy()
     twists[victim, 1] = fault
+    rk4 = lierb.methods.TABLEAUS["RK4"]
     plan = Plan(
-        starts.DEFAULT_LANES, _problem().joint.rows, "SE3", "local",
-        lierb.methods.TABLEAUS["RK4"].A, lierb.methods.TABLEAUS["RK4"].b, multipliers=False,
+        lanes=starts.DEFAULT_LANES, rows=_problem().joint.rows, cspace="SE3", update="local",
+        stages=rk4.A, weights=rk4.b, multipliers=False,
     )  # fmt: skip
     problem = _problem()
     inputs = engine.Inputs(problem, inputs_of(problem.kinds), {"twist": twists}, 17)
-    output = engine.integrate(plan, inputs, Clock(1e-2, STEPS, 1, 0))
+    output = engine.integrate(plan, inputs, StepClock(1e-2, STEPS, 1, 0))
     others = np.arange(17) != victim
     state = np.concatenate(output.state, axis=1)
     undisturbed = expected[:17, len(SUMMARY) :]

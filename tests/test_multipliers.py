@@ -20,7 +20,7 @@ from lierb.kernels.mechanics.saddle import solve
 from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.vec import IDENTITY
 from lierb.kernels.numbers.zero import is_zero
-from lierb.kernels.systems.formulations import accelerate
+from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.plan import Plan
 from lierb.methods import TABLEAUS
 
@@ -52,7 +52,10 @@ def _random_state(rows, cspace: str, seed: int = 5, slender: float = 1.0):
     """slender : of the inertia that the other tests have, a part."""
     rng = np.random.default_rng(seed)
     rk4 = TABLEAUS["RK4"]
-    plan = Plan(1, rows, cspace, "local", rk4.A, rk4.b, multipliers=True)
+    plan = Plan(
+        lanes=1, rows=rows, cspace=cspace, update="local", stages=rk4.A, weights=rk4.b,
+        multipliers=True,
+    )  # fmt: skip
     held = replace(joint("screw"), length=np.array(LENGTH))  # a number for every kind of row
     solid = box(turned=True)
     problem = lierb.Problem(lierb.Body(solid.mass, slender * solid.inertia), held, GRAVITY)

@@ -207,7 +207,10 @@ def of_plan(plan, numbers):
 
 
 def of_problem(problem, pose, twist):
-    plan = Plan(1, problem.joint.rows, "SE3", "local", ((),), (1.0,), False, elements=problem.kinds)
+    plan = Plan(
+        lanes=1, rows=problem.joint.rows, cspace="SE3", update="local", stages=((),),
+        weights=(1.0,), multipliers=False, elements=problem.kinds,
+    )  # fmt: skip
     numbers = problem.quantities | {"pose": pose, "twist": twist}
     for i, element in enumerate(problem.elements):
         numbers |= {f"{i}.{name}": x for name, x in element.parameters.items()}
@@ -231,7 +234,7 @@ def asked(system, body, numbers):
     signals = Signals((0.1, 0.2, 0.3, 0.4), (0.5, 0.6, 0.7, 0.8), (0.9, 1.0, 1.1))
     body, time = body._replace(signals=signals), 0.25
     state = system.start(body, system.placed(body, numbers), numbers)
-    seen = system.seen(body, state, time)
+    seen = system.motion(body, state, time)
     found = [system.observed(body, seen, time), system.events(body, seen, time)]
     found += [system.state_rates(body, seen, time), system.initial_states(body)]
     found += [system.initial_memory(body), system.periods(body)]
@@ -268,7 +271,7 @@ def test_elements_between_links_see_the_one_from_the_other(cspace):
     pose, twist = somewhere()
     poses = {"bus": pose, "tip": pose @ lierb.lie.se3.exp((0.1, 0.0, 0.2, 7.0, 8.0, 9.0))}
     system, body, numbers = of_mechanism(linked, cspace, poses, {"bus": twist, "tip": -twist})
-    seen = system.seen(body, system.start(body, (), numbers), 0.0)
+    seen = system.motion(body, system.start(body, (), numbers), 0.0)
     expected = (np.linalg.inv(pose) @ poses["tip"])[0, 3], poses["tip"][0, 3]
     np.testing.assert_allclose(system.events(body, seen, 0.0), expected, rtol=1e-13)
 

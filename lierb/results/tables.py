@@ -14,7 +14,7 @@ from lierb.errors import MemoryLimitError
 from lierb.kernels.loops.record import history_measures
 from lierb.kernels.loops.workspace import EVENT_COLUMNS
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import Clock, StepClock
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.systems.observables import KEEPS
@@ -26,7 +26,6 @@ from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.results.failures import RAISED_KEY, STATUS_NAMES
-from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
 from lierb.support.memory import available, is_free, too_large
 
@@ -303,16 +302,14 @@ def _multipliers_of(
         first += len(rows)
 
 
-def _require_memory(
-    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
-) -> None:
+def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
     """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
     if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
         raise _no_room(plan, clock, count, recorded)
 
 
 def _no_room(
-    plan: AnyPlan, clock: Clock | LaneTime, count: int, recorded: tuple[str, ...]
+    plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]
 ) -> MemoryLimitError:
     free = available()
     whole = size_of_tables(plan, count, clock.saved_rows, recorded)
@@ -324,7 +321,7 @@ def _no_room(
         rows = clock.saved_rows
         fitting = max(int(0.8 * (free - summary) / ((whole - summary) / rows)), 2)
         fits = f"{fitting} times fit"
-        if isinstance(clock, Clock):
+        if isinstance(clock, StepClock):
             fits = f"save_every={-(-clock.steps // (fitting - 1))} fits"
         what = f"the history of {rows} times × {count} bodies"
         more = ", record less" if recorded else ""

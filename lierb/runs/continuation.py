@@ -14,7 +14,7 @@ import numpy as np
 
 from lierb.errors import ArgumentError
 from lierb.kernels.loops.record import state_columns
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import Clock, StepClock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
 from lierb.kernels.systems.signals import lane_end, states_of
 from lierb.kernels.systems.state import EVENT, OK
@@ -22,7 +22,7 @@ from lierb.model.functions.elements import Element
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.lane_engine import LaneTime
-from lierb.runs.output import Output, Times
+from lierb.runs.output import Output
 from lierb.support.arrays import Array
 
 NAMED = 5  # failed trajectories in a message
@@ -40,7 +40,7 @@ class Continuation:
     plan: AnyPlan
     twist0: Any
     t0: float
-    clock: Times
+    clock: Clock
     state: Array
     provenance: str
 
@@ -55,14 +55,14 @@ class Continuation:
             and (is_one or _are_controlled_alike(problem, self.problem))
         )
 
-    def clock_of(self, clock: Clock) -> Clock:
+    def clock_of(self, clock: StepClock) -> StepClock:
         """The clock of fixed steps that starts here: with the same steps it counts on."""
-        return Clock(*clock[:4], *self._origin(clock.dt))
+        return StepClock(*clock[:4], *self._origin(clock.dt))
 
     def _origin(self, dt: float) -> tuple[float, int]:
         """s, and number of the first step."""
         before = self.clock
-        if isinstance(before, Clock) and dt == before.dt:
+        if isinstance(before, StepClock) and dt == before.dt:
             return before.origin, before.first_step + before.steps
         if isinstance(before, LaneTime) and self.plan.embedded is None:
             span = before.span

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from lierb.compiler.code import compiled
 from lierb.compiler.entries import entry_of
 from lierb.kernels.loops.sharing import integrate_on_threads
+from lierb.kernels.stepping.clock import Clock
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.runs.inputs import Inputs
-from lierb.runs.output import Output, Times
+from lierb.runs.output import Output
 from lierb.runs.threads import running
 from lierb.support.arrays import Array
 
-Clocks = TypeVar("Clocks", bound=Times)
+Clocks = TypeVar("Clocks", bound=Clock)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import RESUMED, UNSEEN, job_of, jobs_of
 from lierb.kernels.loops.record import carried_columns
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import Clock, StepClock
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.runs.driver import Run
 from lierb.runs.inputs import Inputs
@@ -30,7 +30,7 @@ FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to measure how fast a plan runs
 def integrate(
     plan: AnyPlan,
     inputs: Inputs,
-    times: Clock | LaneTime,
+    times: Clock,
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
@@ -65,7 +65,7 @@ def integrate(
     return run.result()
 
 
-class BlockRun(Run[Clock]):
+class BlockRun(Run[StepClock]):
     """A run whose lanes share one clock, chunk by chunk."""
 
     @property

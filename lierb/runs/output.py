@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from textwrap import shorten
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from lierb.kernels.loops.record import (
     lane_column,
     summary_columns,
 )
-from lierb.kernels.stepping.clock import Clock, time_of
+from lierb.kernels.stepping.clock import Clock, StepClock, time_of
 from lierb.kernels.systems.layout import LANE_SUMMARY, POSE_AND_TWIST
 from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.plan import AnyPlan
@@ -30,17 +30,6 @@ from lierb.support.arrays import Array
 from lierb.support.memory import room
 
 MESSAGE_LENGTH = 200  # of an exception, in one line
-
-
-class Times(Protocol):
-    """Times of a run: those that are saved, and its end."""
-
-    @property
-    def saved_rows(self) -> int: ...
-    def saved_steps(self) -> NDArray[np.int64]: ...
-    def saved_times(self) -> Array: ...
-    @property
-    def end(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -60,7 +49,7 @@ class Output:
     """
 
     plan: AnyPlan
-    clock: Times
+    clock: Clock
     summary: Array
     history: Array
     states: tuple[Array, ...]  # in the order of POSE_AND_TWIST
@@ -71,7 +60,7 @@ class Output:
     events: Array | None = None
 
     @classmethod
-    def empty(cls, plan: AnyPlan, count: int, clock: Times, with_state: bool) -> Output:
+    def empty(cls, plan: AnyPlan, count: int, clock: Clock, with_state: bool) -> Output:
         shapes = _shapes(plan, count, clock.saved_rows, with_state)
         summary, history, *states, multipliers, reactions, ends = map(room, shapes)
         return cls(plan, clock, summary, history, tuple(states), multipliers, reactions, ends, {})
@@ -128,7 +117,7 @@ class Output:
     @cached_property
     def t(self) -> Array:
         """Time of the end of each trajectory, s."""
-        if not isinstance(self.clock, Clock):
+        if not isinstance(self.clock, StepClock):
             return self.of_lanes("t")
         t = np.full(len(self.status), self.clock.end)
         if (failed := self.status != OK).any():

@@ -29,8 +29,8 @@ from lierb.kernels.mechanics.scale import (
 )
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.systems.body_inputs import body_of, parameters_of
 from lierb.kernels.systems.layout import inputs_of
-from lierb.kernels.systems.one_body import body_of, parameters_of
 from lierb.model.acting import unfit_rate
 from lierb.model.problem import Problem
 from lierb.runs.inputs import Inputs

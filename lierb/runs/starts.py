@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lierb.errors import ArgumentError, brief
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.plan import AnyPlan, Stabilisation
 from lierb.kernels.systems.system_of import plan_of, system_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
@@ -27,7 +27,7 @@ class Ready(NamedTuple):
 
     plan: AnyPlan
     inputs: Inputs
-    clock: Clock | None
+    clock: StepClock | None
     pose0: Any
     twist0: Any
     before: str | None
@@ -37,7 +37,7 @@ def ready_body(
     problem: Problem,
     pose0: Any,
     twist0: Any,
-    clock: Clock | None,
+    clock: StepClock | None,
     t0: float,
     cspace: str,
     solver: str,
@@ -73,7 +73,7 @@ def ready_mechanism(
     mechanism: Mechanism,
     pose0: Any,
     twist0: Any,
-    clock: Clock | None,
+    clock: StepClock | None,
     t0: float,
     cspace: CSpace,
     stabilise: Any,

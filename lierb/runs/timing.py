@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, TimeGridError, brief, unknown_name
-from lierb.kernels.stepping.clock import Clock, time_of
+from lierb.kernels.stepping.clock import StepClock, time_of
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.plan import Embedded, Extension
@@ -99,14 +99,14 @@ class Timing:
             "jumps": jumps or self.discontinuities is not None,
         }  # fmt: skip
 
-    def clock(self) -> Clock:
+    def clock(self) -> StepClock:
         """Of fixed steps, the same in all lanes."""
-        return Clock(
+        return StepClock(
             self.dt, self.steps, self.measure_every, self.save_every, *counted(self.t0, self.dt)
         )
 
     def lane_time(
-        self, clock: Clock | None, events: Iterable[Event], seed: int, numbers: Array
+        self, clock: StepClock | None, events: Iterable[Event], seed: int, numbers: Array
     ) -> LaneTime:
         """clock : of fixed steps, as a run goes on with it.   numbers : of the trajectories."""
         save_at = np.zeros(0) if self.save_at is None else self.save_at

@@ -219,7 +219,21 @@ def stamp_of(tag):
 def test_stamp_of_a_tag_is_of_the_modules_of_all_its_classes():
     assert stamp_of(Outer()) == source_stamp(__name__)
     assert stamp_of(Outer((1.0, (Inner(),)))) == source_stamp(__name__)
-    within = Outer(((plan.Plan(1, (), "SE3", "local", (), (), False),),))
+    within = Outer(
+        (
+            (
+                plan.Plan(
+                    lanes=1,
+                    rows=(),
+                    cspace="SE3",
+                    update="local",
+                    stages=(),
+                    weights=(),
+                    multipliers=False,
+                ),
+            ),
+        )
+    )
     assert stamp_of(within) == source_stamp(*sorted((__name__, plan.Plan.__module__)))
 
 

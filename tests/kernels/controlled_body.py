@@ -10,8 +10,9 @@ from lierb.kernels.functions.function import Function
 from lierb.kernels.functions.noise import normal
 from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.mechanics import elements as kinds
-from lierb.kernels.systems.one_body import OneBody, Seen
+from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import Plan
+from lierb.kernels.systems.system_of import system_of
 from lierb.model.functions.tracing import ARGUMENTS
 
 LAMP = (("brightness", ()),)
@@ -79,8 +80,9 @@ ELEMENTS = (
     kinds.UserController(made(lit, ("params",), (("level", ()),), outputs=(LAMP,)), (), LAMP),
     kinds.UserController(ATTITUDE, MEMORY, TORQUE),
 )
-PLAN = Plan(1, (), "SE3", "local", ((),), (1.0,), False, elements=ELEMENTS)
-SYSTEM = OneBody(PLAN)
+STEPS = {"lanes": 1, "update": "local", "stages": ((),), "weights": (1.0,), "multipliers": False}
+PLAN = Plan(rows=(), cspace="SE3", elements=ELEMENTS, **STEPS)
+SYSTEM = system_of(PLAN)
 
 
 def body():
@@ -93,8 +95,8 @@ def body():
 
 
 def seen():
-    """Motion of the body."""
-    return Seen((tuple(np.eye(3).ravel()), PLACE), (*map(float, OMEGA), *V))
+    """How it moves."""
+    return BodyMotion((tuple(np.eye(3).ravel()), PLACE), (*map(float, OMEGA), *V))
 
 
 def go_through():

@@ -51,19 +51,18 @@ LOOPS = {  # code of Numba's, and what it works on
     "groups.lie_functions.apply", "loops.blocks.integrate_blocks",
     "loops.job.job_of", "loops.job.jobs_of", "loops.sharing.integrate_on_threads",
     "loops.sharing.pack", "loops.tables.tables_at",
-    "stepping.clock.Clock.end", "stepping.clock.Clock.saved_times", "stepping.clock.time_of",
+    "stepping.clock.StepClock.end", "stepping.clock.StepClock.saved_times",
+    "stepping.clock.time_of",
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
     "mechanics.rows.Cosine.holds_turn", "mechanics.rows.GroundPoint.holds_slide",
-    "mechanics.rows.HeldBody.elements",
-    "mechanics.rows.HeldBody.length",
-    "mechanics.rows.HeldBody.pitch", "mechanics.rows.JointRow.objection",
+    "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind",
     "mechanics.rows.Row.holds_slide", "mechanics.rows.Row.jacobian",
     "mechanics.rows.Screw.objection", "mechanics.rows.Turning.objection", "mechanics.rows.slides",
     "systems.formulations.SaddlePoint.is_light", "systems.formulations.Subgroup.is_homogeneous",
-    "systems.signals.Watching.motions",
+    "systems.one_body.OneBody.settled",
 }  # fmt: skip
 
 # Of mechanisms: methods of objects that hold the numbers. tests/mechanisms holds them against other
@@ -74,8 +73,10 @@ OF_MECHANISMS = (
     "mechanics.tree.",
     "mechanics.tree_dynamics.",
     "mechanics.tree_rows.",
-    "systems.tree_system.",
-    "systems.tree_inputs.",
+    "systems.plan.MechanismPlan.",
+    "systems.relatives.",
+    "systems.stabilisation.",
+    "systems.tree_",
     "systems.system_of.",
 )
 
@@ -88,13 +89,16 @@ OF_CLOCKS = (
     "mechanics.elements.UserEvent.value_nearby",
     "mechanics.elements.UserWrench.jumps",
     "mechanics.elements.travel_to_kink",
-    "systems.formulations.OnOneChart.places",
+    "systems.one_body.OneBody.places",
     "systems.extra_states.",
-    "systems.signals.Watching.events_nearby",
-    "systems.signals.Watching.jumps",
-    "systems.signals.Watching.travel",
-    "stepping.stepper.between",
-    "stepping.stepper.extended",
+    "systems.signals.PassiveElements.events_nearby",
+    "systems.signals.PassiveElements.jumps",
+    "systems.signals.PassiveElements.travel",
+    "stepping.method.Interval.part",
+    "stepping.runge_kutta.ExplicitRungeKutta.between",
+    "stepping.runge_kutta.ExplicitRungeKutta.defects",
+    "stepping.runge_kutta.beside_the_step",
+    "stepping.runge_kutta.ExplicitRungeKutta.extended",
     "loops.event_dips.",
     "loops.event_search.",
     "loops.event_state.",
@@ -135,7 +139,8 @@ def public(package):
             prefix = f"{info.name.removeprefix('lierb.kernels.')}.{name}"
             if inspect.isfunction(found):
                 yield prefix, inspect.unwrap(found)
-            for method, of in vars(found).items() if inspect.isclass(found) else ():
+            is_described = inspect.isclass(found) and not getattr(found, "_is_protocol", False)
+            for method, of in vars(found).items() if is_described else ():
                 of = getattr(of, "fget", None) or getattr(of, "func", None) or of
                 of = getattr(of, "__func__", of)
                 is_own = inspect.isfunction(of) and of.__module__ == module.__name__

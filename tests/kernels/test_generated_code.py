@@ -14,7 +14,7 @@ from cases import slow_but
 from lierb.compiler.code import OPTIONS
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import JOB
-from lierb.kernels.systems.system_of import plan_of, takes_gentle_steps
+from lierb.kernels.systems.system_of import plan_of, takes_small_angle_steps
 from lierb.kernels.tracing.cpu import DEFAULT_LANES, HAS_FMA, IS_X86
 from lierb.methods import TABLEAUS
 from lierb.model.joints.joint_type import JOINTS
@@ -74,7 +74,7 @@ def hot_loop(request) -> SimpleNamespace:
     loops = [Counter(loop) for loop in innermost_loops(assembly)]
     # A step of these plans takes no root; a loop over blocks, which looks at starts, does.
     loops = [loop for loop in loops if not count(loop, "vsqrtpd")]
-    if takes_gentle_steps(plan):
+    if takes_small_angle_steps(plan):
         # The way of tiny angles: one branch, out of it, and the jump back.
         loops = [
             loop for loop in loops

@@ -22,6 +22,7 @@ from kernels.controlled_body import (
     PLAN,
     SIGNALS,
     STATES,
+    STEPS,
     SYSTEM,
     TAU,
     TIME,
@@ -39,8 +40,8 @@ from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.signals import Noise, Signals
 from lierb.kernels.functions.trials import outputs_of, trial
 from lierb.kernels.systems import signals as sides
-from lierb.kernels.systems.formulations import accelerate
-from lierb.kernels.systems.one_body import Seen
+from lierb.kernels.systems.acceleration import accelerate
+from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import MechanismPlan
 
 
@@ -78,7 +79,7 @@ def test_controlled_gives_outputs_and_memory_of_one_controller():
 
 
 FORMULAS["controlled"] = lambda *x: sum(
-    SYSTEM.controlled(body(), Seen(seen().pose, (*x[:3], *V)), TIME, 1, Noise(*x[3:])), ()
+    SYSTEM.controlled(body(), BodyMotion(seen().pose, (*x[:3], *V)), TIME, 1, Noise(*x[3:])), ()
 )
 
 
@@ -135,5 +136,5 @@ def test_states_that_return_something_else_are_refused(returned, message):
 
 
 def test_mechanism_plans_have_the_same_shapes():
-    plan = MechanismPlan(1, (), (), 0, "local", ((),), (1.0,), False, elements=ELEMENTS)
+    plan = MechanismPlan(tree=(), connections=(), loops=0, elements=ELEMENTS, **STEPS)
     assert sides.states_of(plan) == STATES

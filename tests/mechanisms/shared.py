@@ -13,7 +13,7 @@ import lierb
 from lierb.kernels.mechanics.tree import TreeConstants
 from lierb.kernels.systems.plan import UNSTABILISED
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.system_of import formulation_of
+from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.tree_system import TreeFormulation
 from lierb.runs.plans import mechanism_plan_of
 
@@ -78,9 +78,9 @@ def in_python(
     for i, name in enumerate(mechanism.names):
         given |= {f"{i}.pose": pose0[name], f"{i}.twist": twist0[name]}
     flat: list[float] = []
-    for field, _ in formulation_of(plan).inputs:
+    for field, _ in system_of(plan).inputs:
         first = np.ravel(given.get(field.name, 0.0))[: int(np.prod(field.shape))]
         numbers = np.broadcast_to(first.reshape(-1), int(np.prod(field.shape)))
         flat += map(float, numbers if field.entries is None else numbers[list(field.entries)])
-    body = formulation_of(plan).body(flat)
-    return formulation_of(plan), body, formulation_of(plan).start(body, (), flat)
+    body = system_of(plan).body(flat)
+    return system_of(plan), body, system_of(plan).start(body, (), flat)

@@ -228,11 +228,11 @@ def test_projection_closes_joints_whose_motions_are_no_group(name):
 
 def test_largest_error_of_joints_is_nan_where_one_is():
     from lierb.kernels.numbers.zero import ZERO
-    from lierb.kernels.systems.relatives import _largest
+    from lierb.kernels.systems.relatives import largest
 
     for order in ([1.0, np.nan, 0.5], [np.nan, 1.0], [ZERO, 0.5, np.nan]):
-        assert np.isnan(_largest(order))
-    assert _largest([ZERO, 0.5, 2.0, ZERO]) == 2.0
+        assert np.isnan(largest(order))
+    assert largest([ZERO, 0.5, 2.0, ZERO]) == 2.0
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ def test_accelerations_do_not_depend_on_speed(shape, cspace):
     rng = np.random.default_rng(5)
     made, sample = random_mechanism(rng, shape, n=1, centred=cspace == "SO3xR3", forces=True)
     system, body, state = in_python(made, cspace, **start_of(sample))
-    seen = system.seen(body, state, 0.0)
+    seen = system.motion(body, state, 0.0)
     boost, turned = np.zeros((2, len(state.v_or_mu)))  # of V, and of V̇, since body axes turn
     for i, node in enumerate(system.plan.tree):
         if node.is_reduced and node.parent >= 0:
@@ -39,7 +39,7 @@ def test_accelerations_do_not_depend_on_speed(shape, cspace):
         (turn, place), *others = state.chart
         fast = fast._replace(chart=((turn, tuple(FAR + place)), *others))
     rates = [
-        np.asarray(system.accelerate(body, system.seen(body, each, 0.0)).rates, float)
+        np.asarray(system.accelerate(body, system.motion(body, each, 0.0)).rates, float)
         for each in (state, fast)
     ]
     wanted = rates[0] + turned

@@ -128,7 +128,7 @@ def test_joints_of_rows_do_not_feel_the_mass_ratio(masses, rows, cspace):
     pose0 = plain.pose(dict(zip(names, ANGLES, strict=True)))
     twist0 = plain.twist(dict(zip(names, RATES, strict=True)), pose0)
     system, body, state = in_python(made, cspace, pose0, twist0)
-    found = system.accelerate(body, system.seen(body, state, 0.0))
+    found = system.accelerate(body, system.motion(body, state, 0.0))
     assert found.dropped == (4 if rows == "twice" else 0)
     _, wrenches = system.forces(body, state, 0.0)
     with mpmath.workdps(DIGITS):
@@ -136,7 +136,7 @@ def test_joints_of_rows_do_not_feel_the_mass_ratio(masses, rows, cspace):
         forces = [float(x) for x in joint_forces(wanted, masses)]
     # About e₃ of its joint the far link turns by what the near one does there and by its own.
     near, far = (np.array(v[:3], float) for v in found.solved.response.moved)
-    seen = system.seen(body, state, 0.0)
+    seen = system.motion(body, state, 0.0)
     turned = np.array(seen.steps[1][0], float).reshape(3, 3)
     own = (far - turned.T @ near)[2]
     # An ulp of each of some hundred operations; 1e-15 measured, where it was 1e-4 at 1e10.

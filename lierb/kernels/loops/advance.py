@@ -16,10 +16,11 @@ from lierb.kernels.numbers.arithmetic import (
     where,
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.stepper import step
+from lierb.kernels.stepping.method import Interval
+from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, SINGULAR, State
-from lierb.kernels.systems.system_of import formulation_of, system_of, takes_gentle_steps
+from lierb.kernels.systems.system_of import system_of, takes_small_angle_steps
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
 
@@ -40,7 +41,7 @@ def advance_invariant(
     """Make the step of `advance`, to the same bits, where `is_invariant`: half of a saddle point's
     operations.
     """
-    invariant = formulation_of(plan).still
+    invariant = system_of(plan).invariant
     if not invariant:
         return state, record  # never
     return _advanced(plan, body, state, record, k, time, h, invariant)
@@ -59,7 +60,7 @@ def _advanced(
     body = with_rank(plan, body, record)
     moved, singular = _stepped(plan, body, state, time, h, invariant)
     # An angle that is not finite spoils all of Q.
-    turns, places = system_of(plan).told_by(moved.chart)
+    turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
@@ -98,7 +99,9 @@ def _stepped(
     """Make a step with the invariant components of V as structural zeros."""
     before = state.v_or_mu
     moving = tuple(ZERO if i in invariant else v for i, v in enumerate(before))
-    moved, singular = step(plan, body, state._replace(v_or_mu=moving), time, h)
+    state = state._replace(v_or_mu=moving)
+    made = method_of(plan).step(system_of(plan), body, state, Interval(time, h, h))
+    moved, singular = made.state, made.singular
     pairs = zip(before, moved.v_or_mu, strict=True)
     after = tuple(v if i in invariant else x for i, (v, x) in enumerate(pairs))
     return moved._replace(v_or_mu=after), singular
@@ -106,7 +109,7 @@ def _stepped(
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
     """Return whether the plan's rows keep any component of V zero."""
-    return all_lanes(h == h if formulation_of(plan).still else h < h)
+    return all_lanes(h == h if system_of(plan).invariant else h < h)
 
 
 def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
@@ -115,17 +118,17 @@ def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
     """
     velocity = state.v_or_mu
     invariant = h == h
-    for i in formulation_of(plan).still:
+    for i in system_of(plan).invariant:
         invariant = invariant & (velocity[i] == 0.0)
     return all_lanes(invariant)
 
 
 def has_small_angles(plan: AnyPlan, body: Any, state: State, record: Record, h: Any) -> Any:
     """Return whether the next step's angles are likely to be tiny in all lanes."""
-    if not takes_gentle_steps(plan):
+    if not takes_small_angle_steps(plan):
         return all_lanes(h < h)  # never
     small = record.dropped == 0.0
-    for square in system_of(plan).turning(body, state):
+    for square in system_of(plan).angular_speeds_squared(body, state):
         small = small & (h * h * plain(square) <= 0.8 * TINY)
     return all_lanes(small)
 
@@ -137,11 +140,11 @@ def advance_small_angles(
 
     A branch for each stage's angle takes a twentieth of the time of a spherical joint's step.
     """
-    if not takes_gentle_steps(plan):
+    if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never
     with assumptions(h) as conditions:
-        moved, singular = _stepped(plan, body, state, time, h, formulation_of(plan).still)
-    _, places = system_of(plan).told_by(moved.chart)
+        moved, singular = _stepped(plan, body, state, time, h, system_of(plan).invariant)
+    _, places = system_of(plan).turns_and_places(moved.chart)
     fine = are_finite(*moved.v_or_mu, *places, moved.work) & (singular <= 0.5)
     for condition in conditions:  # false for an angle that is not finite
         fine = fine & condition
@@ -149,7 +152,7 @@ def advance_small_angles(
 
 
 def tidy(plan: AnyPlan, body: Any, state: State) -> State:
-    return state._replace(chart=formulation_of(plan).tidied(body, state.chart))
+    return state._replace(chart=system_of(plan).tidied(body, state.chart))
 
 
 for _formula in (

@@ -46,7 +46,7 @@ from lierb.kernels.loops.tables import (
     store_summary,
     tables_at,
 )
-from lierb.kernels.stepping.clock import Clock, ahead_of, seen_at, share_of, time_of
+from lierb.kernels.stepping.clock import StepClock, ahead_of, seen_at, share_of, time_of
 
 _part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
 
@@ -105,7 +105,9 @@ def integrate_blocks(plan, inputs, counter, jobs):
     """
     job, lanes = jobs[0], inputs.shape[1]
     # A copy: LLVM assumes that stores may change what is read from memory.
-    clock = Clock(job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step)
+    clock = StepClock(
+        job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step
+    )
     carried, summary, ends = numbers_at(job.carried), numbers_at(job.summary), numbers_at(job.ends)
     tables, blocks = tables_at(job), (job.stop - job.first + lanes - 1) // lanes
     stop, resumes = job.until, job.begin == RESUMED

@@ -9,7 +9,7 @@ from typing import get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from lierb.kernels.stepping.clock import Clock
+from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.layout import POSE_AND_TWIST
@@ -68,7 +68,9 @@ JOB = np.dtype(
         [
             *((name, np.int64, (4,)) for name in ARRAYS),  # address and extents
             *((name, np.int64) for name in SIZES),
-            *(get_type_hints(Clock) | get_type_hints(Span) | get_type_hints(Tolerances)).items(),
+            *(
+                get_type_hints(StepClock) | get_type_hints(Span) | get_type_hints(Tolerances)
+            ).items(),
             ("seed", np.float64),
         ],
     )

@@ -10,8 +10,9 @@ from lierb.kernels.loops.lane_steps import Made, inside
 from lierb.kernels.loops.record import Record, observe, without_measures
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, any_lanes, load, store, where
 from lierb.kernels.stepping.lane_clock import LaneClock, Trial, rounding_at
+from lierb.kernels.stepping.method import Interval
+from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.stepping.step_size import parts_to_watch
-from lierb.kernels.stepping.stepper import between, extended
 from lierb.kernels.systems.extra_states import Held, with_signals
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
@@ -24,7 +25,8 @@ def slopes_between(plan: AnyPlan, body: Any, state: State, made: Made, trial: Tr
     """Return the slopes of the continuous extension."""
     if not plan.looks or plan.extension is None:
         return ()
-    return extended(plan, body, state, *inside(plan, trial), trial.h, made.slopes)
+    at = Interval(*inside(plan, trial), trial.h)
+    return method_of(plan).extended(system_of(plan), body, state, at, made.slopes)
 
 
 def state_between(
@@ -33,7 +35,8 @@ def state_between(
     """Return the state at θ of a step."""
     if not plan.looks:
         return state  # never
-    return between(plan, body, state, *inside(plan, trial), trial.h, slopes, theta)
+    at = Interval(*inside(plan, trial), trial.h)
+    return method_of(plan).between(system_of(plan), body, state, at, slopes, theta)
 
 
 def time_between(trial: Trial, theta: Any) -> Any:
@@ -91,7 +94,7 @@ def put_values(
     """Store the values of all events, [sample][event][lane]."""
     if events_of(plan):
         system, body = system_of(plan), with_signals(plan, body, state, held)
-        for i, value in enumerate(system.events(body, system.seen(body, state, time), time)):
+        for i, value in enumerate(system.events(body, system.motion(body, state, time), time)):
             store(values, (sample, i, 0), value, plan.lanes)
 
 
@@ -102,7 +105,7 @@ def put_roundings(
     if events_of(plan):
         state, time = lanes.state, lanes.clock.t
         system, body = system_of(plan), with_signals(plan, body, state, lanes.held)
-        nearby = system.events_nearby(body, system.seen(body, state, time), time)
+        nearby = system.events_nearby(body, system.motion(body, state, time), time)
         now = [load(values, (sample, i, 0), plan.lanes) for i in range(len(nearby))]
         pairs = zip(nearby, now, strict=True)
         put_rows(plan, roundings, 0, tuple(absolute(x - value) for x, value in pairs))

@@ -39,13 +39,14 @@ from lierb.kernels.stepping.lane_clock import (
     to_tidy,
     trial_of,
 )
+from lierb.kernels.stepping.method import Interval
+from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.stepping.step_size import (
     Tolerances,
     longest_step,
     squared_correction,
     squared_error,
 )
-from lierb.kernels.stepping.stepper import trial_step
 from lierb.kernels.systems.extra_states import Held, with_signals
 from lierb.kernels.systems.observables import Kept, observables_of, with_value
 from lierb.kernels.systems.plan import AnyPlan
@@ -118,13 +119,16 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
     state, body = lanes.state, with_rank(plan, body, lanes.record)
     is_continuous = plan.looks and plan.extension is not None
     all_stages = is_continuous or plan.embedded is not None
-    made = trial_step(plan, body, state, *inside(plan, trial), trial.h, all_stages)
+    at = Interval(*inside(plan, trial), trial.h)
+    made = method_of(plan).step(system_of(plan), body, state, at, all_stages)
     square: Any = ZERO
     correction: Any = ZERO
     if plan.embedded is not None:
         square = squared_error(plan, body, state, made.state, made.slopes, trial.h, limits)
         is_first = lanes.clock.steps + lanes.clock.ahead < 0.5
-        correction = squared_correction(plan, body, state, made.kept, trial.h, limits, is_first)
+        correction = squared_correction(
+            plan, body, state, made.stabilised, trial.h, limits, is_first
+        )
     slopes = made.slopes if is_continuous else ()
     return Made(made.state, slopes, made.singular, square, correction)
 
@@ -150,7 +154,7 @@ def decided(
 ) -> Decision:
     """Accept a step, or shorten it, or end the trajectory."""
     moved, square, singular = made.state, made.square, made.singular
-    turns, places = system_of(plan).told_by(moved.chart)
+    turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work, *moved.states)
     fine = are_finite(*numbers) & (singular <= 0.5)
     if not is_zero(made.correction):
@@ -233,7 +237,7 @@ def _controlled(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, s
         tick = held.ticks[number]
         due = _ticks(clock, tick, period, ticks)
         at = with_signals(plan, body, state, held)
-        seen = system.seen(at, state, clock.t)
+        seen = system.motion(at, state, clock.t)
         noise = Noise(seed, stream, tick)
         controls, memory = system.controlled(at, seen, clock.t, number, noise)
         held = Held(
@@ -257,7 +261,7 @@ def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, 
     time, record = lanes.clock.t, lanes.record
     system, body = system_of(plan), with_signals(plan, body, lanes.state, lanes.held)
     alive = record.status == OK
-    values = system.observed(body, system.seen(body, lanes.state, time), time)
+    values = system.observed(body, system.motion(body, lanes.state, time), time)
     return tuple(
         with_value(old, where(alive, value, NAN), half, alive, by_halves=True)
         for old, value in zip(record.observed, values, strict=True)

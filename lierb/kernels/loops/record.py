@@ -21,7 +21,6 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import LaneClock
-from lierb.kernels.systems.formulations import LARGEST
 from lierb.kernels.systems.layout import (
     LANE_END,
     LANE_SUMMARY,
@@ -46,6 +45,7 @@ from lierb.kernels.systems.observables import (
     observables_of,
     with_value,
 )
+from lierb.kernels.systems.one_body import LARGEST
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
@@ -131,7 +131,7 @@ def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
 
 def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
     """Load what starts in one pose have in common for the check that they are on the joint."""
-    return system_of(plan).given(load_inputs(plan, inputs), time)
+    return system_of(plan).pose_check(load_inputs(plan, inputs), time)
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
@@ -143,7 +143,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     """Return a record at the start, of numbers of the state's own type."""
     nothing = 0.0 * body.mass  # not a constant: 1 / t of a motor is inf, no error
     system = system_of(plan)
-    seen = system.measured(body, state, system.seen(body, state, nothing), nothing)
+    seen = system.measured(body, state, system.motion(body, state, nothing), nothing)
     energy = seen.values["energy"]
     dropped = system.dropped(body, state)
     if plan.calls_functions and not plan.has_lane_clocks:
@@ -286,7 +286,7 @@ def observe(
     and energies overflow long before it.
     """
     system = system_of(plan)
-    seen = system.seen(body, state, time)
+    seen = system.motion(body, state, time)
     values = system.observed(body, seen, time)
     if may_raise(plan):
         record = with_exceptions(plan, record, k)

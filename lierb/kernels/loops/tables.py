@@ -129,7 +129,7 @@ def store_start(
     plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
 ) -> None:
     """Store whether the start, as given, is on the joint.   time : of the start, s."""
-    starts = system_of(plan).starts_well(given, load_inputs(plan, inputs), time)
+    starts = system_of(plan).is_on_joint(given, load_inputs(plan, inputs), time)
     scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 
 

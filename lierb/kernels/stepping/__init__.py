@@ -1,1 +1,1 @@
-"""Steps: clocks, the stepper of all methods, and the choice of adaptive steps."""
+"""Steps: methods, clocks, and the choice of adaptive steps."""

@@ -1,8 +1,8 @@
-"""When the steps of a run are, when it is observed, and when it ends."""
+"""Clocks: times of a run's steps, of its saved rows and of its end."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,29 @@ from lierb.compiler.loops import shared
 TIDY_EVERY = 30  # steps; 16 to 64 do as well, but with measure_every=10 this one is measured too
 
 
-class Clock(NamedTuple):
-    """`steps` steps of `dt` s, measured and saved every so many (0: never).
+class Clock(Protocol):
+    """Times of a run, with fixed steps (`StepClock`) or a clock for each lane (`LaneTime`)."""
 
-    origin, first_step : the start is `first_step` steps after `origin`, s: a run that goes on
-        counts on, and so has its times, and its rounding tidied, as if there had been no break.
+    @property
+    def saved_rows(self) -> int:
+        """Number of rows of the history, 0 without one."""
+
+    @property
+    def end(self) -> float:
+        """End of the run, s."""
+
+    def saved_steps(self) -> NDArray[np.int64]:
+        """Numbers of the saved steps, (saved_rows,), or of the rows where steps are adaptive."""
+
+    def saved_times(self) -> NDArray[np.float64]:
+        """Times of the saved rows, (saved_rows,), s."""
+
+
+class StepClock(NamedTuple):
+    """Clock of `steps` steps of `dt` s, measured and saved every so many (0: never).
+
+    origin, first_step : the start is `first_step` steps after `origin`, s: a run that resumes
+        another counts on, and so has its times, and its rounding tidied, as if without a break.
     """
 
     dt: float
@@ -34,25 +52,23 @@ class Clock(NamedTuple):
         return np.minimum(np.arange(self.saved_rows) * self.save_every, self.steps)
 
     def saved_times(self) -> NDArray[np.float64]:
-        """s."""
-        found: NDArray[np.float64] = time_of(self, self.saved_steps())
-        return found
+        times: NDArray[np.float64] = time_of(self, self.saved_steps())
+        return times
 
     @property
     def end(self) -> float:
-        """s."""
         return float(time_of(self, self.steps))
 
 
 @shared
 def time_of(clock: Any, step: Any) -> Any:
-    """Of a step, or of an array of steps, s."""
+    """Time of a step, or of an array of steps, s."""
     return clock.origin + clock.dt * (clock.first_step + step)
 
 
 @shared
 def seen_at(clock: Any, step: Any) -> Any:
-    """Whether a step is measured, whether it is saved, and in which row of the history."""
+    """Return whether a step is measured, whether it is saved, and its row of the history."""
     is_last, every = step == clock.steps, clock.save_every
     is_measured = is_last or step % clock.measure_every == 0
     if every == 0:
@@ -62,8 +78,9 @@ def seen_at(clock: Any, step: Any) -> Any:
 
 @shared
 def share_of(clock: Any, step: Any) -> Any:
-    """Of the whole time, what a measured step counts for in a mean, by the trapezoidal rule: half
-    the way from the measured step before it to the one after it.
+    """Weight of a measured step in a mean over the whole time, by the trapezoidal rule.
+
+    It is half the way from the measured step before it to the one after it.
     """
     every = clock.measure_every
     before = max(step - 1, 0) // every * every
@@ -73,8 +90,8 @@ def share_of(clock: Any, step: Any) -> Any:
 
 @shared
 def ahead_of(clock: Any, step: Any, stop: Any) -> Any:
-    """The next step that is measured, saved or tidied, or `stop` if that is earlier; and whether
-    this one is tidied: rounding is taken off before it, unless a run just starts with it.
+    """Return the next step that is measured, saved or tidied, or `stop` where that is earlier; and
+    whether this one is tidied: rounding is taken off before it.
     """
     counted = clock.first_step + step
     ahead = min(clock.measure_every - step % clock.measure_every, TIDY_EVERY - counted % TIDY_EVERY)

@@ -1,4 +1,4 @@
-"""Clock of a lane: time of its trajectory, length of the next step, end.
+"""StepClock of a lane: time of its trajectory, length of the next step, end.
 
 Fixed steps end at t = anchor + dt·k, the same doubles as if all lanes had one clock. Adaptive steps
 end at the step-size control's choice. Both end where a controller ticks and at the end of the run.
@@ -60,7 +60,7 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """Clock of a lane.
+    """StepClock of a lane.
 
     t : current time, s.   h : length of the next step unless something cuts it short, s.
     anchor, counted : fixed steps are counted from `anchor`, s.

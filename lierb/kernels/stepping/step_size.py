@@ -22,12 +22,13 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.vec import Vec, dot
 from lierb.kernels.numbers.zero import ZERO, is_zero
-from lierb.kernels.stepping.stepper import Slopes, rates_at, units_of, weighted
+from lierb.kernels.stepping.method import Defect
+from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
-from lierb.kernels.systems.state import Stabilised, State
-from lierb.kernels.systems.system_of import formulation_of, system_of
+from lierb.kernels.systems.state import Slopes, Stabilised, State
+from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.words import rough_exp2, rough_log2
 
 EPS = 2.0**-52
@@ -91,7 +92,7 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
     system = system_of(plan)
-    start, end = (system.seen(body, each, time) for each in (state, moved))
+    start, end = (system.motion(body, each, time) for each in (state, moved))
     least = maximum(LEAST_OF_STEP * h, 4.0 * LEAST_ULPS * EPS * absolute(time))
     longest: Any = INF
     for watched, parts in ((False, 1.0), (True, float(MOST_PARTS))):
@@ -106,7 +107,7 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
 def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
     """Return the number of equal parts of a step in which events are searched one by one."""
     system = system_of(plan)
-    start, end = (system.seen(body, each, trial.start) for each in (state, moved))
+    start, end = (system.motion(body, each, trial.start) for each in (state, moved))
     fastest: Any = 0.0 * trial.h
     for at in (start, end):
         for rate, distance in system.travel(body, start, at, trial.start, watched=True):
@@ -119,11 +120,10 @@ def squared_error(
     plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any, limits: Any
 ) -> Any:
     """Return the square of a step's error, relative to its tolerance."""
-    assert plan.embedded is not None
     scales = _scales(plan, body, state, moved, limits, h)
     estimates = [
-        _largest(plan, body, _defect(plan, body, slopes, h, weights), scales)
-        for weights in plan.embedded.weights
+        _largest(plan, body, defect, scales)
+        for defect in method_of(plan).defects(system_of(plan), body, slopes, h)
     ]
     error = estimates[0]
     if len(estimates) > 1:
@@ -143,7 +143,7 @@ def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slop
     order have zero weights for their first stages: then neither the step nor its error estimate
     shows the stop.
     """
-    velocity = formulation_of(plan).velocity
+    velocity = system_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
     first, *rest = slopes.v_or_mu
     changes = [
@@ -180,47 +180,7 @@ def squared_correction(
     rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
     states = (ZERO,) * len(state.states)
-    return _largest(plan, body, _Defect(kept.x, kept.v_or_mu, states), scales)
-
-
-class _Defect(NamedTuple):
-    """Error of a step: in the algebra, in twists, in the extra states."""
-
-    x: Vec
-    twist: Vec
-    states: Vec
-
-
-def _defect(
-    plan: AnyPlan, body: Any, slopes: Slopes, h: Any, weights: tuple[float, ...]
-) -> _Defect:
-    """Return h Σ weights · slopes."""
-    base, rest = beside_the_step(plan.weights, weights)
-
-    def times(unit: Any, rates: tuple[Vec, ...]) -> Vec:
-        total = weighted((ZERO,) * len(rates[0]), base, rates)
-        return tuple(unit * each for each in weighted(total, rest, rates))
-
-    x_unit, unit = units_of(plan, h)
-    x, v_or_mu = times(x_unit, slopes.x), times(unit, slopes.v_or_mu)
-    states = times(h, slopes.states)
-    formulation = formulation_of(plan)
-    return _Defect(formulation.in_algebra(body, x), formulation.velocity(body, v_or_mu), states)
-
-
-def beside_the_step(
-    step: tuple[float, ...], error: tuple[float, ...]
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return an error's weights as those of the step plus few others, or unchanged.
-
-    LLVM then reuses the step's own sum. DOP853's weights of third order differ from the step's in
-    3 of 12.
-    """
-    step += (0.0,) * (len(error) - len(step))
-    rest = tuple(e - b for e, b in zip(error, step, strict=True))
-    if sum(map(bool, rest)) < sum(map(bool, error)):
-        return step, rest
-    return (), error
+    return _largest(plan, body, Defect(kept.x, kept.v_or_mu, states), scales)
 
 
 class _Scales(NamedTuple):
@@ -274,9 +234,9 @@ def _scales(
 
 def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:
     """Return ‖y‖² of position, ω, v, and of each extra state."""
-    formulation = formulation_of(plan)
-    place = formulation.places(state.chart)
-    twist = formulation.velocity(body, state.v_or_mu)
+    system = system_of(plan)
+    place = system.places(state.chart)
+    twist = system.velocity(body, state.v_or_mu)
     states = tuple(dot(part, part) for part in in_states(plan, state.states))
     return dot(place, place), _squares(twist, 0), _squares(twist, 3), states
 
@@ -287,7 +247,7 @@ def _squares(sixes: Vec, first: int) -> Any:
     return dot(parts, parts)
 
 
-def _largest(plan: AnyPlan, body: Any, defect: _Defect, scales: _Scales) -> Any:
+def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
     """Return the largest ‖e‖² · scale of all blocks; NaN where one is NaN."""
     pairs = [
         (_squares(defect.x, 0), scales.rotation),
@@ -349,10 +309,12 @@ def first_step(
     length : of the run, s.
     """
     scales = _scales(plan, body, state, state, limits)
-    falling = formulation_of(plan).before_step(body, state.chart)
+    system = system_of(plan)
+    falling = system.chart_gravity(body, state.chart)
 
     def at(x: Vec, v_or_mu: Vec, states: Vec, time: Any) -> Any:
-        return rates_at(plan, body, state.chart, falling, x, v_or_mu, states, time)
+        there = State(state.chart, x, v_or_mu, ZERO, states)
+        return system.stage_rates(body, there, falling, time)
 
     start = at(state.x, state.v_or_mu, state.states, time)
     size = _size_against(plan, body, state, scales)
@@ -364,7 +326,7 @@ def first_step(
     x, v_or_mu, states = (
         tuple(fma(h, k, y) for k, y in zip(rate, y0, strict=True)) for y0, h, rate in pairs
     )
-    there = at(formulation_of(plan).in_algebra(body, x), v_or_mu, states, time + guess)
+    there = at(system.in_algebra(body, x), v_or_mu, states, time + guess)
     change = tuple(
         tuple(after - before for before, after in zip(*pair, strict=True))
         for pair in zip(_parts(start), _parts(there), strict=True)
@@ -399,5 +361,5 @@ def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> An
 
 def _rate_against(plan: AnyPlan, body: Any, rates: Any, scales: _Scales) -> Any:
     x, v_or_mu, states = rates
-    twist = formulation_of(plan).velocity(body, v_or_mu)
-    return _largest(plan, body, _Defect(x, twist, states), scales)
+    twist = system_of(plan).velocity(body, v_or_mu)
+    return _largest(plan, body, Defect(x, twist, states), scales)

@@ -1,4 +1,4 @@
-"""What is known of a trajectory, as columns of numbers: each field once, with shape and unit.
+"""Columns of numbers of a trajectory: each field once, with shape and unit.
 
 Packing, loading and storing, the tables of results and their units follow from these.
 """
@@ -17,15 +17,15 @@ POSE = (0, 1, 2, 4, 5, 6, 8, 9, 10, 3, 7, 11)  # of a 4×4 matrix: R, then r
 
 
 def pose_of(numbers: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """(R, r) from numbers in that order."""
+    """Return (R, r) from numbers in the order of POSE."""
     return numbers[:9], numbers[9:]
 
 
 class Field(NamedTuple):
-    """A quantity of a trajectory.
+    """Quantity of a trajectory.
 
-    shape : of the array that has it.   unit : of its numbers.
-    entries : places in that array, row by row, if not all of them are wanted, in this order.
+    shape : of its array.   unit : of its numbers.
+    entries : indices into that array, row by row, in order; None for all.
     """
 
     name: str
@@ -60,12 +60,12 @@ class Columns:
         return self._named[name]
 
     def index(self, name: str) -> int:
-        """Of a field of one number."""
+        """Column of a field of one number."""
         first: int = self._slices[name].start
         return first
 
     def parts(self, numbers: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
-        """The numbers of each field."""
+        """Numbers of each field, by name."""
         return {name: tuple(numbers[columns]) for name, columns in self._slices.items()}
 
 
@@ -101,18 +101,18 @@ POSE_AND_TWIST = Columns(
 LANE_SUMMARY = Columns(
     Field("t", (), "s"), Field("steps"), Field("rejected"), Field("dt_last", (), "s")
 )
-"""What a summary has of a lane's own clock, behind all else; then the user's states and outputs."""
+"""Columns of a lane's own clock in a summary, last but for the user's states and outputs."""
 
 
 LANE_END = Columns(
     Field("anchor", (), "s"), Field("counted"), Field("h", (), "s"), Field("before"), Field("ahead")
 )
-"""What is kept of a lane's own clock, for a run that goes on; then what controllers have set."""
+"""Columns of a lane's own clock at the end of a run, for one that resumes it."""
 
 
 @lru_cache(64)
 def inputs_of(elements: tuple[Element, ...], numbers: int = STATE.count) -> Columns:
-    """INPUTS, then the elements' parameters, then the numbers of a state to go on from."""
+    """INPUTS, then the elements' parameters, then the numbers of a state to resume from."""
     parameters = (
         Field(f"{number}.{name}", shape)
         for number, element in enumerate(elements)

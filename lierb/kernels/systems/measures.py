@@ -1,7 +1,7 @@
-"""What is observed along a trajectory: how well it keeps its constraints, its energy, its rotation.
+"""Measures along a trajectory: constraint residuals, energy, orthogonality of the rotation.
 
-A measure is one entry of MEASURES. From it follow what is remembered of it, the columns that it has
-in a history and in a summary, and their units.
+A measure is one entry of MEASURES, from which its columns in a history and in a summary follow, and
+their units.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import Plan
 
 
-class Seen(NamedTuple):
-    """What measures are made of, at one time."""
+class Sample(NamedTuple):
+    """Motion and energies of a body at one time, from which all measures are computed."""
 
     plan: Plan
     body: BodyConstants
@@ -37,7 +37,7 @@ class Seen(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """At one time: every measure's value or square, by name, and the errors of each joint.
+    """Measures at one time: value or square by name, and the errors of each joint.
 
     joints : squares of JOINT_ERRORS, of every joint of a mechanism; of one body, nothing.
     """
@@ -47,25 +47,27 @@ class Observed(NamedTuple):
 
 
 class Measure(NamedTuple):
-    """A column `name` of a history, and `name_max` or `name_final` of a summary.
+    """Column `name` of a history, and `name_max` or `name_final` of a summary.
 
-    of : its value, or its square: the root is taken once, of the largest.
+    of : function of its value, or of its square: the root is taken once, of the largest.
     keeps : "max", the largest size, and "final", the value at the end.
-    asked_by : what has to be recorded for it to be in a history, if it is not always.
+    asked_by : value of `record` that puts it into a history; None where it always is.
     """
 
     name: str
     unit: str
-    of: Callable[[Seen], Any]
+    of: Callable[[Sample], Any]
     is_square: bool = False
     keeps: tuple[str, ...] = ()
     asked_by: str | None = None
 
-    def shown(self, found: Any) -> Any:
-        return sqrt(found) if self.is_square else found
+    def shown(self, value: Any) -> Any:
+        """Return the value in the measure's unit."""
+        return sqrt(value) if self.is_square else value
 
-    def size(self, found: Any) -> Any:
-        return found if self.is_square else absolute(found)
+    def size(self, value: Any) -> Any:
+        """Return the number whose largest a summary keeps."""
+        return value if self.is_square else absolute(value)
 
 
 def orthogonality_squared(q: Mat) -> Any:
@@ -90,7 +92,7 @@ MEASURES = (
     Measure(
         "rotation_rate_error", "rad/s", lambda s: s.rate_errors[1], is_square=True, keeps=("max",)
     ),
-    # E(t) − E(0) − W(t), W being the work of what has no potential.
+    # E(t) − E(0) − W(t), with the work W of forces without potential.
     Measure("energy_drift", "J", lambda s: s.energy - s.first_energy - s.work, keeps=("max",)),
     Measure("energy", "J", lambda s: s.energy, asked_by="energy"),
     Measure("work", "J", lambda s: s.work, keeps=("final",), asked_by="energy"),
@@ -106,8 +108,8 @@ SUMMARY = Columns(
     *(Field(f"{measure.name}_{how}", (), measure.unit) for measure, how in KEPT),
     Field("status"),
     Field("failed_step"),
-    Field("raised"),  # the mark of what a function of the user's has raised
-    Field("starts"),  # 1 where the start, as given, is on the joint, and 0 elsewhere
+    Field("raised"),  # number of the exception that a function of the user's has raised
+    Field("starts"),  # 1 where the start is on the joint, and 0 elsewhere
 )
 MUST_BE_FINITE = tuple(m.name for m in MEASURES if m.is_square or m.name == "energy_drift")
 
@@ -122,13 +124,13 @@ def measured(
     time: Any,
     first_energy: Any = ZERO,
 ) -> dict[str, Any]:
-    """Every measure's value or square, by name."""
+    """Return every measure's value or square, by name."""
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     potential = plan.space.potential_energy(body, pose)
     if plan.elements:
-        still = x._replace(time=ZERO)  # a potential does not depend on it
-        potential = potential + potential_energy(plan.elements, body, still.motion)
+        timeless = x._replace(time=ZERO)  # no potential depends on it
+        potential = potential + potential_energy(plan.elements, body, timeless.motion)
     energy = kinetic_energy + potential
     rates = rate_errors_squared(plan.rows, x, body, velocity)
-    seen = Seen(plan, body, pose, x, rates, energy, first_energy, work)
-    return {measure.name: measure.of(seen) for measure in MEASURES}
+    sample = Sample(plan, body, pose, x, rates, energy, first_energy, work)
+    return {measure.name: measure.of(sample) for measure in MEASURES}

@@ -1,7 +1,4 @@
-"""Functions of the user's that watch the motion, and what is kept of their values.
-
-They are asked at the times at which measures are taken, and nothing of the motion depends on them.
-"""
+"""Statistics of observables along a trajectory, of values at the times of its measures."""
 
 from __future__ import annotations
 
@@ -17,9 +14,9 @@ KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observ
 
 
 class Kept(NamedTuple):
-    """What is remembered of an observable along a trajectory.
+    """Statistics of an observable so far.
 
-    total, lost : the mean so far, a sum, and what rounding took of it (Kahan's).
+    total, lost : the mean so far, a sum, and its rounding error (Kahan's).
     """
 
     least: Any
@@ -31,34 +28,34 @@ class Kept(NamedTuple):
 
 @lru_cache(64)
 def observables_of(plan: AnyPlan) -> tuple[UserObservable, ...]:
-    """In the order of their columns."""
+    """Observables, in the order of their columns."""
     return tuple(e for e in plan.elements if isinstance(e, UserObservable))
 
 
 def may_raise(plan: AnyPlan) -> bool:
-    """Whether one of them is called body by body."""
+    """Return whether an observable is called body by body."""
     return any(not each.function.is_traced for each in observables_of(plan))
 
 
 def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
-    """Before the first value.   like : zero, a number of the body's own kind."""
+    """Statistics before the first value.   like : zero, a number of the body's own type."""
     fresh = Kept(like + INF, like - INF, like, like, like + NAN)
     return (fresh,) * len(observables_of(plan))
 
 
 def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
-    """From numbers side by side."""
+    """Statistics from their numbers side by side."""
     width = len(Kept._fields)
     return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
 
 
 def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool = False) -> Kept:
-    """With one value more; a NaN stays, in the extremes as in the mean.
+    """Add one value; a NaN stays, in the extremes as in the mean.
 
     value : NaN after a failure, from when there is neither mean nor end.
-    share : of the run's time, which the value counts for in the mean; `by_halves`, for which it and
-        the one before it do.
-    alive : whether the body has not failed.
+    share : weight of the value in the mean, a part of the run's time; `by_halves`, weight of it
+        plus the value before it.
+    alive : mask of bodies that have not failed.
     """
     is_number = value == value
     least = where(is_number, where(value < kept.least, value, kept.least), value)
@@ -79,7 +76,7 @@ def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool =
 
 
 def columns_of(kept: Kept) -> tuple[Any, ...]:
-    """The numbers of KEEPS; NaN where there was no value."""
-    seen = kept.least <= kept.largest  # false for NaN
-    extremes = where(seen, (kept.least, kept.largest), (NAN, NAN))
+    """Numbers of KEEPS; NaN where there was no value."""
+    is_known = kept.least <= kept.largest  # false for NaN
+    extremes = where(is_known, (kept.least, kept.largest), (NAN, NAN))
     return (*extremes, kept.total, kept.last)

@@ -9,57 +9,68 @@ from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import Kinematics
 from lierb.kernels.mechanics.rows import PITCHED, Row, Rows
 from lierb.kernels.mechanics.saddle import kinds_of
-from lierb.kernels.mechanics.tree import Connection, Ends, Relative, TreeMotion
+from lierb.kernels.mechanics.tree import Connection, Ends, Relative, TreeConstants, TreeMotion
 from lierb.kernels.mechanics.tree_dynamics import Factored
 from lierb.kernels.mechanics.tree_rows import Asked, asked
-from lierb.kernels.numbers.arithmetic import maximum, where
-from lierb.kernels.numbers.vec import Vec, dot, row
+from lierb.kernels.numbers.arithmetic import fma, maximum, sqrt, where
+from lierb.kernels.numbers.vec import Vec, dot, norm, row, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems.tree_inputs import sixes
 
 
-class _Relatives:
-    """How every connection's frames move, each found when it is first asked for."""
+class Relatives:
+    """Relative motion of every connection's frames, computed on first use."""
 
     def __init__(
         self, connections: tuple[Connection, ...], ends: tuple[Ends, ...], motion: TreeMotion
     ) -> None:
         self.connections, self.ends, self.motion = connections, ends, motion
-        self._found: dict[int, Relative] = {}
+        self._known: dict[int, Relative] = {}
         self._residuals: dict[int, dict[Row, Any]] = {}
 
     def __getitem__(self, number: int) -> Relative:
-        if number not in self._found:
+        if number not in self._known:
             pair = self.connections[number], self.ends[number]
-            self._found[number] = self.motion.between(*pair)
-        return self._found[number]
+            self._known[number] = self.motion.between(*pair)
+        return self._known[number]
 
-    def asked(self, number: int, row: Row | Vec, wanted: Any) -> Asked:
-        """Of a row there, or of one with this Jacobian."""
+    def equation(self, number: int, row: Row | Vec, wanted: Any) -> Asked:
+        """Equation of a row there, or of a Jacobian (6,), in the motions of the nodes."""
         relative, ends, connection = self[number], self.ends[number], self.connections[number]
         jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
         return asked(connection, relative, jacobian, ends.inner, wanted)
 
     def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:
-        """h of each row there."""
+        """Constraint residuals h of the holonomic rows there."""
         rows = tuple(r for r in rows if r.is_holonomic)
         return dict(zip(rows, residuals(rows, self[number].x, self.ends[number]), strict=True))
 
     def residual(self, number: int, row: Row) -> Any:
-        """h of one row, zero of one that says nothing of the pose."""
+        """Constraint residual h of one row, zero where it is not holonomic."""
         if number not in self._residuals:
             self._residuals[number] = self.residuals(number, self.connections[number].rows)
         return self._residuals[number].get(row, ZERO)
 
+    def openness(self) -> Any:
+        """Sum of the squares of all rows' residuals, lengths in units of the mechanism's own."""
+        inverse = 1.0 / length_of(self.motion.body)
+        total: Any = ZERO
+        for number, connection in enumerate(self.connections):
+            for r, value in self.residuals(number, connection.rows).items():
+                part = value * inverse if r.is_translational else value
+                total = fma(part, part, total)
+        return total
 
-def _bound(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
-    """Of V_rel, what a node's rows forbid that its null space keeps."""
+
+def constrained_part(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
+    """Part of V_rel that violates the rows on whose null space node i is solved."""
     fixed = kinds_of(motion.nodes[i].rows)[1]
     turning = tuple(velocity[k] if k in fixed else ZERO for k in range(3))
     return turning + motion.held(i, velocity[3:])
 
 
-def _largest(squares: Sequence[Any]) -> Any:
-    """NaN where one of them is."""
+def largest(squares: Sequence[Any]) -> Any:
+    """Largest of some numbers; NaN where one of them is."""
     total: Any = ZERO
     for square in squares:
         if is_zero(total) or is_zero(square):
@@ -70,19 +81,38 @@ def _largest(squares: Sequence[Any]) -> Any:
     return total
 
 
-def _held_multipliers(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
-    """λ of rows whose wrenches, −Jᵀλ, make up this one."""
+def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
+    """Multipliers λ of rows whose wrenches −Jᵀλ add up to a given one."""
     torque, force = wrench[:3], wrench[3:]
-    found: dict[Row, Any] = {}
+    multipliers: dict[Row, Any] = {}
     for r in rows:
         if r.held_axis is not None:
-            found[r] = -dot(row(x.q, r.held_axis), force)
+            multipliers[r] = -dot(row(x.q, r.held_axis), force)
         elif r.fixed_axis is not None:
-            found[r] = -torque[r.fixed_axis]
+            multipliers[r] = -torque[r.fixed_axis]
         elif r.slot == (5, PITCHED):
-            found[r] = -force[2]
-    if len(found) == len(rows):
-        return found
+            multipliers[r] = -force[2]
+    if len(multipliers) == len(rows):
+        return multipliers
     jacobians = [r.jacobian(x, ends) for r in rows]  # of a joint whose rows are not at right angles
     gram = Factored([[dot(j, k) for k in jacobians[: i + 1]] for i, j in enumerate(jacobians)])
     return dict(zip(rows, gram.solve([-dot(j, wrench) for j in jacobians]), strict=True))
+
+
+def length_of(body: TreeConstants) -> Any:
+    """Characteristic length of a mechanism, m: radius of gyration of a link plus all lever arms."""
+    heavy = next(c for c in body.nodes if c.rigid.mass is not ZERO)
+    trace = heavy.inertia[0] + heavy.inertia[4] + heavy.inertia[8]
+    total: Any = sqrt(trace / heavy.rigid.mass)
+    for constants in body.nodes:
+        total = total + norm(constants.com) + norm(constants.hang[1])
+    return total
+
+
+def size_of(length: Any, motion: Vec) -> Any:
+    """Norm of a motion or velocity of all nodes, m or m/s: turns count by the length."""
+    total: Any = ZERO
+    for each in sixes(motion):
+        turn = scale(length, each[:3])
+        total = total + (dot(turn, turn) + dot(each[3:], each[3:]))
+    return sqrt(total)

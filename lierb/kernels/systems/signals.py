@@ -1,7 +1,6 @@
-"""What watches a motion or has states and outputs of its own, asked of any system.
+"""Observables, events, extra states and controllers of any system.
 
-Observables, events, extra states and controllers. All numbers stand side by side, in the order of
-the plan's elements.
+Their numbers stand side by side, in the order of the plan's elements.
 """
 
 from __future__ import annotations
@@ -11,8 +10,7 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import Any, TypeVar
 
-from lierb.kernels.functions.function import size_of
-from lierb.kernels.functions.shapes import Shapes
+from lierb.kernels.functions.function import Shapes, size_of
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import (
     Bound,
@@ -38,7 +36,7 @@ def states_of(plan: AnyPlan) -> Shapes:
 
 @lru_cache(64)
 def outputs_of(plan: AnyPlan) -> Shapes:
-    """All that controllers put out, by name."""
+    """All outputs of controllers, by name."""
     return tuple(pair for e in controllers_of(plan) for pair in e.outputs)
 
 
@@ -49,14 +47,14 @@ def memory_of(plan: AnyPlan) -> Shapes:
 
 
 def signals_width(plan: AnyPlan) -> int:
-    """Numbers of all extra states and outputs."""
+    """Count of numbers of all extra states and outputs."""
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
 @lru_cache(64)
 def lane_end(plan: AnyPlan) -> Columns:
-    """What a trajectory leaves beside its state, for a run that goes on: the rank of its rows at
-    the start, and what belongs to a clock of its own.
+    """Columns at the end of a run, beside its state, from which another resumes: the rank of the
+    rows at the start, and a lane's clock and controllers.
     """
     rank = Field("dropped", (int(plan.keeps_rank),))
     if not plan.has_lane_clocks:
@@ -72,56 +70,53 @@ def lane_end(plan: AnyPlan) -> Columns:
 
 @lru_cache(64)
 def controllers_of(plan: AnyPlan) -> tuple[UserController, ...]:
-    """By their numbers."""
+    """Controllers, by number."""
     return tuple(e for e in plan.elements if isinstance(e, UserController))
 
 
 @lru_cache(64)
 def events_of(plan: AnyPlan) -> tuple[UserEvent, ...]:
-    """By their numbers."""
+    """Events, by number."""
     return tuple(e for e in plan.elements if isinstance(e, UserEvent))
 
 
 @lru_cache(64)
 def memory_slices(plan: AnyPlan) -> tuple[slice, ...]:
-    """Where in all memory that of each controller is."""
-    ends = [0, *accumulate(size_of(each.memory) for each in controllers_of(plan))]
-    return tuple(map(slice, ends, ends[1:]))
+    """Slice of each controller in the memory of all."""
+    return _slices(*(size_of(each.memory) for each in controllers_of(plan)))
 
 
 @lru_cache(64)
 def output_slices(plan: AnyPlan) -> tuple[slice, ...]:
-    """Where in all held outputs those of each controller are."""
-    ends = [0, *accumulate(size_of(each.outputs) for each in controllers_of(plan))]
+    """Slice of each controller in the outputs of all."""
+    return _slices(*(size_of(each.outputs) for each in controllers_of(plan)))
+
+
+def _slices(*widths: int) -> tuple[slice, ...]:
+    ends = [0, *accumulate(widths)]
     return tuple(map(slice, ends, ends[1:]))
 
 
-class Watching:
-    """Of a system: what its passive elements give. They see `body.signals`."""
+class PassiveElements:
+    """Evaluation of a system's passive elements, which read `body.signals`.
+
+    A `motion` is that of `System.motion`.
+    """
 
     plan: Any
 
-    def motions(self, body: Any, seen: Any, time: Any) -> Callable[[int], Motion]:
-        """What the element of each number sees of a motion, with the signals.
-
-        seen : from `seen`.
-        """
-        raise NotImplementedError
-
-    def _all(self, kind: type[Kind], body: Any) -> list[tuple[int, Kind, Any]]:
-        """The elements of a kind: number, element, what it is made of."""
-        pairs = zip(self.plan.elements, body.elements, strict=True)
-        return [(i, e, own) for i, (e, own) in enumerate(pairs) if isinstance(e, kind)]
+    motion: Callable[..., Any]
+    motions: Callable[..., Callable[[int], Motion]]  # from an element's number to what it reads
 
     def travel(
         self, body: Any, start: Any, end: Any, time: Any, watched: bool
     ) -> tuple[Bound, ...]:
-        """Bounds on a step, or, where `watched`, on the part of one in which events are looked for.
+        """Bounds on a step's length, or, where `watched`, on the parts searched for events.
 
-        start, end : from `seen`.
+        start, end : motions at the ends of the step.
         """
         size = sqrt(body.girth)
-        before, after = (self.motions(body, seen, time) for seen in (start, end))
+        before, after = (self.motions(body, motion, time) for motion in (start, end))
         pairs = enumerate(zip(self.plan.elements, body.elements, strict=True))
         return tuple(
             bound
@@ -135,54 +130,59 @@ class Watching:
         pairs = zip(self.plan.elements, body.elements, strict=True)
         return tuple(time for e, own in pairs for time in e.jumps(own))
 
-    def observed(self, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each observable's value."""
-        return self._values(UserObservable, body, seen, time)
+    def observed(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
+        """Value of each observable."""
+        return self._values(UserObservable, body, motion, time)
 
-    def events(self, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each event's value."""
-        return self._values(UserEvent, body, seen, time)
+    def events(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
+        """Value of each event's function."""
+        return self._values(UserEvent, body, motion, time)
 
-    def events_nearby(self, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
-        """Each event's value where the motion is off by some roundings."""
-        x = self.motions(body, seen, time)
+    def events_nearby(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
+        """Value of each event's function at a motion that is off by some roundings."""
+        x = self.motions(body, motion, time)
         return tuple(e.value_nearby(own, x(i)) for i, e, own in self._all(UserEvent, body))
 
-    def _values(self, kind: Any, body: Any, seen: Any, time: Any) -> tuple[Any, ...]:
-        found = self._all(kind, body)
-        if not found:
+    def state_rates(self, body: Any, motion: Any, time: Any) -> Vec:
+        """Derivatives of all extra states."""
+        elements = self._all(UserStates, body)
+        if not elements:
             return ()
-        x = self.motions(body, seen, time)
-        return tuple(e.value(own, x(i)) for i, e, own in found)
-
-    def state_rates(self, body: Any, seen: Any, time: Any) -> Vec:
-        """The derivatives of all extra states."""
-        found = self._all(UserStates, body)
-        if not found:
-            return ()
-        x = self.motions(body, seen, time)
-        return tuple(rate for i, e, own in found for rate in e.rates(own, x(i)))
+        x = self.motions(body, motion, time)
+        return tuple(rate for i, e, own in elements for rate in e.rates(own, x(i)))
 
     def initial_states(self, body: Any) -> Vec:
-        """Of all extra states."""
+        """Initial values of all extra states."""
         return tuple(y for _, e, own in self._all(UserStates, body) for y in e.initial(own))
 
     def initial_memory(self, body: Any) -> Vec:
-        """Of all controllers."""
+        """Initial memory of all controllers."""
         return tuple(y for _, e, own in self._all(UserController, body) for y in e.initial(own))
 
     def periods(self, body: Any) -> Vec:
-        """Of all controllers, s."""
+        """Periods of all controllers, s."""
         return tuple(e.every(own) for _, e, own in self._all(UserController, body))
 
     def controlled(
-        self, body: Any, seen: Any, time: Any, which: int, noise: Noise
+        self, body: Any, motion: Any, time: Any, which: int, noise: Noise
     ) -> tuple[Vec, Vec]:
         """Outputs and memory of controller number `which`, its own alone.
 
         body.signals : with the memory of all controllers.
         """
         i, element, own = self._all(UserController, body)[which]
-        x = self.motions(body, seen, time)(i)
+        x = self.motions(body, motion, time)(i)
         memory = x.signals.memory[memory_slices(self.plan)[which]]
         return element.called(own, x._replace(signals=x.signals._replace(memory=memory)), noise)
+
+    def _all(self, kind: type[Kind], body: Any) -> list[tuple[int, Kind, Any]]:
+        """Number, element and parameters of all elements of a kind."""
+        pairs = zip(self.plan.elements, body.elements, strict=True)
+        return [(i, e, own) for i, (e, own) in enumerate(pairs) if isinstance(e, kind)]
+
+    def _values(self, kind: Any, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
+        elements = self._all(kind, body)
+        if not elements:
+            return ()
+        x = self.motions(body, motion, time)
+        return tuple(e.value(own, x(i)) for i, e, own in elements)

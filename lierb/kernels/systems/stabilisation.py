@@ -1,23 +1,116 @@
-"""Stabilisation of loops: projection and Baumgarte's terms."""
+"""Stabilisation by projection: pose and velocity put back on all rows after each step.
+
+Baumgarte's terms are parts of the accelerations, `lierb.kernels.systems.tree_acceleration`.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
-from lierb.kernels.mechanics.tree import TreeConstants
-from lierb.kernels.numbers.arithmetic import sqrt
-from lierb.kernels.numbers.vec import norm
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
+from lierb.kernels.mechanics.tree_dynamics import bodies_of, solved
+from lierb.kernels.numbers.arithmetic import any_lanes, branch, fma, maximum, where
+from lierb.kernels.numbers.vec import Vec, add, cross_add, dot, mat_vec, neg, scale
+from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
+from lierb.kernels.systems.state import Stabilised, State
+from lierb.kernels.systems.tree_acceleration import TreeAccelerations
+from lierb.kernels.systems.tree_charts import Charts
 
 CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
 OPEN = 1e-2  # in the same: where two of its steps have not halved what is open, none will
+# In the same: how far it may move a mechanism at rest, whose start may be open by 1e-9 and whose
+# rows may be near a singular pose.
+UNMOVED = 1e-6
 
 
-def _length(body: TreeConstants) -> Any:
-    """A length of the mechanism's own, m: the largest arm of a link."""
-    heavy = next(c for c in body.nodes if c.rigid.mass is not ZERO)
-    trace = heavy.inertia[0] + heavy.inertia[4] + heavy.inertia[8]
-    total: Any = sqrt(trace / heavy.rigid.mass)
-    for constants in body.nodes:
-        total = total + norm(constants.com) + norm(constants.hang[1])
-    return total
+class Projection(TreeAccelerations):
+    """Projection of poses and velocities on all rows, by the least kinetic energy."""
+
+    def stabilised(
+        self, body: TreeConstants, before: State, state: State, time: Any, h: Any
+    ) -> Stabilised:
+        """Pose and velocity put back on all rows, by the least kinetic energy.
+
+        before : the state at the start of the step, h seconds earlier.
+
+        The step is marked as singular where Newton's method leads away from the rows, and where a
+        correction is larger than the step can have made necessary. With s = h ‖V‖ and the
+        mechanism's length ℓ, the step moves the pose by s and turns the rows by s/ℓ; its drift is a
+        part of s in the pose and of ‖V‖ s/ℓ in V. A larger correction leads to another branch of
+        the rows, across a jump in them, or along directions that a singular pose has left open.
+        The bound on V holds where no motor prescribes a rate, which may jump.
+        """
+        if self.plan.stabilisation.kind != "project":
+            return Stabilised(state)
+        length = length_of(body)
+        nearer = self._closing(body, state.chart, time)
+        first = self.moved(state.chart, scale(0.5, nearer))
+        off, way = self._openness(body, first, time), size_of(length, nearer)
+
+        def again() -> Any:
+            further = self._closing(body, first, time)
+            second = self.moved(first, scale(0.5, further)), add(nearer, further)
+            is_open = off > CLOSED * CLOSED
+            second, x = where(is_open, second, (first, nearer))
+            left, opened = (self._openness(body, chart, time) for chart in (second, state.chart))
+            mark = where((left > OPEN * OPEN) & (left >= 0.25 * opened), 1.0, 0.0)
+            return second, x, where(is_open, way + size_of(length, further), way), mark
+
+        chart, x, way, mark = branch(
+            any_lanes(off > CLOSED * CLOSED), again, lambda: (first, nearer, way, 0.0), likely=False
+        )
+        speed = maximum(*(size_of(length, each.v_or_mu) for each in (before, state)))
+        most = fma(h, speed, UNMOVED * length)
+        mark = where(way > most, 1.0, mark)
+        change = self._onto_rows(body, chart, state.v_or_mu, time)
+        if all(row.is_holonomic for _, row in self.rows):
+            mark = where(h * length * size_of(length, change) > most * most, 1.0, mark)
+        kept = state._replace(chart=chart, v_or_mu=add(state.v_or_mu, change))
+        return Stabilised(kept, mark, x, change)
+
+    def _openness(self, body: TreeConstants, chart: Charts, time: Any) -> Any:
+        """Openness of the rows at a pose; see `Relatives.openness`."""
+        return self.relatives(body, self.motion_at(body, chart, None, time)).openness()
+
+    def _closing(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
+        """Step of Newton's method onto all rows, in the algebra."""
+        motion = self.motion_at(body, chart, None, time)
+        relatives = self.relatives(body, motion)
+        wanted = [-relatives.residual(number, row) for number, row in self.rows]
+        biases = [neg(self.off_joint(i, motion)) for i in range(len(self.plan.tree))]
+        return self._displaced(motion, relatives, wanted, biases)
+
+    def _onto_rows(self, body: TreeConstants, chart: Charts, velocity: Vec, time: Any) -> Vec:
+        """Least change of the velocity with which it satisfies all rows."""
+        motion = self.motion_at(body, chart, velocity, time)
+        relatives = self.relatives(body, motion)
+        wanted = []
+        for number, r in self.rows:
+            x, ends = relatives[number].x, body.ends[number]
+            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate)
+            wanted.append(r.prescribed_rate(x, ends) - rate)
+        biases = [
+            neg(constrained_part(motion, i, relative)) for i, relative in enumerate(motion.relative)
+        ]
+        return self._displaced(motion, relatives, wanted, biases)
+
+    def _displaced(
+        self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
+    ) -> Vec:
+        """Smallest motion, in the kinetic metric, whose components along the rows are `wanted`."""
+        rows = [each._replace(fall=None) for each in self.equations(relatives, wanted)]
+        openness = partial(self.off_rows, motion)
+        solution = solved(bodies_of(motion, rows), rows, {}, biases, openness=openness)
+        moved: list[Any] = []
+        for i, node in enumerate(self.plan.tree):
+            twist = solution.response.moved[i]
+            if node.is_reduced:
+                moved += add(solution.response.rates[i], biases[i])
+            elif node.cspace == "SE3":
+                moved += twist
+            else:
+                com = motion.body.nodes[i].com
+                along = mat_vec(motion.place(i)[0], cross_add(twist[:3], com, twist[3:]))
+                moved += twist[:3] + along
+        return tuple(moved)

@@ -1,4 +1,4 @@
-"""What a step makes a new one of."""
+"""State of a system, its rates, and the statuses of a trajectory."""
 
 from __future__ import annotations
 
@@ -7,13 +7,71 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO
 
+Weights = tuple[Any, ...]  # one for each stage: floats, or numbers that depend on θ
+Factors = tuple[Weights, ...]  # of the exponentials of a commutator-free method, one row each
+
 
 class State(NamedTuple):
-    chart: Any  # C₀, with a unit quaternion; of a mechanism, those of its nodes
-    x: Vec  # X/2, as quaternions take it; structurally zero in a local update
-    v_or_mu: Vec  # V; on a subgroup its momentum μ; of a mechanism all nodes', side by side
-    work: Any = ZERO  # J, of what has no potential; structurally zero where nothing does any
-    states: Vec = ()  # the user's own, side by side
+    """Pose, velocity, work and extra states; n = 6 for a body, 6 for each node of a mechanism.
+
+    chart : C₀, a unit quaternion and a position (m); of a mechanism a tuple of one for each node.
+    x : X/2 (n,), rad and m, with the pose C = C₀ exp X; structurally zero in a local update.
+    v_or_mu : V (n,), rad/s and m/s; on a subgroup the momentum μ.
+    work : of all forces without potential, J; structurally zero where there are none.
+    states : the user's extra states, side by side.
+    """
+
+    chart: Any
+    x: Vec
+    v_or_mu: Vec
+    work: Any = ZERO
+    states: Vec = ()
+
+
+class Rates(NamedTuple):
+    """Time derivatives of a state.
+
+    x : Ẋ (n,), rad/s and m/s.   v_or_mu : V̇ or μ̇ (n,).   power : derivative of the work, W.
+    singular : 1 in a singular configuration.   states : of the extra states.
+    """
+
+    x: Vec
+    v_or_mu: Vec
+    power: Any
+    singular: Any = ZERO
+    states: Vec = ()
+
+
+class Slopes(NamedTuple):
+    """Rates of the stages of a step, each field with one entry a stage.
+
+    x : Ẋ, or V of a commutator-free method.
+    """
+
+    x: tuple[Vec, ...] = ()
+    v_or_mu: tuple[Vec, ...] = ()
+    work: tuple[Vec, ...] = ()
+    states: tuple[Vec, ...] = ()
+
+    def with_stage(self, rates: Rates) -> Slopes:
+        """Append the rates of one stage."""
+        stage = rates.x, rates.v_or_mu, (rates.power,), rates.states
+        return Slopes(*((*slopes, rate) for slopes, rate in zip(self, stage, strict=True)))
+
+
+class Units(NamedTuple):
+    """Factors of the weighted sums of slopes: h for slopes by the second.
+
+    x : of Ẋ, half of it as X/2 is the state.   v_or_mu : of V̇ or μ̇.   other : of all else.
+    sums_first : whether slopes are summed before the factor multiplies them, which saves products
+        where each lane has its own h. Otherwise each weight is multiplied by the factor: one h for
+        all lanes makes that a constant.
+    """
+
+    x: Any
+    v_or_mu: Any
+    other: Any
+    sums_first: bool = False
 
 
 class Stabilised(NamedTuple):

@@ -1,4 +1,4 @@
-"""What a plan integrates, in the driver's terms: one body, or a mechanism."""
+"""The system that a plan integrates: one body, or a mechanism."""
 
 from __future__ import annotations
 
@@ -6,40 +6,40 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from lierb.kernels.systems.one_body import OneBody
+from lierb.kernels.mechanics.newton_euler import BodyConstants
+from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
+from lierb.kernels.systems.formulations import FORMULATIONS
+from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
+from lierb.kernels.systems.system import AnySystem, System
 from lierb.kernels.systems.tree_system import TreeFormulation
 
-System = OneBody | TreeFormulation
+
+@lru_cache(256)
+def system_of(plan: AnyPlan) -> AnySystem:
+    """System of a plan."""
+    if isinstance(plan, MechanismPlan):
+        mechanism: System[TreeConstants, TreeMotion] = TreeFormulation(plan)
+        return mechanism
+    assert isinstance(plan, Plan)
+    one_body: System[BodyConstants, BodyMotion] = FORMULATIONS[plan.solver](plan)
+    return one_body
 
 
-def formulation_of(plan: AnyPlan) -> Any:
-    """Formulation of a plan: how its accelerations are computed."""
-    system = system_of(plan)
-    return system.formulation if isinstance(system, OneBody) else system
+def takes_small_angle_steps(plan: AnyPlan) -> bool:
+    """Return whether small-angle steps, tried without branches, pay.
 
-
-def takes_gentle_steps(plan: AnyPlan) -> bool:
-    """Whether small-angle steps, tried without branches, pay; they must call no function that may
-    raise.
+    They must call no function that may raise.
     """
     calls = any(not f.is_traced for element in plan.acting for f in element.functions)
-    return plan.is_local and not calls and formulation_of(plan).takes_gentle_steps
-
-
-@lru_cache(64)
-def system_of(plan: AnyPlan) -> System:
-    """How it is read, carried and seen."""
-    if isinstance(plan, MechanismPlan):
-        return TreeFormulation(plan)
-    assert isinstance(plan, Plan)
-    return OneBody(plan)
+    return plan.is_local and not calls and system_of(plan).takes_small_angle_steps
 
 
 @lru_cache(256)
 def plan_of(width: int, **described: Any) -> Plan:
-    """The plan for registers that hold `width` numbers, always the same object: found again at once
-    wherever code is kept by plan.
+    """Plan for registers that hold `width` numbers, always the same object for the same arguments.
+
+    Code is kept by plan, and so found without a comparison.
 
     Every operation of a step waits for the one before it. Two packs side by side hide that, as
     long as what is alive fits the registers.
@@ -51,5 +51,5 @@ def plan_of(width: int, **described: Any) -> Plan:
     batch.
     """
     plan = Plan(lanes=width, **described)
-    doubles = width > 1 and formulation_of(plan).is_light
+    doubles = width > 1 and system_of(plan).is_light
     return replace(plan, lanes=2 * width) if doubles else plan

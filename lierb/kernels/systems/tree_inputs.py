@@ -1,7 +1,4 @@
-"""What is read of a mechanism: its fields, and the tree's constants and start made of them.
-
-Everything is turned to joint axes here.
-"""
+"""Inputs of a mechanism: columns, and the tree's constants and start, turned to joint axes."""
 
 from __future__ import annotations
 
@@ -48,12 +45,12 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.layout import POSE, Columns, Field, pose_of
 from lierb.kernels.systems.plan import MechanismPlan
 
-LINK = (  # what is known of each
+LINK = (  # of each
     Field("mass", (), "kg"),
     Field("inertia", (3, 3), "kg m²"),
     Field("com", (3,), "m"),
 )
-JOINT = (  # of each link's, and of each loop's
+JOINT = (  # of each link and of each loop
     Field("ground_frame", (4, 4), "1, m", POSE),
     Field("body_frame", (4, 4), "1, m", POSE),
     Field("pitch", (), "m/rad"),
@@ -65,7 +62,7 @@ GRAVITY = Field("gravity", (3,), "m/s²")
 
 @lru_cache(64)
 def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
-    """What is read of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
+    """Columns of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
 
     Joints are numbered as the plan's connections are: those of links, then those of loops.
     """
@@ -81,7 +78,7 @@ def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
 
 
 def charts_of(node: Node) -> Any:
-    """The group that a node's chart is of, as a step has it."""
+    """Group of a node's chart, as a module of formulas."""
     if (
         node.is_reduced
         and sum(slot != FIXED for slot in node.slots) == 1
@@ -102,7 +99,7 @@ def sixes(numbers: Vec) -> list[Vec]:
 def with_burdens(
     tree: tuple[Node, ...], nodes: tuple[NodeConstants, ...]
 ) -> tuple[NodeConstants, ...]:
-    """With what each node carries; inertia about its frame, in the pose where all slides are 0."""
+    """Add the mass and inertia that each node carries, in the pose where all slides are 0."""
     burdens = [(n.rigid.mass, 0.5 * sum(n.rigid.inertia[::4], start=ZERO)) for n in nodes]
     for i in reversed(range(len(tree))):
         mass, inertia = burdens[i]
@@ -114,12 +111,13 @@ def with_burdens(
 
 
 def first_of_joint(plan: MechanismPlan, i: int) -> int:
-    """Of the nodes that make up the joint of a link's node, the first."""
+    """First of the nodes that make up the joint of a link's node."""
     parent = plan.tree[i].parent
     return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
 
 
 def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
+    """Constants of node i.   read : numbers of all inputs, by name."""
     node = plan.tree[i]
     link = node.link
     if link == MASSLESS:  # the first motion of the next node's joint
@@ -151,6 +149,7 @@ def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeCon
 def joint_ends(
     plan: MechanismPlan, nodes: tuple[NodeConstants, ...], number: int, read: dict[str, Vec]
 ) -> Ends:
+    """Frames of joint `number` on both its nodes."""
     joint = plan.joints[number]
     (pitch,), (length,) = read[f"{number}.pitch"], read[f"{number}.length"]
     inner = se3.compose(se3.inverse(nodes[joint.node].frame), pose_of(read[f"{number}.body_frame"]))
@@ -165,7 +164,7 @@ def joint_ends(
 def placed_element(
     element: Element, k: int, c: Connection, nodes: tuple[NodeConstants, ...], read: dict[str, Vec]
 ) -> Any:
-    """An element's parameters in the frames that it acts between."""
+    """Parameters of an element in the frames between which it acts."""
     given = {
         name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
         for name, shape in element.shapes.items()
@@ -174,8 +173,8 @@ def placed_element(
         body = nodes[c.node]
         turned = conjugated(body.frame[0], body.inertia)
         com = mat_vec_add(body.frame[0], body.com, body.frame[1])
-        seen = body.rigid.mass, turned, com
-        given |= {f"body.{name}": x for (name, _), x in zip(BODY, seen, strict=True)}
+        constants = body.rigid.mass, turned, com
+        given |= {f"body.{name}": x for (name, _), x in zip(BODY, constants, strict=True)}
     axes, origin = nodes[c.node].frame
     ground = HERE if c.other == GROUND else nodes[c.other].frame
     if c.joint >= 0:
@@ -188,7 +187,7 @@ def placed_element(
 
 
 def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
-    """A node's pose, seen from the ground, and its twist."""
+    """Pose of a node, seen from the ground, and its twist."""
     pose = se3.compose(pose_of(read[f"{link}.pose"]), constants.frame)
     return pose, twist_at(constants.frame, read[f"{link}.twist"])
 
@@ -196,7 +195,7 @@ def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tu
 def apart(
     node: Node, constants: NodeConstants, root: Pose, place: Pose, twist: Vec
 ) -> tuple[Chart, Vec]:
-    """The state of a node on its own pose, seen from the ground's frame at its tree's root."""
+    """Chart and velocity of a node on an absolute c-space.   root : frame of its tree's root."""
     q, d = se3.compose(se3.inverse(root), place)
     if node.cspace == "SE3":
         return quaternion.from_pose((q, d)), twist
@@ -206,16 +205,16 @@ def apart(
 
 
 def chart_of(node: Node, d: Pose) -> Chart:
-    """Of a node on its joint."""
+    """Chart of a reduced node, at the pose D on its joint."""
     if charts_of(node) is turns:
         return turns.from_pose(d, node.slots.index(0))
     return quaternion.from_pose(d)
 
 
 def factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Pose, Vec]]:
-    """The two motions of one freedom whose product D is, and D⁻¹Ḋ of both.
+    """Factor D into two motions of one freedom each; return both, with their D⁻¹Ḋ.
 
-    The first one is read off D in the ground's axes, the last one in the body's.
+    The first follows from D in the ground's axes, the last from D in the body's.
     """
     i, j = first.index(0), last.index(0)
     q, place = d
@@ -238,11 +237,11 @@ def factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Po
     ]
 
 
-def _turn(about: int, axis: int, seen: Vec) -> Mat:
-    """The turn about one axis that takes another one to where it is `seen`, to its length."""
+def _turn(about: int, axis: int, image: Vec) -> Mat:
+    """Turn about one axis that takes another to its image, times the image's length there."""
     third = 3 - about - axis
     sign = 1.0 if axis == (about + 1) % 3 else -1.0
-    c, s = seen[axis], sign * seen[third]
+    c, s = image[axis], sign * image[third]
     i, j = (about + 1) % 3, (about + 2) % 3
     matrix = list(IDENTITY)
     matrix[4 * i], matrix[4 * j] = c, c

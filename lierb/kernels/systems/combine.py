@@ -1,0 +1,96 @@
+"""Arithmetic on states: sums with slopes of a step's stages, and poses moved along them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.systems.signals import PassiveElements
+from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
+
+
+class StateArithmetic(PassiveElements):
+    """Arithmetic that all systems share, in terms of the charts of each."""
+
+    moved: Callable[..., Any]  # (chart, X/2): C₀ exp X
+    recharted: Callable[..., Any]  # the same and 0 where X is large, elsewhere C₀ and X
+    in_algebra: Callable[..., Vec]
+    rates: Callable[..., Rates]
+
+    def combine(
+        self,
+        body: Any,
+        state: State,
+        weights: Weights,
+        slopes: Slopes,
+        units: Units,
+        factors: Factors | None = None,
+    ) -> State:
+        """Add h Σ weights · slopes to X, V or μ, work and extra states.
+
+        factors : of a commutator-free method. The pose is then C₀ exp(h Σ a¹ V) exp(h Σ a² V) …
+            with the rows a of the factors, and X is zero.
+        """
+        chart, x = state.chart, state.x
+        if factors is None:
+            x = self.in_algebra(body, _sum(x, units.x, weights, slopes.x, units))
+        else:
+            chart = self._product(body, chart, factors, slopes.x, units)
+            x = (ZERO,) * len(x)
+        v_or_mu = _sum(state.v_or_mu, units.v_or_mu, weights, slopes.v_or_mu, units)
+        (work,) = _sum((state.work,), units.other, weights, slopes.work, units)
+        states = _sum(state.states, units.other, weights, slopes.states, units)
+        return State(chart, x, v_or_mu, work, states)
+
+    def move(self, state: State) -> State:
+        """Move C₀ along X: in a local update always, in a global one where X is large."""
+        if self.plan.is_local:
+            return self.placed_by_chart(state)
+        chart, x = self.recharted(state.chart, state.x)
+        return state._replace(chart=chart, x=x)
+
+    def placed_by_chart(self, state: State) -> State:
+        """Return the state with the pose C₀ exp X as its chart, and X structurally zero."""
+        chart = self.moved(state.chart, state.x)
+        return state._replace(chart=chart, x=(ZERO,) * len(state.x))
+
+    def stage_rates(self, body: Any, state: State, gravity: Any, time: Any) -> Rates:
+        """Rates at C₀ exp X, those of extra states included; see `rates`."""
+        if not state.states:
+            return self.rates(body, state, gravity, time)
+        body = body._replace(signals=body.signals._replace(states=state.states))
+        motion = self.motion(body, self.placed_by_chart(state), time)
+        of_states = self.state_rates(body, motion, time)
+        return self.rates(body, state, gravity, time)._replace(states=of_states)
+
+    def _product(
+        self, body: Any, chart: Any, factors: Factors, velocities: tuple[Vec, ...], units: Units
+    ) -> Any:
+        """Return C₀ exp(h Σ a¹ V) exp(h Σ a² V) …"""
+        for weights in factors:
+            if any(weights):
+                zero = tuple(0.0 * x for x in velocities[0])
+                x = _sum(zero, units.x, weights, velocities, units)
+                chart = self.moved(chart, self.in_algebra(body, x))
+        return chart
+
+
+def _sum(base: Vec, unit: Any, weights: Weights, slopes: tuple[Vec, ...], units: Units) -> Vec:
+    """Return base + unit Σ wⱼ kⱼ."""
+    if not units.sums_first:
+        return weighted(base, weights, slopes, unit)
+    total = weighted((ZERO,) * len(base), weights, slopes)
+    return tuple(fma(unit, k, x) for k, x in zip(total, base, strict=True))
+
+
+def weighted(base: Vec, weights: Weights, slopes: tuple[Vec, ...], h: Any = None) -> Vec:
+    """Return base + Σ (h wⱼ) kⱼ, or base + Σ wⱼ kⱼ without h; zero weights cost nothing."""
+    total = base
+    for weight, slope in zip(weights, slopes, strict=False):
+        if not (isinstance(weight, float) and weight == 0.0):
+            factor = weight if h is None else h * weight
+            total = tuple(fma(factor, k, x) for k, x in zip(slope, total, strict=True))
+    return total

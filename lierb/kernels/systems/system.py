@@ -1,0 +1,183 @@
+"""Protocol of a system: everything that steppers, loops and results need of what is integrated.
+
+Numbers are floats, arrays, lanes of a pack or duals, of one type throughout a call. n is 6 for one
+body and 6 for each node of a mechanism.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol, TypeVar
+
+from lierb.kernels.functions.signals import Noise
+from lierb.kernels.mechanics.elements import Bound
+from lierb.kernels.mechanics.tree import Connection
+from lierb.kernels.numbers.vec import Vec
+from lierb.kernels.systems.layout import Columns
+from lierb.kernels.systems.measures import Observed
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.state import (
+    Factors,
+    Rates,
+    Slopes,
+    Stabilised,
+    State,
+    Units,
+    Weights,
+)
+
+Body = TypeVar("Body")
+Motion = TypeVar("Motion")
+
+
+class System(Protocol[Body, Motion]):
+    """One body on a joint, or a mechanism.
+
+    Body : its constants, in joint axes.   Motion : poses and velocities at one time.
+    """
+
+    # ---- constants of the plan ----
+
+    @property
+    def plan(self) -> AnyPlan: ...
+    @property
+    def links(self) -> int:
+        """Number of links."""
+
+    @property
+    def joints(self) -> tuple[Connection, ...]:
+        """Joints whose errors have columns of their own."""
+
+    @property
+    def inputs(self) -> Columns:
+        """Columns of a trajectory's inputs, a state to resume from last."""
+
+    @property
+    def state(self) -> Columns:
+        """Columns of a state, in the order of its numbers."""
+
+    @property
+    def invariant(self) -> tuple[int, ...]:
+        """Components of V that stay zero once they are, exactly."""
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """True where the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
+
+    @property
+    def is_light(self) -> bool:
+        """True where a step is so little work that registers hold two packs of it."""
+
+    @property
+    def takes_small_angle_steps(self) -> bool:
+        """True where steps without branches, for small angles, are worth a second kernel."""
+
+    # ---- start ----
+
+    def body(self, numbers: list[Any]) -> Body:
+        """Constants in joint axes, from the numbers of all inputs but a state (SI)."""
+
+    def placed(self, body: Body, numbers: list[Any]) -> Any:
+        """Part of a start that all twists in one pose share."""
+
+    def start(self, body: Body, placed: Any, numbers: list[Any]) -> State:
+        """State at the start, from poses and twists in the user's frames."""
+
+    def state_of(self, numbers: Sequence[Any], body: Body | None = None) -> State:
+        """State from its numbers side by side, with the structural zeros of the plan."""
+
+    def pose_check(self, numbers: list[Any], time: Any) -> Any:
+        """Part of the start's check that all twists in one pose share.   time : s."""
+
+    def is_on_joint(self, check: Any, numbers: list[Any], time: Any) -> Any:
+        """1 where the start satisfies the joint's rows within the tolerances, else 0."""
+
+    # ---- steps ----
+
+    def chart_gravity(self, body: Body, chart: Any) -> Any:
+        """Gravity in the axes of C₀, (3,) m/s², shared by all stages on one chart; or None."""
+
+    def rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
+        """Rates at C₀ exp X.   gravity : that of the chart.   time : s."""
+
+    def stage_rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
+        """Rates at C₀ exp X, those of the extra states included."""
+
+    def combine(
+        self,
+        body: Body,
+        state: State,
+        weights: Weights,
+        slopes: Slopes,
+        units: Units,
+        factors: Factors | None = None,
+    ) -> State:
+        """Add h Σ weights · slopes to X (n,), V or μ (n,), work and extra states; C₀ stays.
+
+        factors : rows of weights, one for each exponential of the pose; None for X alone.
+        """
+
+    def move(self, state: State) -> State:
+        """Move C₀ along X: in a local update always, in a global one where X is large."""
+
+    def tidied(self, body: Body, chart: Any) -> Any:
+        """Chart freed of rounding: quaternions of unit length, screws on their subgroup."""
+
+    def stabilised(self, body: Body, before: State, state: State, time: Any, h: Any) -> Stabilised:
+        """State put back on its constraints.   before : h seconds earlier.   time : s."""
+
+    # ---- error control ----
+
+    def in_algebra(self, body: Body, x: Vec) -> Vec:
+        """X (n,) with the structural zeros of the joints' subalgebras."""
+
+    def velocity(self, body: Body, v_or_mu: Vec) -> Vec:
+        """V (n,), rad/s and m/s, from V or μ."""
+
+    def places(self, chart: Any) -> Vec:
+        """Positions of the chart, m, side by side."""
+
+    def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
+        """Numbers that are finite where all rotations are; positions, m."""
+
+    def angular_speeds_squared(self, body: Body, state: State) -> list[Any]:
+        """‖ω‖² of each node, rad²/s²."""
+
+    # ---- measures ----
+
+    def motion(self, body: Body, state: State, time: Any) -> Motion:
+        """Poses and velocities, from which measures, elements and events are computed."""
+
+    def dropped(self, body: Body, state: State) -> Any:
+        """Number of rows that depend on others."""
+
+    def measured(
+        self, body: Body, state: State, motion: Motion, time: Any, first_energy: Any = ...
+    ) -> Observed:
+        """Value or square of every measure.   first_energy : at the start of the run, J."""
+
+    def in_user_frames(self, body: Body, numbers: list[Any], state: State) -> list[Vec]:
+        """R (9,) row by row, r (3,), ω (3,), v (3,) of every link, in the user's frames."""
+
+    def forces(self, body: Body, state: State, time: Any) -> tuple[Vec, list[Vec]]:
+        """λ of all rows, and every joint's wrench (6,) on its body, about its frame there."""
+
+    # ---- passive elements; see `lierb.kernels.systems.signals.PassiveElements` ----
+
+    def travel(
+        self, body: Body, start: Motion, end: Motion, time: Any, watched: bool
+    ) -> tuple[Bound, ...]: ...
+    def jumps(self, body: Body) -> tuple[Any, ...]: ...
+    def observed(self, body: Body, motion: Motion, time: Any) -> tuple[Any, ...]: ...
+    def events(self, body: Body, motion: Motion, time: Any) -> tuple[Any, ...]: ...
+    def events_nearby(self, body: Body, motion: Motion, time: Any) -> tuple[Any, ...]: ...
+    def state_rates(self, body: Body, motion: Motion, time: Any) -> Vec: ...
+    def initial_states(self, body: Body) -> Vec: ...
+    def initial_memory(self, body: Body) -> Vec: ...
+    def periods(self, body: Body) -> Vec: ...
+    def controlled(
+        self, body: Body, motion: Motion, time: Any, which: int, noise: Noise
+    ) -> tuple[Vec, Vec]: ...
+
+
+AnySystem = System[Any, Any]

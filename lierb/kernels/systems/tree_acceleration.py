@@ -1,0 +1,204 @@
+"""Accelerations and multipliers of a mechanism, rates of its state, and Baumgarte's terms."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+from lierb.kernels.groups import quaternion
+from lierb.kernels.mechanics.constraints import residuals
+from lierb.kernels.mechanics.rows import Row
+from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
+from lierb.kernels.mechanics.tree import GROUND, HERE, Ends, TreeConstants, TreeMotion, root_of
+from lierb.kernels.mechanics.tree_dynamics import Bodies, Solved, bodies_of, solved
+from lierb.kernels.mechanics.tree_rows import Asked
+from lierb.kernels.numbers.arithmetic import fma, sqrt, where
+from lierb.kernels.numbers.vec import (
+    ZERO3,
+    ZERO6,
+    Vec,
+    add,
+    axpy,
+    cross,
+    cross_add,
+    dot,
+    mat_t_vec,
+    mat_vec_add,
+    neg,
+    scale,
+)
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
+from lierb.kernels.systems.state import Rates, State
+from lierb.kernels.systems.tree_charts import TreeCharts
+from lierb.kernels.systems.tree_inputs import charts_of, sixes
+
+
+class TreeAcceleration(NamedTuple):
+    """Solution of the equations of motion.
+
+    rates : V̇ of all nodes, side by side, as their c-spaces have it.
+    power : of forces and motors, W.   singular : 1 in a singular configuration.
+    dropped : number of dependent rows.
+    """
+
+    rates: Vec
+    power: Any
+    singular: Any
+    dropped: Any
+    bodies: Bodies
+    solved: Solved
+    relatives: Relatives
+
+
+class TreeAccelerations(TreeCharts):
+    """Equations of motion of a mechanism."""
+
+    @property
+    def rows(self) -> tuple[tuple[int, Row], ...]:
+        """Rows that have a multiplier, with the numbers of their connections."""
+        return self.plan.rows_with_multipliers
+
+    def relatives(self, body: TreeConstants, motion: TreeMotion) -> Relatives:
+        """Relative motion of the plan's connections."""
+        return Relatives(self.plan.connections, body.ends, motion)
+
+    def rates(self, body: TreeConstants, state: State, gravity: None, time: Any) -> Rates:
+        chart, x, velocity, *_ = state
+        parts = sixes(x)
+        angles = [quaternion.angle_coefficients(part) for part in parts]
+        tree = self.plan.tree
+        moved = tuple(
+            charts_of(node).compose_exp(each, part, k)
+            for node, each, part, k in zip(tree, chart, parts, angles, strict=True)
+        )
+        motion = self.motion_at(body, moved, velocity, time)
+        found = self.accelerate(body, motion)
+        singular = found.singular
+        if self.rows:  # another rank is another mechanism
+            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
+        x_rates: list[Any] = []
+        for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
+            x_rates += charts_of(node).dexpinv(neg(part), v, k)
+        return Rates(tuple(x_rates), found.rates, found.power, singular)
+
+    def accelerate(
+        self, body: TreeConstants, motion: TreeMotion, forces: bool = True
+    ) -> TreeAcceleration:
+        """Solve the equations of motion.   forces : whether elements act."""
+        plan = self.plan
+        relatives = self.relatives(body, motion)
+        loads, power = self._applied(body, relatives) if forces else ({}, ZERO)
+        wanted = [self._acceleration(number, row, relatives) for number, row in self.rows]
+        fall = {
+            i: ZERO3 + neg(body.nodes[i].gravity)
+            for i, node in enumerate(plan.tree)
+            if node.parent == GROUND
+        }
+        damped = [self._damped(i, motion) for i in range(len(plan.tree))]
+        biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
+        rows = self.equations(relatives, wanted)
+        bodies = bodies_of(motion, rows)
+        openness = partial(self.off_rows, motion)
+        solution = solved(bodies, rows, loads, biases, fall, openness)
+        for (number, r), multiplier in zip(self.rows, solution.multipliers, strict=True):
+            rate = r.prescribed_rate(relatives[number].x, body.ends[number])
+            power = fma(-multiplier, rate, power)
+        rates = self._state_rates(motion, solution, damped)
+        return TreeAcceleration(
+            rates, power, solution.singular, solution.dropped, bodies, solution, relatives
+        )
+
+    def off_rows(self, motion: TreeMotion) -> Any:
+        """Residual δ of pose and velocity for `lierb.kernels.mechanics.saddle.multipliers_of`."""
+        again = motion.again()  # its values are computed in a branch, and are not there elsewhere
+        relatives = self.relatives(motion.body, again)
+        length, pose = length_of(motion.body), relatives.openness()
+        rates: Any = ZERO
+        for number, r in self.rows:
+            x, ends = relatives[number].x, motion.body.ends[number]
+            rate = dot(r.jacobian(x, ends), x.omega + x.point_rate) - r.prescribed_rate(x, ends)
+            part = rate if r.is_translational else length * rate
+            rates = fma(part, part, rates)
+        speed = size_of(length, tuple(x for relative in again.relative for x in relative))
+        whole = fma(speed, speed, rates)
+        return sqrt(pose + rates / where(whole > 0.0, whole, 1.0))
+
+    def equations(self, relatives: Relatives, wanted: list[Any]) -> list[Asked]:
+        """Equations of all rows in the motions of the nodes, those of the tree's joints stiff."""
+        equations = []
+        for (number, r), value in zip(self.rows, wanted, strict=True):
+            each = relatives.equation(number, r, value)
+            if number < self.plan.links:
+                mass, inertia = relatives.motion.body.nodes[each.node].burden
+                each = each._replace(stiffness=mass if r.is_translational else inertia)
+            equations.append(each)
+        return equations
+
+    def _applied(self, body: TreeConstants, relatives: Relatives) -> tuple[dict[int, Vec], Any]:
+        """Wrenches of all elements on the nodes, and their power."""
+        loads: dict[int, Vec] = {}
+        power: Any = ZERO
+        first = len(self.plan.joints)
+        for number, (element, placed) in enumerate(
+            zip(self.plan.elements, body.elements, strict=True), first
+        ):
+            if element.is_passive or element.rows:
+                continue
+            x = relatives[number].x.motion._replace(signals=body.signals)
+            wrench = element.wrench(placed, x)
+            power = power + element.power(placed, x, wrench)
+            acting = relatives.equation(number, wrench[0] + wrench[1], ZERO)
+            for i, load in acting.loads().items():
+                loads[i] = add(loads[i], load) if i in loads else load
+        return loads, power
+
+    def _acceleration(self, number: int, row: Row, relatives: Relatives) -> Any:
+        """Right-hand side of a row: J times A_a − Ad A_b, the accelerations of its two nodes."""
+        relative, ends = relatives[number], relatives.ends[number]
+        x, kept = relative.x, self.plan.stabilisation
+        jacobian = row.jacobian(x, ends)
+        wanted = row.acceleration(x, ends) + dot(jacobian, relative.bias)
+        if kept.kind != "baumgarte":
+            return wanted
+        off = dot(jacobian, x.omega + x.point_rate) - row.prescribed_rate(x, ends)
+        wanted = fma(-2.0 * kept.alpha, off, wanted)
+        return fma(-kept.beta * kept.beta, relatives.residual(number, row), wanted)
+
+    def _damped(self, i: int, motion: TreeMotion) -> Vec:
+        """Baumgarte's term in a node's acceleration on its joint."""
+        kept = self.plan.stabilisation
+        if kept.kind != "baumgarte":
+            return ZERO6
+        off, moving = self.off_joint(i, motion), constrained_part(motion, i, motion.relative[i])
+        return axpy(-2.0 * kept.alpha, moving, scale(-kept.beta * kept.beta, off))
+
+    def off_joint(self, i: int, motion: TreeMotion) -> Vec:
+        """Residuals of the rows on whose null space node i is solved, as a motion (6,)."""
+        held, fixed, _ = kinds_of(self.plan.tree[i].rows)
+        own = (*held.values(), *fixed.values())
+        x = motion.kinematics(motion.hung(i), ZERO6)
+        values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
+        turn = tuple(values[fixed[k]] if k in fixed else ZERO for k in range(3))
+        d = tuple(x.d[j] if j in held else ZERO for j in range(3))
+        return turn + mat_t_vec(x.q, d)
+
+    def _state_rates(self, motion: TreeMotion, solution: Solved, damped: list[Vec]) -> Vec:
+        """V̇_rel of reduced nodes, V̇ of others as their c-space has it."""
+        rates: list[Any] = []
+        for i, node in enumerate(self.plan.tree):
+            if node.is_reduced:
+                relative, rate = motion.relative[i], add(solution.response.rates[i], damped[i])
+                rates += rate[:3] + cross_add(relative[3:], relative[:3], rate[3:])
+                continue
+            falling = motion.body.nodes[root_of(self.plan.tree, i)].gravity
+            moved, q = solution.response.moved[i], motion.place(i)[0]
+            twist, com = motion.twists[i], motion.body.nodes[i].com
+            if node.cspace == "SE3":
+                moving = cross_add(twist[3:], twist[:3], moved[3:])
+                rates += moved[:3] + add(moving, mat_t_vec(q, falling))
+                continue
+            turning = moved[:3]
+            swing = cross_add(twist[:3], cross(twist[:3], com), cross_add(turning, com, moved[3:]))
+            rates += turning + mat_vec_add(q, swing, falling)
+        return tuple(rates)

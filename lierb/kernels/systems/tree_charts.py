@@ -1,0 +1,138 @@
+"""Poses and velocities of a mechanism's nodes, and their arithmetic.
+
+The state is that of `lierb.kernels.mechanics.tree`: a chart, X and a velocity for every node, side
+by side. On reduced coordinates they have the structural zeros of the joint's subgroup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.groups import quaternion, turns
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics import subgroup
+from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.rows import PITCHED, Screw
+from lierb.kernels.mechanics.tree import HERE, Ends, TreeConstants, TreeMotion
+from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, dot
+from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.systems.combine import StateArithmetic
+from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.one_body import recharted
+from lierb.kernels.systems.plan import MechanismPlan
+from lierb.kernels.systems.signals import states_of
+from lierb.kernels.systems.state import State
+from lierb.kernels.systems.tree_inputs import charts_of, charts_side_by_side, sixes
+
+Charts = tuple[Chart, ...]  # one for each node
+
+
+@dataclass(frozen=True)
+class TreeCharts(StateArithmetic):
+    """State of a mechanism."""
+
+    plan: MechanismPlan
+
+    @cached_property
+    def state(self) -> Columns:
+        count = len(self.plan.tree)
+        return Columns(
+            Field("charts", (7 * count,)), Field("x", (6 * count,)), Field("v", (6 * count,)),
+            Field("work"), Field("states", (size_of(states_of(self.plan)),)),
+        )  # fmt: skip
+
+    def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
+        parts = self.state.parts(numbers)
+        charts = charts_side_by_side(parts["charts"])
+        (work,) = parts["work"]
+        state = State(charts, parts["x"], parts["v"], work, parts["states"])
+        return self.structured(state, body)
+
+    def structured(self, state: State, body: TreeConstants | None = None) -> State:
+        """Return the state with the structural zeros of each node's subgroup."""
+        plan = self.plan
+        charts: list[Chart] = []
+        xs: list[Any] = []
+        velocities: list[Any] = []
+        for i, (node, chart, x, v) in enumerate(
+            zip(plan.tree, state.chart, sixes(state.x), sixes(state.v_or_mu), strict=True)
+        ):
+            if node.is_reduced:
+                pitch = 1.0 if body is None else body.nodes[i].pitch
+                chart = subgroup.on_subgroup(node.slots, chart)
+                x = subgroup.in_subalgebra(node.slots, x, pitch)
+                v = subgroup.in_subalgebra(node.slots, v, pitch)
+            charts.append(chart)
+            xs += ZERO6 if plan.is_local else x
+            velocities += v
+        work = state.work if plan.does_work else ZERO
+        return State(tuple(charts), tuple(xs), tuple(velocities), work, state.states)
+
+    def chart_gravity(self, body: TreeConstants, chart: Charts) -> None:
+        """Return nothing: gravity enters at the nodes on the ground."""
+
+    def velocity(self, body: TreeConstants, v_or_mu: Vec) -> Vec:
+        """Return the twists of the nodes as they are, side by side."""
+        return v_or_mu
+
+    def angular_speeds_squared(self, body: TreeConstants, state: State) -> list[Any]:
+        """‖ω‖² of each node on its joint, or of its own, rad²/s²."""
+        return [dot(v[:3], v[:3]) for v in sixes(state.v_or_mu)]
+
+    def places(self, chart: Charts) -> Vec:
+        return self.turns_and_places(chart)[1]
+
+    def turns_and_places(self, chart: Charts) -> tuple[Vec, Vec]:
+        return tuple(p[0] for p, _ in chart), tuple(x for _, d in chart for x in d)
+
+    def moved(self, chart: Charts, x: Vec) -> Charts:
+        """Return C₀ exp X, node by node."""
+        return tuple(
+            charts_of(node).compose_exp(each, part)
+            for node, each, part in zip(self.plan.tree, chart, sixes(x), strict=True)
+        )
+
+    def recharted(self, chart: Charts, x: Vec) -> tuple[Charts, Vec]:
+        pairs = [
+            recharted(charts_of(node), each, part)
+            for node, each, part in zip(self.plan.tree, chart, sixes(x), strict=True)
+        ]
+        return tuple(pair[0] for pair in pairs), tuple(y for pair in pairs for y in pair[1])
+
+    def in_algebra(self, body: TreeConstants, x: Vec) -> Vec:
+        inside: list[Any] = []
+        for node, constants, part in zip(self.plan.tree, body.nodes, sixes(x), strict=True):
+            reduced = node.is_reduced
+            inside += subgroup.in_subalgebra(node.slots, part, constants.pitch) if reduced else part
+        return tuple(inside)
+
+    def tidied(self, body: TreeConstants, chart: Charts) -> Charts:
+        """Renormalise the quaternions; project poses of screw joints onto their subgroups."""
+        tidied = []
+        for node, constants, (p, d) in zip(self.plan.tree, body.nodes, chart, strict=True):
+            p = quaternion.normalised(p)
+            if node.is_reduced and PITCHED in node.slots:
+                at = Kinematics(quaternion.matrix(p), d, ZERO3, ZERO3, ZERO3, ZERO3, True)
+                off = Screw().value(at, Ends(HERE, HERE, constants.pitch))
+                d = (d[0], d[1], d[2] - off)
+            tidied.append((p, d))
+        return tuple(tidied)
+
+    def motion(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
+        chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)
+        return self.motion_at(body, chart, state.v_or_mu, time)
+
+    def motion_at(
+        self, body: TreeConstants, chart: Charts, velocity: Vec | None, time: Any
+    ) -> TreeMotion:
+        """Motion of the tree at a chart, at rest where there is no velocity."""
+        poses = [
+            (turns if charts_of(node) is turns else quaternion).pose(each)
+            for node, each in zip(self.plan.tree, chart, strict=True)
+        ]
+        velocity = velocity or (ZERO,) * (6 * len(chart))
+        return TreeMotion(self.plan.tree, body, poses, sixes(velocity), time)
