@@ -11,7 +11,7 @@ import numpy as np
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import RESUMED, UNSEEN, job_of, jobs_of
 from lierb.kernels.loops.record import carried_columns
-from lierb.kernels.stepping.clock import Clock, StepClock
+from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.runs.driver import Run
 from lierb.runs.inputs import Inputs
@@ -30,7 +30,7 @@ FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to measure how fast a plan runs
 def integrate(
     plan: AnyPlan,
     inputs: Inputs,
-    times: Clock,
+    times: StepClock | LaneTime,
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,

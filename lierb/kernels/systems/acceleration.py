@@ -10,7 +10,8 @@ from lierb.kernels.groups import quaternion
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.elements import Applied, applied_to
 from lierb.kernels.mechanics.newton_euler import BodyConstants, Kinematics, Turn, spinning
-from lierb.kernels.mechanics.saddle import Load, solve
+from lierb.kernels.mechanics.saddle import solve
+from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import (
     Mat,

@@ -10,7 +10,8 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import Any, TypeVar
 
-from lierb.kernels.functions.function import Shapes, size_of
+from lierb.kernels.functions.function import size_of
+from lierb.kernels.functions.shapes import Shapes
 from lierb.kernels.functions.signals import Noise
 from lierb.kernels.mechanics.elements import (
     Bound,
