@@ -14,6 +14,7 @@ from lierb.kernels.functions.vocabulary import clip, log, quaternion, table
 from lierb.methods import TABLEAUS, ButcherTableau
 from lierb.model import bodies, forces, joints
 from lierb.model.bodies.body import Body
+from lierb.model.formulation import baumgarte
 from lierb.model.functions import noise
 from lierb.model.functions.constraints import constraint
 from lierb.model.functions.controllers import controller
@@ -28,7 +29,6 @@ from lierb.results import animation
 from lierb.results.animation import animate
 from lierb.results.result import Result
 from lierb.runs.provenance import package_version
-from lierb.runs.starts import baumgarte
 from lierb.support.extras import is_installed, require
 
 if TYPE_CHECKING:

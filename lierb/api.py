@@ -1,53 +1,37 @@
-"""`integrate`: check → pack → run → Arrow. No formula here."""
+"""`integrate`: options, start, run, tables. This module has no formulas."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import (
-    ArgumentError,
-    InconsistentStateWarning,
-    brief,
-)
-from lierb.kernels.stepping.clock import Clock
+from lierb.errors import ArgumentError, InconsistentStateWarning, brief
 from lierb.kernels.systems.plan import Stabilisation
 from lierb.methods import ButcherTableau
+from lierb.model.base import Model
 from lierb.model.functions.events import Event
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.failures import STATUS_NAMES, Failures, warn_of
 from lierb.results.result import Result
 from lierb.results.tables import (
-    _no_room,
-    _require_memory,
     events_table,
     history_table,
+    no_room,
+    require_memory,
     summary_table,
 )
 from lierb.runs import engine
-from lierb.runs import start_checks as checks
 from lierb.runs.continuation import End
-from lierb.runs.mechanism_checks import violation
-from lierb.runs.options import check_options
-from lierb.runs.provenance import described_array, provenance
-from lierb.runs.starts import (
-    ready_body,
-    ready_mechanism,
-    told_cspace,
-    told_stabilisation,
-)
+from lierb.runs.options import Options
+from lierb.runs.output import Output
+from lierb.runs.provenance import provenance
+from lierb.runs.starts import Ready, ready
 from lierb.runs.stiffness import warn_of_stiff_steps
-from lierb.runs.timing import (
-    checked_numbers,
-    checked_seed,
-    has_jumps,
-)
 from lierb.support.arrays import Array
 from lierb.support.progress import Progress, check_progress
 
@@ -55,8 +39,10 @@ from lierb.support.progress import Progress, check_progress
 def integrate(
     problem: Problem | Mechanism,
     *,
+    # the start
     twist0: ArrayLike | Mapping[str, ArrayLike],
     pose0: Any = None,
+    # time and steps
     dt: float | None = None,
     t_end: float,
     t0: float = 0.0,
@@ -65,18 +51,21 @@ def integrate(
     dt_min: float | None = None,
     dt_max: float | None = None,
     max_steps: int | None = None,
+    discontinuities: ArrayLike | None = None,
+    # equations and method
     method: str | ButcherTableau | None = None,
     cspace: str | Mapping[str, str] | None = None,
     update: str = "local",
-    save_every: int | None = None,
-    save_at: ArrayLike | None = None,
-    discontinuities: ArrayLike | None = None,
-    measure_every: int = 1,
-    record: Iterable[str] = (),
-    events: Event | Iterable[Event] = (),
-    check: str = "raise",
     solver: str = "auto",
     stabilise: str | Stabilisation | None = None,
+    check: str = "raise",
+    # results
+    save_every: int | None = None,
+    save_at: ArrayLike | None = None,
+    record: Iterable[str] = (),
+    measure_every: int = 1,
+    events: Event | Iterable[Event] = (),
+    # the call
     seed: int = 0,
     trajectories: ArrayLike | None = None,
     threads: int | None = None,
@@ -118,6 +107,10 @@ def integrate(
     max_steps : int, optional
         Number of tried steps after which a trajectory ends with status "max_steps". Default: no
         bound.
+    discontinuities : array_like, shape (m,), optional
+        Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
+        each of them, and its stages see t on their own side. Times that differ from trajectory to
+        trajectory are parameters of a `lierb.wrench`. Default: none.
     method : str or ButcherTableau, optional
         A name of `lierb.TABLEAUS`, or a tableau. Default: "RK4", and "DOP853" with adaptive steps,
         which need a method with an embedded one.
@@ -129,27 +122,6 @@ def integrate(
         Default: "SE3", and "reduced" for a mechanism.
     update : {"local", "global"}, optional
         "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
-    save_every : int, optional
-        Number of steps between rows of `history`. Default: no history.
-    save_at : array_like, shape (m,), optional
-        Times of the rows of `history`, s, in ascending order. States there come from the method's
-        continuous extension or, where it has none, from a step of their own. The column `step` is
-        then the row's number.
-    discontinuities : array_like, shape (m,), optional
-        Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
-        each of them, and its stages see t on their own side. Times that differ from trajectory to
-        trajectory are parameters of a `lierb.wrench`. Default: none.
-    measure_every : int, optional
-        Number of steps between samples of the maxima in `summary`.
-    record : iterable of str, optional
-        Extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
-        "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
-        the body's joint frame and in its axes, whatever rows describe the joint.
-    events : Event or iterable of Event, optional
-        Events made by `lierb.event`, beside the problem's own; see `Result.events`. A terminal one
-        ends its trajectory with status "event".
-    check : {"raise", "warn", "off"}, optional
-        Treatment of a pose or twist that violates the joint. On "reduced" it always raises.
     solver : {"auto", "saddle", "subgroup"}, optional
         "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup" is
         for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
@@ -160,6 +132,23 @@ def integrate(
         Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
         otherwise. "project" puts pose and velocity back on them after each step, by the change of
         least kinetic energy. `lierb.baumgarte(alpha, beta)` adds Baumgarte's terms. Default: none.
+    check : {"raise", "warn", "off"}, optional
+        Treatment of a pose or twist that violates the joint. On "reduced" it always raises.
+    save_every : int, optional
+        Number of steps between rows of `history`. Default: no history.
+    save_at : array_like, shape (m,), optional
+        Times of the rows of `history`, s, in ascending order. States there come from the method's
+        continuous extension or, where it has none, from a step of their own. The column `step` is
+        then the row's number.
+    record : iterable of str, optional
+        Extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
+        "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
+        the body's joint frame and in its axes, whatever rows describe the joint.
+    measure_every : int, optional
+        Number of steps between samples of the maxima in `summary`.
+    events : Event or iterable of Event, optional
+        Events made by `lierb.event`, beside the problem's own; see `Result.events`. A terminal one
+        ends its trajectory with status "event".
     seed : int, optional
         Seed of `lierb.noise`.
     trajectories : array_like of int, shape (n,), optional
@@ -211,107 +200,99 @@ def integrate(
     >>> result.summary["status"].to_pylist()
     ['ok']
     """
-    if not isinstance(problem, (Problem, Mechanism)):
+    model = checked_model(problem)
+    model = model.with_events(events) if events else model
+    options = Options.of(
+        model, cspace=cspace, update=update, record=record, check=check, solver=solver,
+        stabilise=stabilise, seed=seed, trajectories=trajectories,
+        dt=dt, t_end=t_end, t0=t0, method=method, rtol=rtol, atol=atol, dt_min=dt_min,
+        dt_max=dt_max, max_steps=max_steps, save_every=save_every, save_at=save_at,
+        discontinuities=discontinuities, measure_every=measure_every,
+    )  # fmt: skip
+    return integrate_model(
+        model, options, pose0, twist0, threads=threads, progress=progress, stacklevel=3
+    )
+
+
+def checked_model(problem: object) -> Model:
+    """Return a problem or a mechanism. Raises ArgumentError for anything else."""
+    if not isinstance(problem, Model):
         raise ArgumentError(
             f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
         )
-    problem.require_unchanged()
-    problem = problem.with_events(events) if events else problem
-    space = ("SE3" if isinstance(problem, Problem) else "reduced") if cspace is None else cspace
-    recorded, timing, found_by = check_options(
-        problem, dt=dt, t_end=t_end, t0=t0, rtol=rtol, atol=atol, dt_min=dt_min, dt_max=dt_max,
-        max_steps=max_steps, method=method, cspace=space, update=update, save_every=save_every,
-        save_at=save_at, discontinuities=discontinuities, measure_every=measure_every,
-        record=record, check=check, solver=solver, stabilise=stabilise,
-    )  # fmt: skip
+    return problem
+
+
+def integrate_model(
+    model: Model,
+    options: Options,
+    pose0: Any,
+    twist0: Any,
+    *,
+    threads: int | None = None,
+    progress: Progress = None,
+    stacklevel: int = 2,
+) -> Result:
+    """Integrate a model with validated options; arguments are those of `integrate`.
+
+    stacklevel : of warnings, 2 for the caller of this function.
+    """
+    model.require_unchanged()
     check_progress(progress)
-    noise_seed = checked_seed(seed)
-    clock = None if timing.is_adaptive else timing.clock()
-    options = {
-        "dt": timing.dt or None, "t_end": float(t_end), "t0": float(t0),
-        "method": timing.tableau.name, "cspace": told_cspace(space), "update": update,
-        "save_every": timing.save_every or None, "measure_every": timing.measure_every,
-        "record": recorded, "check": check, "solver": found_by,
-    }  # fmt: skip
-    if problem.controllers:
-        options["seed"] = noise_seed
-    more = timing.options()
-    described = {
-        "update": update, **timing.described(bool(problem.events), has_jumps(problem)),
-        "multipliers": "multipliers" in recorded, "reaction": "reaction" in recorded,
-        "elements": problem.kinds,
-    }  # fmt: skip
-    if isinstance(problem, Problem):
-        assert isinstance(space, str)
-        ready = ready_body(problem, pose0, twist0, clock, float(t0), space, found_by, described)
-    else:
-        options["stabilise"] = told_stabilisation(stabilise)
-        ready = ready_mechanism(
-            problem, pose0, twist0, clock, float(t0), space, stabilise, described
-        )
-    plan, inputs, count = ready.plan, ready.inputs, ready.inputs.count
-    times: Clock
-    numbers = None if trajectories is None else checked_numbers(trajectories, count)
-    if numbers is not None and problem.controllers:
-        more["trajectories"] = described_array(numbers)
-    if timing.is_of_lanes:
-        numbers = np.arange(count, dtype=np.float64) if numbers is None else numbers
-        times = timing.lane_time(ready.clock, problem.events, noise_seed, numbers)
-    else:
-        assert ready.clock is not None
-        times = ready.clock
-    on_violation = "raise" if space == "reduced" else check  # there it has no room
-
-    def check_start(starts: Array, first: int) -> bool:
-        error = checks.violation(inputs, starts, first)
-        _report(error, on_violation, stacklevel=5)
-        return error is None
-
-    _require_memory(plan, times, count, recorded)
-    start = ready.pose0, ready.twist0, count
-    warn_of_stiff_steps(problem, start, timing, ready.before is not None, stacklevel=3)
-    checked = on_violation != "off" and ready.before is None
-    described_run = provenance(
-        problem,
-        twist0=ready.twist0,
-        pose0=ready.pose0,
-        before=ready.before,
-        plan=plan,
-        options=options,
-        more=more,
-    )
-    is_seen = checked and isinstance(problem, Problem) and bool(problem.rows)
+    prepared = ready(model, options, pose0, twist0)
+    require_memory(prepared)
+    warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
+    described = provenance(prepared)
+    check = _start_check(prepared, stacklevel + 4)
     try:
-        if checked and isinstance(problem, Mechanism):
-            error = violation(problem, ready.pose0, ready.twist0, float(t0))
-            _report(error, on_violation, stacklevel=3)
-        checked_start = check_start if is_seen else None
-        run = partial(
-            engine.integrate,
-            with_state="state" in recorded, threads=threads, progress=progress, check=checked_start,
+        if prepared.is_checked and not model.flags_starts:
+            error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)
+            _report(error, options, stacklevel + 1)
+        output = engine.integrate(
+            prepared.plan, prepared.inputs, prepared.times, "state" in options.record, threads,
+            progress, check,
         )  # fmt: skip
-        output = run(plan, inputs, times)
-        metadata = described_run()
-        result = Result(
-            summary_table(output, metadata, problem),
-            history_table(output, recorded, plan, metadata, problem) if timing.saves else None,
-            End(problem, plan, output, STATUS_NAMES, metadata),
-            events_table(output, metadata, problem) if problem.events else None,
-        )
+        result = _result(prepared, output, described())
     except MemoryError as error:
-        raise _no_room(plan, times, count, recorded) from error
+        raise no_room(prepared) from error
     if np.count_nonzero(output.status):  # OK is 0; quicker than any()
-        warn_of(Failures.of(result.summary), "`failed` of the result lists them", stacklevel=3)
+        failures = Failures.of(result.summary)
+        warn_of(failures, "`failed` of the result lists them", stacklevel=stacklevel + 1)
     return result
 
 
-# ---- arguments ---------------------------------------------------------------------------------
+def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
+    """Return a function that examines the starts that the kernels flag, None for no check."""
+    model, options = prepared.model, prepared.options
+    if not (prepared.is_checked and model.flags_starts and prepared.plan.rows):
+        return None
+
+    def check(is_on_joint: Array, first: int) -> bool:
+        start = prepared.pose0, prepared.twist0, options.timing.t0
+        for body in np.flatnonzero(is_on_joint == 0.0).tolist():
+            if error := model.violation(*start, number=first + body):
+                _report(error, options, stacklevel)
+                return False
+        return True  # what is flagged is at the tolerance, to rounding
+
+    return check
 
 
-def _report(error: ValueError | None, check: str, stacklevel: int) -> None:
-    """stacklevel : of the caller of `integrate`."""
+def _report(error: ValueError | None, options: Options, stacklevel: int) -> None:
+    """Raise the error of a start that violates the joints, or issue it as a warning."""
     if error is None:
         return
-    if check == "raise":
+    if options.on_violation == "raise":
         raise error
     warnings.warn(str(error), InconsistentStateWarning, stacklevel=stacklevel)
+
+
+def _result(prepared: Ready, output: Output, metadata: str) -> Result:
+    model, plan = prepared.model, prepared.plan
+    record, saves = prepared.options.record, prepared.options.timing.saves
+    return Result(
+        summary_table(output, metadata, model),
+        history_table(output, record, plan, metadata, model) if saves else None,
+        End(model, plan, output, STATUS_NAMES, metadata),
+        events_table(output, metadata, model) if model.events else None,
+    )

@@ -168,14 +168,14 @@ def test_gap_taken_back_closes_the_joint(name):
     problem, _ = tilted(name)
     off = lierb.lie.se3.exp(OFF * np.random.default_rng(3).normal(size=(5, 6)))
     poses = problem.joint.closed_pose @ off
-    gap = gap_of(problem, poses)
+    gap = gap_of(problem, problem.joints[0], [poses])
     point = problem.joint.body_frame[:3, 3]
     back = np.zeros_like(poses)
     back[:, 3, 3] = 1.0
     back[:, :3, :3] = lierb.lie.so3.exp(-gap[:, :3]) @ poses[:, :3, :3]
     arms = poses[:, :3, :3] @ point, back[:, :3, :3] @ point
     back[:, :3, 3] = poses[:, :3, 3] + arms[0] - gap[:, 3:] - arms[1]
-    left = gap_of(problem, back)
+    left = gap_of(problem, problem.joints[0], [back])
     assert np.abs(left).max() <= 100 * OFF**2
     assert np.abs(gap).max() <= 5 * OFF  # the shortest one
     assert (np.abs(gap).max() > 0.01 * OFF) == (name != "free")
@@ -188,7 +188,7 @@ def test_gap_of_a_ball_joint_is_how_far_its_points_are_apart(spun):
     poses = np.zeros((len(place), 4, 4))
     poses[:, :3, :3], poses[:, :3, 3], poses[:, 3, 3] = turn, place, 1.0
     apart = place + turn @ problem.joint.body_frame[:3, 3] - problem.joint.ground_frame[:3, 3]
-    gap = gap_of(problem, poses)
+    gap = gap_of(problem, problem.joints[0], [poses])
     np.testing.assert_allclose(gap[:, 3:], apart, rtol=1e-9, atol=1e-15)
     column = result.history["position_error"].to_numpy().reshape(-1, 2)[:, 0]
     np.testing.assert_allclose(np.linalg.norm(gap[:, 3:], axis=1), column, rtol=1e-9, atol=1e-15)
@@ -283,7 +283,7 @@ def test_of_many_trajectories_the_first_are_shown_and_counted():
 
 @pytest.mark.parametrize("name", sorted(lierb.joints.JOINTS))
 def test_axes_of_every_joint_are_those_it_turns_about_or_slides_along(name):
-    from lierb.results.animation.scene import _axes, _slides
+    from lierb.results.animation.drawn_joints import _axes, _slides
 
     turns = {
         "revolute": ([2], [2]), "cylindrical": ([2], [2]), "screw": ([2], [2]),

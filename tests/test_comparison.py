@@ -1,4 +1,4 @@
-"""Comparison of methods: errors, orders, work, floors, and their output."""
+"""Methods side by side: errors, orders, work, what is believed, and how it is told."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from reference_numbers import BOX_INERTIA, BOX_MASS, BOX_POINT
 from scipy.integrate import solve_ivp
 
 import lierb
-from lierb.analysis import comparing, reference
+from lierb.analysis import case, compared_runs, reference
 from lierb.analysis.comparison_tables import ESCAPED
 from lierb.errors import (
     ArgumentError,
@@ -25,7 +25,6 @@ from lierb.errors import (
     TimeGridError,
     UnknownNameError,
 )
-from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.system_of import plan_of
 from lierb.methods import TABLEAUS
 
@@ -185,9 +184,8 @@ def test_the_default_reference_knows_its_own_error(exact):
 
 
 def test_a_reference_is_halved_until_it_settles(monkeypatch, exact):
-    """RK4 in place of DOP853: the estimate is an upper bound of the true error."""
+    """With RK4 in place of DOP853; the estimate is an upper bound of the true error."""
     monkeypatch.setattr(reference, "METHOD", "RK4")
-    monkeypatch.setattr(comparing, "METHOD", "RK4")
     monkeypatch.setattr(reference, "CSPACES", ("SE3",))
     found = lierb.convergence(box_top(), "RK4", 4e-3, twist0=twists(), t_end=T_END, repeats=0)
     told = json.loads(found.table.schema.metadata[b"lierb"])
@@ -265,17 +263,17 @@ def test_right_hand_sides_are_the_stages_of_a_step(name):
         1, rows=(), cspace="SE3", update="local", stages=tableau.A, weights=tableau.b,
         multipliers=False,
     )  # fmt: skip
-    fewest = method_of(plan).last_stage
-    assert comparing._evaluations(tableau, False, 10.0) == 10.0 * fewest
-    assert comparing._evaluations(tableau, True, 10.0) == 10.0 * len(plan.stages) + 2.0
+    assert compared_runs._evaluations(tableau, False, 10.0) == 10.0 * plan.last_stage
+    assert compared_runs._evaluations(tableau, True, 10.0) == 10.0 * len(plan.stages) + 2.0
     counts = {"BS32": (3, 4), "DP54": (6, 7), "Tsit5": (6, 7), "DOP853": (12, 12)}
-    expected = fewest, len(plan.stages)
-    assert counts.get(name, expected) == expected
+    assert counts.get(name, (plan.last_stage, len(plan.stages))) == (
+        plan.last_stage, len(plan.stages),
+    )  # fmt: skip
 
 
 @pytest.mark.slow
 def test_order_is_told_of_what_moves():
-    """A body that turns about its centre of mass has no error of position."""
+    """Of a body that turns about its centre of mass no position has an error."""
     problem = lierb.Problem(box(), lierb.joints.spherical())
     found = lierb.convergence(
         problem, "RK4", DTS, twist0=problem.joint.twist(omega=OMEGA), t_end=T_END, repeats=0
@@ -287,9 +285,11 @@ def test_order_is_told_of_what_moves():
 
 def test_cpu_time_is_that_of_the_thread(monkeypatch):
     seconds = iter(np.cumsum([0.0, 5.0, 0.0, 2.0, 0.0, 3.0]))
-    monkeypatch.setattr(comparing.time, "thread_time", lambda: float(next(seconds)))
+    monkeypatch.setattr(case.time, "thread_time", lambda: float(next(seconds)))
     calls = []
-    assert comparing._timed(lambda: calls.append(1), 3) == 2.0
+    monkeypatch.setattr(case.Case, "integrated", lambda self, options: calls.append(options))
+    three = case.Case(box_top(), None, twists(), 0.0, T_END, {}, "largest", 3)
+    assert three.timed(three.options(dt=DTS[0])) == 2.0
     assert len(calls) == 3
 
 
@@ -315,27 +315,29 @@ def test_progress_is_told_run_by_run(exact):
 
 
 def test_tolerances_make_adaptive_runs(monkeypatch, exact):
-    """Calls of integrate, and the steps that they report; here they are fixed."""
+    """How integrate is asked, and what becomes of the steps that it tells; here they are fixed."""
     asked = []
     steps = {1e-4: (40, 8), 1e-6: (100, 10), 1e-8: (250, 5)}
 
-    def integrate(problem, *, rtol=None, atol=None, **options):
-        if rtol is None:
-            return lierb.integrate(problem, **options | {"method": "RK4"})
-        asked.append((options["method"].name, rtol, atol, "dt" in options))
-        taken, rejected = steps[rtol]
-        result = lierb.integrate(problem, **options | {"dt": T_END / taken, "method": "RK4"})
+    def integrate_model(model, options, pose0, twist0, **given):
+        timing = options.timing
+        given |= {"pose0": pose0, "twist0": twist0, "t_end": timing.t_end, "method": "RK4"}
+        if not timing.is_adaptive:
+            return lierb.integrate(model, dt=timing.dt, **given)
+        asked.append((timing.tableau.name, timing.rtol, {*timing.atol}, timing.dt))
+        taken, rejected = steps[timing.rtol]
+        result = lierb.integrate(model, dt=T_END / taken, **given)
         summary = result.summary
         for name, value in (("steps", taken), ("rejected", rejected)):
             summary = summary.append_column(name, [np.full(summary.num_rows, value)])
         return lierb.Result(summary, None)
 
-    monkeypatch.setattr(comparing, "integrate", integrate)
+    monkeypatch.setattr(case, "integrate_model", integrate_model)
     found = lierb.convergence(
         box_top(), ["RK4", "BS32"], DTS[:1], rtols=[1e-6, 1e-4, 1e-8], atol=1e-9,
         twist0=twists(), t_end=T_END, reference=exact, repeats=0,
     )  # fmt: skip
-    assert asked == [("BS32", rtol, 1e-9, False) for rtol in steps]
+    assert asked == [("BS32", rtol, {1e-9}, 0.0) for rtol in steps]
     fixed, adaptive = found.table.to_pylist()[:2], found.table.to_pylist()[2:]
     assert [(row["method"], row["rtol"]) for row in fixed] == [("RK4", None), ("BS32", None)]
     for row, (rtol, (taken, rejected)) in zip(adaptive, steps.items(), strict=True):
@@ -423,7 +425,7 @@ def test_convergence_refuses_a_reference_of_another_batch(exact, poses, twists_a
         lierb.convergence(box_top(), "RK4", DTS, twist0=twists(), t_end=T_END, reference=given)
 
 
-# ---- output ------------------------------------------------------------------------------------
+# ---- how it is told ----------------------------------------------------------------------------
 
 
 def test_markdown_has_a_row_for_each_run_and_method(found):
@@ -523,7 +525,6 @@ def command(monkeypatch, exact):
     from command import invoke
 
     monkeypatch.setattr(reference, "METHOD", "RK4")
-    monkeypatch.setattr(comparing, "METHOD", "RK4")
     monkeypatch.setattr(reference, "CSPACES", ("SE3",))
     return invoke
 
@@ -607,7 +608,7 @@ def test_compare_that_is_interrupted_leaves_nothing(command, study, tmp_path, mo
     def interrupted(*_given, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(comparing, "_ran", interrupted)
+    monkeypatch.setattr(compared_runs, "_ran", interrupted)
     result = command("compare", study, "--methods", "RK4", "-o", tmp_path / "out")
     assert result.exit_code == 130
     assert not (tmp_path / "out").exists()

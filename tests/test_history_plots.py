@@ -14,7 +14,8 @@ import lierb
 from lierb.errors import ArgumentError, UnknownNameError
 
 pytest.importorskip("matplotlib")
-from lierb.results.history_plots import MOST_LINES, NO_NUMBER, State
+from lierb.results.history_plots import MOST_LINES, NO_NUMBER
+from lierb.results.motion_panels import State
 
 SAVED = {"dt": 1e-3, "t_end": 0.5, "save_every": 10}
 

@@ -787,7 +787,7 @@ def test_project_passes_the_check_of_integrate(monkeypatch):
     rng = np.random.default_rng(24)
     problem = lierb.Problem(OFF_CENTRE, tilted(lierb.joints.universal, rng))
     reached = []
-    monkeypatch.setattr(lierb.api.engine, "integrate", lambda *a, **k: reached.append(a) or 1 / 0)
+    monkeypatch.setattr(lierb.runs.engine, "integrate", lambda *a, **k: reached.append(a) or 1 / 0)
     with pytest.raises(ZeroDivisionError):  # the run is reached: the twist has passed
         lierb.integrate(problem, twist0=problem.project(rng.normal(size=6)), dt=0.1, t_end=0.1)
     assert reached

@@ -24,7 +24,6 @@ from lierb.errors import (
 )
 from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.rows import Row
-from lierb.runs.mechanism_checks import violation
 
 RNG = np.random.default_rng(19)
 WITH_COORDINATES = [n for n, e in lierb.joints.JOINTS.items() if e.subgroup or e.factors]
@@ -264,7 +263,7 @@ def test_a_four_bar_closes_as_two_circles_meet(loop):
     assert found["rocker"] == pytest.approx(rocker, abs=1e-12)
     freedoms, redundant = bars.freedoms(closed)
     assert (freedoms, redundant) == (1, REDUNDANT[loop])
-    assert violation(bars, closed, bars.twist({}, closed)) is None
+    assert bars.violation(closed, bars.twist({}, closed)) is None
     again = bars.close(closed)  # closed to rounding: as it is
     assert all(np.array_equal(again[n], closed[n]) for n in bars.names)
 
@@ -291,7 +290,7 @@ def test_close_takes_what_is_off_in_every_direction():
         rod, rocker = expected_fourbar(angles["crank"][i, 0])
         assert angles["rod"][i, 0] == pytest.approx(rod, abs=1e-12)
         assert angles["rocker"][i, 0] == pytest.approx(rocker, abs=1e-12)
-    assert violation(bars, closed, bars.twist({}, closed)) is None
+    assert bars.violation(closed, bars.twist({}, closed)) is None
 
 
 def bricard() -> lierb.Mechanism:
@@ -320,7 +319,7 @@ def test_bricard_closes_from_afar_and_moves():
     place = np.array((1, -1, 1, -1, 1)) * np.pi / 2
     starts = place + rng.uniform(-0.5, 0.5, (4, 5))
     pose = linkage.close(linkage.pose({f"l{i}": starts[:, i] for i in range(5)}))
-    assert violation(linkage, pose, linkage.twist({}, pose)) is None
+    assert linkage.violation(pose, linkage.twist({}, pose)) is None
     freedoms, redundant = linkage.freedoms(pose)
     assert freedoms.tolist() == [1] * 4
     assert redundant.tolist() == [1] * 4
@@ -420,7 +419,7 @@ def test_projection_is_the_saddle_point_with_pseudo_inverse(loop):
     found = bars.project(twist, pose)
     for i, n in enumerate(bars.names):
         np.testing.assert_allclose(found[n], expected[6 * i : 6 * i + 6], rtol=0, atol=1e-8)
-    assert violation(bars, pose, found) is None
+    assert bars.violation(pose, found) is None
 
 
 def weighing(made, masses, gyrations):
@@ -454,7 +453,7 @@ def test_ranks_and_rates_do_not_depend_on_masses(size, gyration):
             assert rates["crank"] == pytest.approx(3.0, abs=1e-12)
             assert rates["rod"] == pytest.approx(rod, abs=1e-8)
             assert rates["rocker"] == pytest.approx(rocker, abs=1e-8)
-            assert violation(unequal, pose, twist) is None
+            assert unequal.violation(pose, twist) is None
 
 
 def planar_fourbar(size, l1, l2, l3, base):
@@ -516,7 +515,7 @@ def test_a_projected_twist_is_accepted_near_a_singular_pose(offset):
             for _ in range(3):
                 scale = np.repeat((1.0, size), 3)
                 twist = made.project({n: scale * RNG.uniform(-1, 1, 6) for n in made.names}, pose)
-                assert violation(made, pose, twist) is None
+                assert made.violation(pose, twist) is None
                 assert max(np.abs(twist[n][2]) for n in made.names) > 1e-3  # it still moves
 
 
@@ -539,7 +538,7 @@ def test_a_projected_twist_is_accepted_at_a_dead_point(offset):
         pose = made.close(made.pose(near))
         for rate in (30.0, 1e-3):
             twist = made.project(made.twist({"crank": rate}, pose), pose)
-            assert violation(made, pose, twist) is None
+            assert made.violation(pose, twist) is None
 
 
 def test_project_gives_motors_their_speed():
@@ -547,8 +546,8 @@ def test_project_gives_motors_their_speed():
     pose = bars.close(bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7}))
     twist = bars.project(bars.twist({}, pose), pose, t0=0.5)
     assert bars.velocities(twist, pose)["crank"].item() == pytest.approx(2.5, abs=1e-13)
-    assert violation(bars, pose, twist, 0.5) is None
-    assert isinstance(violation(bars, pose, twist, 0.0), TwistError)
+    assert bars.violation(pose, twist, 0.5) is None
+    assert isinstance(bars.violation(pose, twist, 0.0), TwistError)
     assert bars.freedoms(pose).freedoms == 1  # the motor is not counted
 
 
@@ -571,7 +570,7 @@ def test_one_link_closes_and_projects_as_a_problem_does():
 def test_an_open_loop_is_told_by_name_size_and_remedy():
     bars = fourbar()
     pose = bars.pose({"crank": 0.7, "rod": -0.1, "rocker": [1.7, 1.8]})
-    error = violation(bars, pose, bars.twist({}, pose))
+    error = bars.violation(pose, bars.twist({}, pose))
     assert isinstance(error, PoseError)
     tip = [pose["rocker"][0] @ (0.3, 0, 0, 1), pose["rod"][0] @ (0.4, 0, 0, 1)]
     opening = np.linalg.norm(tip[0] - tip[1])
@@ -582,7 +581,7 @@ def test_an_open_loop_is_told_by_name_size_and_remedy():
 def test_a_twist_that_opens_the_loop_is_told():
     bars = fourbar()
     pose = bars.close(bars.pose({"crank": 0.7, "rod": -0.1, "rocker": 1.7}))
-    error = violation(bars, pose, bars.twist({"crank": 1.0}, pose))
+    error = bars.violation(pose, bars.twist({"crank": 1.0}, pose))
     assert isinstance(error, TwistError)
     assert "loop pin" in str(error)
     assert "project(" in str(error)
@@ -601,7 +600,7 @@ def test_a_joint_the_wrong_way_round_is_told():
     half = flip @ frame((np.pi, 0, 0), (0, 0, 0)) @ np.linalg.inv(flip)
     turned = {n: x if n != "crank" else x @ half for n, x in pose.items()}
     alone = lierb.Mechanism(arm.link("crank"))
-    error = violation(alone, {"crank": turned["crank"]}, {"crank": np.zeros(6)})
+    error = alone.violation({"crank": turned["crank"]}, {"crank": np.zeros(6)})
     assert "the wrong way round" in str(error)
 
 
@@ -625,7 +624,7 @@ def test_a_mechanism_that_cannot_move_is_told():
         ],
     )
     assert rigid.freedoms(pose).freedoms == 0
-    error = violation(rigid, pose, rigid.twist({}, pose))
+    error = rigid.violation(pose, rigid.twist({}, pose))
     assert "cannot move" in str(error)
 
 
@@ -809,7 +808,7 @@ def test_what_is_wrong_is_told_in_a_sentence(case):
 @pytest.mark.parametrize("speed", [1e160, 1.7e308])
 def test_a_twist_whose_squares_overflow_is_told_as_such(speed):
     arm = two()
-    error = violation(arm, arm.pose(), {"a": (0, 0, speed, 0, 0, 0), "b": np.zeros(6)})
+    error = arm.violation(arm.pose(), {"a": (0, 0, speed, 0, 0, 0), "b": np.zeros(6)})
     assert isinstance(error, TwistError)
     assert "beyond all numbers" in str(error)
 

@@ -37,7 +37,7 @@ def turning() -> lierb.Result:
 
 
 def end_of(result: lierb.Result, link: str, point) -> np.ndarray:
-    """Position of a point of a link, (times, 3)."""
+    """Where a point of a link is, (times, 3)."""
     return result[link].position[:, 0] + result[link].rotation[:, 0] @ np.asarray(point)
 
 
@@ -69,15 +69,15 @@ def test_gap_of_a_loop_is_how_far_its_ends_are_apart(turning):
         assert np.abs(decoded(joint["gap"], 6)).max() < 1e-14
 
 
-def test_gap_between_links_is_what_the_child_is_moved_by():
-    """Gaps of open poses, as on SE(3)²: along the pin, and across it."""
-    from lierb.results.animation.gaps import gap_between
+def test_gap_of_links_is_what_the_child_is_moved_by():
+    """Of poses that are off, as on SE(3)²: along the pin, and across it."""
+    from lierb.results.animation.gaps import gap_of
 
     pendulum = double_pendulum()
     poses = pendulum.pose({"upper": [0.3, 0.7], "lower": 0.4})
     apart = np.array([[0.0, 3e-8, 0.0], [1e-7, 0.0, -2e-7]])
     poses["lower"][:, :3, 3] += apart
-    upper, lower = (gap_between(pendulum, at, list(poses.values())) for at in pendulum.joints)
+    upper, lower = (gap_of(pendulum, at, list(poses.values())) for at in pendulum.joints)
     np.testing.assert_allclose(upper, 0.0, atol=1e-15)
     np.testing.assert_allclose(lower[:, 3:], apart, rtol=1e-8, atol=1e-15)
     np.testing.assert_allclose(lower[:, :3], 0.0, atol=1e-15)
@@ -182,7 +182,7 @@ def test_plot_of_a_pickled_mechanism_has_the_motion_of_its_links(turning):
 
 
 def test_failed_trajectories_of_mechanisms_end(turning):
-    """Scene of a history whose last states are NaN, as after a failure."""
+    """Of a history whose last states are lost, as after a failure."""
     from lierb.results.columns import as_array, vectors
 
     history = turning.history

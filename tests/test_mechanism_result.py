@@ -121,7 +121,7 @@ def test_pickled_result_has_its_links(result):
 @pytest.mark.parametrize("steps", [1, 7])
 def test_end_of_a_mechanism_goes_on_to_the_bits_of_one_run(steps):
     whole, first = run(), run(steps)
-    second = lierb.integrate(first._end.problem, **first.end, dt=DT, t_end=STEPS * DT)
+    second = lierb.integrate(first._end.model, **first.end, dt=DT, t_end=STEPS * DT)
     for link in LINKS:
         for name in STATE:
             np.testing.assert_array_equal(

@@ -446,16 +446,16 @@ CHANGES = {
 }  # fmt: skip
 
 
-def test_built_again_with_equal_numbers_is_held_alike():
-    assert continuation._is_held_alike(built(), built())
-    assert continuation._is_held_alike(built(), built(gain=3.0))  # other forces may act
+def test_built_again_with_equal_numbers_have_equal_joints():
+    assert continuation._have_equal_joints(built(), built())
+    assert continuation._have_equal_joints(built(), built(gain=3.0))  # other forces may act
 
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_built_again_with_another_number_is_not_held_alike(change):
     other = built(**{change: CHANGES[change]})
-    assert not continuation._is_held_alike(built(), other)
-    assert not continuation._is_held_alike(other, built())
+    assert not continuation._have_equal_joints(built(), other)
+    assert not continuation._have_equal_joints(other, built())
 
 
 def tethered(length=0.6):

@@ -15,7 +15,11 @@ from cases import BODY_FRAME, GRAVITY, GROUND_FRAME, LENGTH, PITCH, box, column,
 
 import lierb
 from lierb.errors import PoseError, TwistError
-from lierb.runs.start_checks import require_consistent
+
+
+def require_consistent(problem, twist, pose):
+    if error := problem.violation(pose, twist):
+        raise error
 
 
 class Scale(NamedTuple):

@@ -15,7 +15,7 @@ from lierb.kernels.systems.plan import UNSTABILISED, Plan
 from lierb.kernels.systems.system_of import system_of
 from lierb.model.functions.binding import Column
 from lierb.model.functions.column_names import TAKEN
-from lierb.runs.plans import mechanism_plan_of
+from lierb.model.mechanism.plan import mechanism_plan_of
 
 FREE = lierb.joints.free()
 

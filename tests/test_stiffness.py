@@ -14,7 +14,7 @@ from lierb.errors import StiffStepWarning
 from lierb.kernels.mechanics.newton_euler import Frames, Motion
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
 from lierb.model.forces import FORCE_UNITS
-from lierb.runs.options import check_options
+from lierb.runs.options import Options
 from lierb.runs.stiffness import amplification, stiff_steps
 
 # Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2: methods of p stages and order
@@ -35,10 +35,7 @@ ABOUT, ALONG = INERTIA[2], MASS  # of a body that turns about, or slides along, 
 
 def warned(problem, twist0, pose0=None, dt=DT, steps=STEPS, **options) -> str:
     """Text of the warning, or nothing; no kernel is compiled for it."""
-    timing = check_options(
-        problem, dt=dt, t_end=dt * steps, cspace="SE3", update="local", record=(), save_every=None,
-        measure_every=1, **options,
-    )[1]  # fmt: skip
+    timing = Options.of(problem, dt=dt, t_end=dt * steps, cspace="SE3", **options).timing
     twist0 = twist0 if isinstance(twist0, dict) else np.asarray(twist0)
     each = twist0.values() if isinstance(twist0, dict) else (twist0,)
     count = problem.batch_size() or max(np.atleast_2d(twist).shape[0] for twist in each)

@@ -15,7 +15,8 @@ from mechanisms.shared import four_bar
 import lierb
 from lierb import joints
 from lierb.errors import FailedTrajectoryWarning
-from lierb.runs import engine, starts
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
+from lierb.runs import engine, lane_engine
 
 BOX = (0.0126563, 0.0468281, 0.0569531)
 POINT = (-0.15, 0.0375, 0.0)
@@ -309,7 +310,7 @@ def random_frames(rng, count=COUNT):
 
 
 def random_inertias(rng, count=COUNT):
-    """Inertias of clouds of points: physical by construction."""
+    """Of clouds of points: physical by construction."""
     points = rng.normal(size=(count, 10, 3))
     squares = np.einsum("nki,nki->n", points, points)[:, None, None] * np.eye(3)
     return 0.01 * (squares - np.einsum("nki,nkj->nij", points, points))
@@ -438,7 +439,7 @@ def test_measured_states_violate_what_they_shall(name):
 @pytest.mark.parametrize("cspace", tiered(["SE3", "SO3xR3"], ["SE3"], []))
 def test_orthogonality_error_follows_from_the_recorded_rotation(cspace):
     problem, given = violated("screw", cspace)
-    # rotations stretched by an amount that still passes for rounding
+    # rotations stretched by what still passes for rounding of whoever made them
     given["pose0"][:, :3, :3] *= 1 + 5e-11 * np.arange(1, COUNT + 1)[:, None, None]
     table = run(problem, **given, cspace=cspace, save_every=3, record=RECORD).history
     R = by_body(table, "rotation").reshape(-1, COUNT, 3, 3)
@@ -523,8 +524,8 @@ def test_batch_gives_each_body_the_bits_that_it_has_alone(top):
 
 @pytest.mark.parametrize("differs", ["mass", "gravity", "point"])
 def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, differs):
-    """Shared quantities are computed once a thread, and only if all bodies share them."""
-    count = 3 * starts.DEFAULT_LANES + 1
+    """What all bodies share is found once a thread, and must not be where they do not."""
+    count = 3 * DEFAULT_LANES + 1
     scale = 1.0 + 0.1 * np.arange(count)
     given = {"mass": 6.075, "gravity": np.array([0, 0, -9.81]), "point": np.array(POINT)}
 
@@ -537,7 +538,7 @@ def test_bodies_that_differ_have_constants_of_their_own_in_every_block(top, diff
     problem = problem_of(scale)
     together = run(problem, problem.joint.twist(omega=omega)).summary
     names = [name for name in together.column_names if name not in ("trajectory", "status")]
-    for i in (1, starts.DEFAULT_LANES, count - 1):
+    for i in (1, DEFAULT_LANES, count - 1):
         one = problem_of(scale[i])
         assert_same_bits(
             run(one, one.joint.twist(omega=omega)).summary, together.slice(i, 1), names
@@ -669,7 +670,7 @@ def lost(t, R, r, omega, v):
 
 @pytest.mark.slow
 def test_a_force_that_is_nan_contradicts_no_row():
-    """Multipliers of a row in the Schur complement, and of a loop with redundant rows."""
+    """Of a row in the Schur complement, and of a loop with rows that depend on others."""
     joint = joints.universal(body_point=(0.0, 0.0, 0.3))
     problem = lierb.Problem(lierb.Body(1.0, (1.0, 2.0, 2.5)), joint, forces=lost())
     twist = problem.project((0.1, 0.2, 0.3, 0.0, 0.0, 0.0))
@@ -750,7 +751,7 @@ def test_metadata_is_enough_to_run_again():
 def test_metadata_options_are_accepted_again(top):
     problem, twists = top
     told = provenance(run(problem, twists, save_every=5, record="energy").summary)
-    # the recorded solver is the one used, not the requested one
+    # the solver told is the one that was found to fit, not the one asked for
     options = {name: value for name, value in told["options"].items() if name != "solver"}
     again = lierb.integrate(problem, twist0=twists, **options)
     assert provenance(again.summary) == told
@@ -771,7 +772,7 @@ def nothing_steps(monkeypatch):
             array.fill(0.0)
         return output
 
-    monkeypatch.setattr(lierb.api.lanes, "integrate", integrate)
+    monkeypatch.setattr(lane_engine, "integrate", integrate)
 
 
 @pytest.mark.usefixtures("nothing_steps")
@@ -803,7 +804,7 @@ def test_metadata_options_of_adaptive_runs_are_accepted_again(given, top):
 
 @pytest.mark.usefixtures("nothing_steps")
 def test_steps_of_a_history_are_those_of_the_run(top):
-    """Lanes with clocks of their own agree, too."""
+    """With a clock for each lane, too."""
     problem, twists = top
     plain = run(problem, twists, save_every=3).history["step"]
     told = run(problem, twists, save_every=3, max_steps=STEPS).history["step"]
@@ -822,7 +823,7 @@ def test_metadata_of_a_large_batch_is_a_digest(top):
 
 
 def test_the_digest_of_a_start_is_that_of_its_bytes(top):
-    """Digest of a large array, too, which is computed beside the run."""
+    """Of a large one, which is made beside the run, too."""
     problem, twists = top
     for count in (11, 1 << 14):
         many = np.linspace(0.5, 1.0, count)[:, None] * twists[0]
@@ -832,7 +833,7 @@ def test_the_digest_of_a_start_is_that_of_its_bytes(top):
 
 
 def test_a_large_start_runs_where_no_thread_is_to_be_had(top, monkeypatch):
-    """Run at the end of a process, or beyond a limit of threads."""
+    """As at the end of a process, or beyond a limit of the system's."""
     problem, twists = top
     many = np.linspace(0.5, 1.0, 1 << 14)[:, None] * twists[0]
     beside = run(problem, many, t_end=DT).summary
@@ -859,13 +860,13 @@ def test_metadata_names_a_users_tableau(top):
 def kept_output(monkeypatch):
     """The arrays that the driver wrote into, of each run."""
     kept = []
-    original = lierb.api.engine.integrate
+    original = engine.integrate
 
     def integrate(*arguments, **named):
         kept.append(original(*arguments, **named))
         return kept[-1]
 
-    monkeypatch.setattr(lierb.api.engine, "integrate", integrate)
+    monkeypatch.setattr(engine, "integrate", integrate)
     return kept
 
 

@@ -24,9 +24,9 @@ from lierb.kernels.mechanics.tree import GROUND, HERE, MASSLESS, Node
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, cross_add, mat_t_vec, mat_vec_add, norm, sub
 from lierb.kernels.systems.plan import UNSTABILISED
+from lierb.model.connections import Connection
 from lierb.model.joints.coordinates import motions_of
-from lierb.model.mechanism.links import Connection
-from lierb.runs.plans import mechanism_plan_of
+from lierb.model.mechanism.plan import mechanism_plan_of
 from lierb.support.arrays import Array, Pose, assembled, components, pose_components
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""How an error falls with the step size: the observed order and the verdict drawn from it."""
+"""Order of convergence observed from errors at several steps, and a verdict on it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Order:
 
     @property
     def is_asymptotic(self) -> bool:
-        """Whether it was seen twice, between steps next to each other."""
+        """True where two neighbouring pairs of steps show this order."""
         return len(self.steps) > 2 and not self.lower_bound
 
     def __str__(self) -> str:
@@ -110,7 +110,7 @@ def fitted_order(
     size: float | Sequence[float] = 1.0,
     floor: Sequence[float] | None = None,
 ) -> Order | None:
-    """As `observed_order`, through all errors in the asymptotic range, by least squares.
+    """Order fitted through all errors in the asymptotic range, by least squares.
 
     From the two finest usable steps it takes in coarser ones, as long as the slope to the
     next is that between those two, to SLOPE_TOLERANCE. Of fewer than three such steps it is
@@ -165,7 +165,7 @@ def _usable(
 
 
 def _slope(steps: Array, error: Array, coarse: int, fine: int) -> float:
-    """Of log(error) over log(step), between two of them."""
+    """Return the slope of log(error) over log(step) between two errors."""
     # An error of exactly zero has no logarithm; the smallest number gives a bound all the same.
     log_ratio = math.log10(max(error[fine], np.finfo(float).tiny)) - math.log10(error[coarse])
     log_dt = math.log10(steps[fine]) - math.log10(steps[coarse])

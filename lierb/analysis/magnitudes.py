@@ -10,24 +10,25 @@ from lierb.kernels.mechanics.newton_euler import SE3
 from lierb.kernels.mechanics.scale import length_of
 from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import norm
+from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.support.arrays import Array, components, pose_components
 
 
-def kinds_of(problem: Problem | Mechanism) -> set[str]:
+def kinds_of(model: Model) -> set[str]:
     """Return the kinds of constraint error of the joints: "position", "rotation"."""
-    jointed = (problem,) if isinstance(problem, Problem) else problem.links_and_loops
-    return {kind for each in jointed for kind in each.joint.error_kinds}
+    return {kind for at in model.joints if at.joint for kind in at.joint.error_kinds}
 
 
-def magnitudes(problem: Problem | Mechanism, poses: Any, twists: Any) -> tuple[Array, Array]:
+def magnitudes(model: Model, poses: Any, twists: Any) -> tuple[Array, Array]:
     """Return the length, m, and the energy, J, of each member; poses None: the closed joint."""
     with np.errstate(all="ignore"):  # a diverging body is accepted as long as it is finite
-        if isinstance(problem, Mechanism):
-            return _of_links(problem, poses, twists)
-        placed = problem.joint.closed_pose if poses is None else poses
-        return _of_body(problem, placed, twists)
+        if isinstance(model, Mechanism):
+            return _of_links(model, poses, twists)
+        assert isinstance(model, Problem)
+        placed = model.joint.closed_pose if poses is None else poses
+        return _of_body(model, placed, twists)
 
 
 def _of_links(

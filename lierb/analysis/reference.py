@@ -1,4 +1,4 @@
-"""What a comparison's errors are errors of: the states at t_end, and how well they are known."""
+"""Reference of a comparison: the states at t_end, and their errors."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from lierb.analysis.case import Case
 from lierb.analysis.magnitudes import magnitudes
 from lierb.errors import ArgumentError, FailedTrajectoryWarning, LierbError, brief
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
+from lierb.model.base import Model
 from lierb.results.columns import as_array
 from lierb.results.failures import Failures, has_failed
 from lierb.results.result import Result
-from lierb.runs.options import check_options
+from lierb.runs.options import Options
 from lierb.runs.starts import arrays_of
-from lierb.support.arrays import Array, as_numbers, as_poses
+from lierb.support.arrays import Array
 from lierb.support.shown import counted
-
-Model = Problem | Mechanism
 
 ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
 NORMS: dict[str, Callable[[Array], Any]] = {"largest": np.max, "median": np.median}
 METHOD = "DOP853"  # of a reference, whatever is compared
-CSPACES = ("reduced", "SE3", "SO3xR3")  # of a reference, the first that the problem has
+CSPACES = ("reduced", "SE3", "SO3xR3")  # of a reference, the first that the model has
 MARGIN = 10.0  # an error counts from so many times the reference's own: it is then true to 10 %
 EPSILON = float(np.finfo(float).eps)
 LEAST_STEPS = 64  # whose rounding adds up to what the data and the ends themselves are rounded by
 RESOLVED = 1e-6  # differences above this, relative to the motion, are no rounding
 GIVEN = "given"
+FIRST_STEPS = 256  # of a reference, where no dt shows how fast the motion is
+HALVINGS, MORE_HALVINGS = 6, 12  # of the reference's step; the latter without dt
 
 
 def rounding(steps: Any) -> Any:
-    """What rounding makes of so many steps, relative to the numbers: half a unit in each, twice."""
+    """Return the relative error that rounding adds up to: half a unit in each step, twice."""
     return EPSILON * np.maximum(steps, LEAST_STEPS)
 
 
@@ -58,7 +58,7 @@ class Ends:
 
     @classmethod
     def of(cls, summary: pa.Table, links: tuple[str, ...]) -> Ends:
-        """Those in a result's summary."""
+        """Return the ends in a result's summary."""
         states = {
             link: {
                 name: as_array(summary[f"{link}.{name}" if link else name]).reshape(-1, *shape)
@@ -71,9 +71,12 @@ class Ends:
         return cls(states, has_failed(summary))
 
     @classmethod
-    def at(cls, problem: Model, poses: Any, twists: Any) -> Ends:
-        """Of poses and twists as `integrate` takes them."""
-        placed, moving = _by_link(problem, "reference: pose0", poses, "reference: twist0", twists)
+    def at(cls, model: Model, poses: Any, twists: Any) -> Ends:
+        """Return the ends with these poses and twists, in the form of pose0 and twist0."""
+        placed, moving = (
+            arrays_of(model, f"reference: {argument}", given)
+            for argument, given in (("pose0", poses), ("twist0", twists))
+        )
         states = {
             link: {
                 "rotation": pose[..., :3, :3].reshape(-1, 3, 3),
@@ -93,7 +96,7 @@ class Ends:
 
     @property
     def poses(self) -> dict[str, Array]:
-        """(n, 4, 4), by link."""
+        """Poses, (n, 4, 4), by link."""
         found = {}
         for link, state in self.states.items():
             found[link] = np.tile(np.eye(4), (len(state["position"]), 1, 1))
@@ -103,11 +106,11 @@ class Ends:
 
     @property
     def twists(self) -> dict[str, Array]:
-        """(n, 6), by link."""
+        """Twists, (n, 6), by link."""
         return {k: np.hstack((state["omega"], state["v"])) for k, state in self.states.items()}
 
     def errors(self, exact: Ends) -> dict[str, Array]:
-        """How far they are from others, (n,) by ERRORS: of a mechanism that of the farthest link.
+        """Return the distances from other ends, (n,) by ERRORS, of a mechanism's farthest link.
 
         NaN for trajectories that have failed in either.
         """
@@ -121,7 +124,7 @@ class Ends:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Of the rotation AᵀB, rad: ‖A − B‖ = 2√2 sin(θ/2), which keeps its digits at either end."""
+    """Return the angle of AᵀB, rad, by ‖A − B‖ = 2√2 sin(θ/2), accurate at 0 and π."""
     norm = np.sqrt(((a - b) ** 2).sum(axis=(1, 2)))
     return np.asarray(2.0 * np.arcsin(np.minimum(norm / np.sqrt(8.0), 1.0)))
 
@@ -130,34 +133,16 @@ def _distance(a: Array, b: Array) -> Array:
     return np.asarray(np.linalg.norm(a - b, axis=1))
 
 
-def _by_link(
-    problem: Model, pose_name: str, poses: Any, twist_name: str, twists: Any
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    if isinstance(problem, Mechanism):
-        by_link = (
-            problem.by_link(pose_name, poses),
-            problem.by_link(twist_name, twists),
-        )
-        return (
-            {k: as_poses(f"{pose_name}[{k!r}]", by_link[0][k]) for k in problem.names},
-            {k: as_numbers(f"{twist_name}[{k!r}]", by_link[1][k], (6,)) for k in problem.names},
-        )
-    return {"": as_poses(pose_name, poses)}, {"": as_numbers(twist_name, twists, (6,))}
-
-
 # ---- sizes -------------------------------------------------------------------------------------
 
 
-def sizes_of(problem: Model, ends: Ends, twist0: Any) -> dict[str, float]:
-    """What errors and drifts are relative to, medians over the trajectories, by their names."""
-    poses, twists = ends.poses, ends.twists
-    is_tree = isinstance(problem, Mechanism)
-    starts = arrays_of(problem, "twist0", twist0) if isinstance(problem, Mechanism) else {
-        "": as_numbers("twist0", twist0, (6,))
-    }  # fmt: skip
+def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
+    """Return the scales of errors and drifts by name, medians over the trajectories."""
+    twists = ends.twists
+    starts = arrays_of(model, "twist0", twist0)
     with np.errstate(all="ignore"):  # a trajectory may run away
-        placed, moving = (poses, twists) if is_tree else (poses[""], twists[""])
-        length, energy = (float(np.nanmedian(each)) for each in magnitudes(problem, placed, moving))
+        placed, moving = model.from_links(ends.poses), model.from_links(twists)
+        length, energy = (float(np.nanmedian(each)) for each in magnitudes(model, placed, moving))
         speeds = {}
         for name, part in (("omega", slice(0, 3)), ("v", slice(3, 6))):
             each = [
@@ -178,7 +163,7 @@ def sizes_of(problem: Model, ends: Ends, twist0: Any) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the trajectories are at t_end.
+    """States of the trajectories at t_end.
 
     errors : how far off it may be itself, by ERRORS, in the norm of the comparison.
     what : in words.
@@ -189,16 +174,16 @@ class Reference:
     what: str
 
 
-def given_reference(given: Any, problem: Model, t_end: float) -> Reference:
-    """A user's: a Result, `Result.end`, a mapping with pose0 and twist0, or (pose, twist)."""
+def given_reference(given: Any, model: Model, t_end: float) -> Reference:
+    """Return a user's reference: a Result, `Result.end`, its like, or (pose, twist)."""
     expected = (
         "the lierb.Result of another run, its `end`, or a pair of poses and twists at t_end, as "
         "pose0 and twist0 of integrate"
     )
-    links = problem.names if isinstance(problem, Mechanism) else ()
+    links = tuple(filter(None, model.link_names))
     if isinstance(given, Result):
-        if given.links != tuple(links):
-            raise ArgumentError(f"reference has the links {given.links}; expected {tuple(links)}")
+        if given.links != links:
+            raise ArgumentError(f"reference has the links {given.links}; expected {links}")
         ends = Ends.of(given.summary, given.links)
         if ends.failed.all():
             raise ArgumentError(f"reference: {Failures.of(given.summary)}; none is left to compare")
@@ -211,7 +196,7 @@ def given_reference(given: Any, problem: Model, t_end: float) -> Reference:
         given = given["pose0"], given["twist0"]
     if not (isinstance(given, tuple) and len(given) == 2):
         raise ArgumentError(f"reference={brief(given)}; expected {expected}")
-    return Reference(Ends.at(problem, *given), dict.fromkeys(ERRORS, 0.0), GIVEN)
+    return Reference(Ends.at(model, *given), dict.fromkeys(ERRORS, 0.0), GIVEN)
 
 
 def _require_time(t: Any, t_end: float) -> None:
@@ -220,36 +205,39 @@ def _require_time(t: Any, t_end: float) -> None:
         raise ArgumentError(f"reference is of t = {brief(t)} s; expected t_end = {t_end!r} s")
 
 
-def found_reference(
-    problem: Model,
-    run: Callable[[str, float], Result],
-    length: float,
-    dt: float,
-    halvings: int,
-    norm: str,
-    sizes: Callable[[Ends], dict[str, float]],
-    tell: Callable[[str], None],
-) -> Reference:
-    """The problem's own solution by METHOD, its step halved until that no longer helps.
+def found_reference(case: Case, dts: list[float], tell: Callable[[str], None]) -> Reference:
+    """Return the model's own solution by METHOD, its step halved until that no longer helps.
 
-    run : of a c-space and a step.   length : from t0 to t_end, s.   dt : where it begins, s.
-    halvings : at most.
+    Its error is its difference from the run with the double step, or, where the model has another
+    c-space, from that there, if this is larger: they share neither equations nor charts.
 
-    Its error is its difference from the run with the double step, or, where the problem has
-    another c-space, from that there, if this is larger: they share neither equations nor charts.
+    dts : steps of the comparison, s, of which the finest is the first one here.
     """
-    own, *others = _cspaces_of(problem)
+    length, norm = case.length, case.norm
+    dt, halvings = (min(dts), HALVINGS) if dts else (length / FIRST_STEPS, MORE_HALVINGS)
+
+    def ends_of(cspace: str, steps: int) -> Ends:
+        tell(f"reference: {cspace}, {METHOD}, dt = {length / steps:g} s")
+        common = {name: case.common[name] for name in ("stabilise", "seed")}
+        options = Options.of(
+            case.model, t0=case.t0, t_end=case.t_end, dt=length / steps, method=METHOD,
+            cspace=cspace, measure_every=steps, **common,
+        )  # fmt: skip
+        result = case.integrated(options, threads=None)
+        return Ends.of(result.summary, result.links)
+
+    own, *others = _cspaces_of(case.model)
     steps = max(round(length / dt), 1)
-    tell(f"reference: {own}, {METHOD}, dt = {length / steps:g} s")
-    before = _ends_of(run(own, length / steps))
+    before = ends_of(own, steps)
     best: tuple[float, dict[str, float], Ends, int] | None = None
     for _ in range(halvings):
         steps *= 2
-        tell(f"reference: {own}, {METHOD}, dt = {length / steps:g} s")
-        ends = _ends_of(run(own, length / steps))
+        ends = ends_of(own, steps)
         errors = normed(ends.errors(before), norm)
         is_alike = before.failed.sum() == ends.failed.sum()
-        relative = _relative(errors, sizes(ends)) if is_alike else np.inf
+        relative = (
+            _relative(errors, sizes_of(case.model, ends, case.twist0)) if is_alike else np.inf
+        )
         has_settled = best is not None and relative > 0.5 * best[0] and best[0] < RESOLVED
         if best is None or relative < best[0]:
             best = relative, errors, ends, steps
@@ -260,20 +248,15 @@ def found_reference(
     _, errors, ends, steps = best
     what = f"{METHOD} on {own} with dt = {length / steps:g} s"
     for other in others:
-        tell(f"reference: {other}, {METHOD}, dt = {length / steps:g} s")
-        apart = normed(ends.errors(_ends_of(run(other, length / steps))), norm)
+        apart = normed(ends.errors(ends_of(other, steps)), norm)
         errors = {name: max(error, apart[name]) for name, error in errors.items()}
         what += f", beside {other}"
     _require_numbers(ends, errors, what)
     return Reference(ends, errors, what)
 
 
-def _ends_of(result: Result) -> Ends:
-    return Ends.of(result.summary, result.links)
-
-
 def _relative(errors: dict[str, float], sizes: dict[str, float]) -> float:
-    """The largest of them, relative to what they are errors of; ∞ where there are none."""
+    """Return the largest error relative to its scale; ∞ where an error is not finite."""
     each = [error / (sizes[f"error.{name}"] or 1.0) for name, error in errors.items()]
     return max(each) if np.isfinite(each).all() else np.inf
 
@@ -286,25 +269,24 @@ def _require_numbers(ends: Ends, errors: dict[str, float], what: str) -> None:
         )
 
 
-def _cspaces_of(problem: Model) -> list[str]:
-    """That of a reference, and one to hold it against: equations as different as there are."""
-    known = [cspace for cspace in CSPACES if _has(problem, cspace)]
+def _cspaces_of(model: Model) -> list[str]:
+    """Return the c-space of a reference and another one, with the most different equations."""
+    known = [cspace for cspace in CSPACES if _has(model, cspace)]
     return [known[0], *known[:0:-1][:1]]
 
 
-def _has(problem: Model, cspace: str) -> bool:
+def _has(model: Model, cspace: str) -> bool:
     try:
-        check_options(
-            problem, dt=1.0, t_end=1.0, method=METHOD, cspace=cspace, update="local",
-            save_every=None, measure_every=1, record=(),
-        )  # fmt: skip
+        model.formulation(
+            cspace=cspace, update="local", check="raise", solver="auto", stabilise=None
+        )
     except LierbError:
         return False
     return True
 
 
 def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
-    """Over the trajectories that have numbers; NaN where none has."""
+    """Return the norm of each error over the trajectories with finite ones; NaN without any."""
     found = {}
     for name, each in errors.items():
         finite = each[np.isfinite(each)]
@@ -313,7 +295,7 @@ def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
 
 
 def warn_of_runs(failed: list[str]) -> None:
-    """One warning for the runs of a comparison in which trajectories failed, told in words."""
+    """Issue one warning for all runs in which trajectories failed; `failed` describes them."""
     if failed:
         more = f" and in {counted(len(failed) - 3, 'more run')}" if len(failed) > 3 else ""
         warnings.warn(

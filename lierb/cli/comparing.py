@@ -111,7 +111,6 @@ def compare(
     if n is None and taken < count:
         click.echo(f"The first {taken} of {count} trajectories; --n takes others.", err=True)
     batch = loaded.batch(0, taken)
-    kept = loaded.options(loaded.settings[0])
     control = _control(loaded, dts, rtols)
     if left := _left_out(loaded):
         click.echo(f"Not taken from the study: {', '.join(left)}.", err=True)
@@ -119,7 +118,7 @@ def compare(
         comparison = convergence(
             batch.problem, methods or run.method, **control, cspaces=cspaces or run.cspace,
             twist0=batch.twist0, pose0=batch.pose0, t_end=run.t_end, t0=run.t0, update=run.update,
-            solver=run.solver, stabilise=kept["stabilise"], measure_every=run.measure_every,
+            solver=run.solver, stabilise=loaded.stabilise, measure_every=run.measure_every,
             seed=loaded.sample.seed if batch.problem.controllers else 0, norm=norm,
             repeats=repeats, name=name, progress=progress,
         )  # fmt: skip

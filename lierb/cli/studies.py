@@ -17,7 +17,7 @@ from lierb.studies.description.changes import parsed, written
 from lierb.studies.description.shipped import example as text_of
 from lierb.studies.description.shipped import examples
 from lierb.studies.description.sources import as_file
-from lierb.support.collected_warnings import told_elsewhere
+from lierb.support.collected_warnings import warnings_collected
 from lierb.support.extras import require
 from lierb.support.files import folder_of, naming, write_whole
 
@@ -152,7 +152,7 @@ def run(
     for message in stiff_settings(loaded):
         click.secho(wrapped(message), fg="yellow", err=True)
     try:
-        with _client(workers, scheduler) as client, told_elsewhere():
+        with _client(workers, scheduler) as client, warnings_collected():
             dataset = run_study(
                 study, folder, changes=changes, resume=resume, threads=threads,
                 client=client, gather=gather,

@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from lierb.errors import LierbError
 from lierb.kernels.mechanics import elements as kinds
-from lierb.kernels.mechanics.newton_euler import Parameters
+from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
+from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3
+from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.acting import ELEMENTS, bind, shown_element
 from lierb.model.bodies.body import Body
+from lierb.model.connections import Connection
+from lierb.model.formulation import Formulation
 from lierb.model.functions.binding import Column, columns_of
 from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
@@ -34,10 +39,19 @@ from lierb.support.arrays import (
 )
 from lierb.support.shown import Shown
 
+DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even where there are none
+
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Model(Shown):
-    """Gravity, and forces and other elements, of a problem or a mechanism or a batch of them."""
+    """Rigid bodies, their joints, and the elements that act on them; one model or a batch.
+
+    A `Problem` is a model of one link, whose name is "" and whose joint has no name. Its poses and
+    twists are arrays; those of a `Mechanism` are dictionaries by link.
+    """
+
+    default_cspace: ClassVar[str]
+    flags_starts: ClassVar[bool]  # True where the kernels flag starts that are off the joint
 
     gravity: Array
     forces: tuple[Force, ...]
@@ -157,9 +171,123 @@ class Model(Shown):
         elements = {label: [e.of_body(which) for e in getattr(self, label)] for label in ELEMENTS}
         return type(self)(*self._structure_of(which), **elements)
 
+    # ---- runs ----
 
-def _shown_with_links(element: Element) -> str:
-    return ", on ".join(filter(None, (shown_element(element), " and ".join(element.at))))
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints of links and loops; none of a single body."""
+        return tuple(at.name for at in self.joints if at.name)
+
+    @cached_property
+    def topology(self) -> tuple[Any, ...]:
+        """Names, ends and rows of the joints; equal where a state means the same."""
+        return tuple((at.name, at.body, at.parent, at.rows) for at in self.joints)
+
+    @cached_property
+    def has_jumps(self) -> bool:
+        """True where a force may jump at times that are parameters of it."""
+        return any(element.kind.discontinuities for element in self.elements)
+
+    @cached_property
+    def has_own_time(self) -> bool:
+        """True where each trajectory needs a clock: for events, states, controllers or jumps."""
+        return bool(self.events or self.states or self.controllers) or self.has_jumps
+
+    @property
+    def described_elements(self) -> dict[str, tuple[Element, ...]]:
+        """Elements by label, for `description`."""
+        given = {label: getattr(self, label) for label in ELEMENTS}
+        return {k: elements for k, elements in given.items() if elements or k in DESCRIBED}
+
+    # ---- interface of runs and results, implemented by problems and mechanisms ----
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of the links."""
+        raise NotImplementedError
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """Body of each link."""
+        raise NotImplementedError
+
+    @property
+    def joints(self) -> tuple[Connection, ...]:
+        """Joints of the links, in their order, then of the loops."""
+        raise NotImplementedError
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Numbers of the links, parents before their children."""
+        raise NotImplementedError
+
+    def parameters(self, at: Connection) -> Parameters:
+        """Return the numbers of a joint's body and frames, one array per component."""
+        raise NotImplementedError
+
+    def constants(self, at: Connection) -> BodyConstants:
+        """Return the body of a joint in its axes, with the elements that act there."""
+        raise NotImplementedError
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Prefix of each link's fields in the inputs of the kernels."""
+        raise NotImplementedError
+
+    @property
+    def quantities(self) -> dict[str, Array]:
+        """Parameters of bodies and joints, by field."""
+        raise NotImplementedError
+
+    @property
+    def inputs(self) -> dict[str, Array]:
+        """Numbers that the kernels read, by field."""
+        raise NotImplementedError
+
+    @property
+    def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
+        """Constraint rows of each joint and element, by name."""
+        raise NotImplementedError
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Contents of the metadata, in their order."""
+        raise NotImplementedError
+
+    def by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
+        """Return an argument's value of each link."""
+        raise NotImplementedError
+
+    def from_links(self, values: dict[str, Any]) -> Any:
+        """Return values of all links as arguments take them, the inverse of `by_link`."""
+        raise NotImplementedError
+
+    def label(self, argument: str, link: str) -> str:
+        """Return the name of an argument's part in messages."""
+        return f"{argument}[{link!r}]" if link else argument
+
+    def default_pose(self) -> Any:
+        """Return pose0 where none is given; None stands for the closed joint."""
+        raise NotImplementedError
+
+    def formulation(
+        self, *, cspace: Any, update: str, check: str, solver: str, stabilise: Any
+    ) -> Formulation:
+        """Validate the options that choose the equations. Raises ArgumentError."""
+        raise NotImplementedError
+
+    def plan(self, formulation: Formulation, **described: Any) -> AnyPlan:
+        """Return the plan of a run, on which compiled code is specialised."""
+        raise NotImplementedError
+
+    def violation(
+        self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
+    ) -> LierbError | None:
+        """Return the error of the first member whose start violates its joints, None without one.
+
+        number : the only member to check. Default: all.
+        """
+        raise NotImplementedError
 
 
 def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:

@@ -11,21 +11,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import ArgumentError, PoseError, body_label
+from lierb.errors import ArgumentError, LierbError, PoseError, body_label
 from lierb.kernels.groups import se3, so3
 from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.mechanics.saddle import solve
+from lierb.kernels.mechanics.saddle import Load, solve
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
-from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import absolute, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.systems.layout import INPUTS
+from lierb.kernels.systems.plan import Plan
+from lierb.kernels.systems.system_of import plan_of
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.acting import _checked, require, unfit_rate
 from lierb.model.base import Model, numbers_of, parameters_of
 from lierb.model.bodies.body import Body
+from lierb.model.connections import NOWHERE, Connection
+from lierb.model.formulation import Formulation, formulation_of_body
 from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
 from lierb.model.functions.elements import Element
@@ -35,6 +39,7 @@ from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import MOST_ROWS, Joint
 from lierb.model.mechanism.row_system import CLOSED, LEAST_GYRATION, NEWTON_STEPS
+from lierb.model.mechanism.start_checks import violation_of_body
 from lierb.support.arrays import (
     Array,
     Pose,
@@ -52,6 +57,7 @@ from lierb.support.arrays import (
 from lierb.support.shown import Lines, counted, quantity
 
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
+CLOSED_POSE = np.full((4, 4), np.nan)  # input that stands for the pose of the closed joint
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -169,7 +175,78 @@ class Problem(Model):
                 entries[f"{name}[{same}]" if same else name] = entry
         return entries
 
-    def parameters(self) -> Parameters:
+    # ---- interface of a model --------------------------------------------------------------------
+
+    default_cspace = "SE3"
+    flags_starts = True
+    link_names = ("",)
+    fields = ("",)
+    order = (0,)
+
+    @cached_property
+    def joints(self) -> tuple[Connection, ...]:
+        return (Connection("", 0, NOWHERE, self.joint, self.joint.rows),)
+
+    def constants(self, at: Connection) -> BodyConstants:
+        return self.in_joint_axes(SE3)
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        return (self.body,)
+
+    @property
+    def inputs(self) -> dict[str, Array]:
+        parameters = {
+            f"{number}.{name}": element.parameters[name]
+            for number, element in enumerate(self.elements)
+            for name in element.kind.shapes
+        }
+        return {**self.quantities, **parameters, "pose": CLOSED_POSE}
+
+    @property
+    def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
+        return (("", self.rows),)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        rows = [str(row) for row in self.rows]
+        return {
+            **self.quantities, "joint": self.joint.name, "rows": rows, **self.described_elements,
+        }  # fmt: skip
+
+    def by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
+        return {"": given}
+
+    def from_links(self, values: dict[str, Any]) -> Any:
+        return values[""]
+
+    def default_pose(self) -> None:
+        return None
+
+    def formulation(
+        self, *, cspace: Any, update: str, check: str, solver: str, stabilise: Any
+    ) -> Formulation:
+        added = [element.name for element in self.elements if element.kind.rows]
+        return formulation_of_body(self.body, self.joint, added, cspace, check, solver, stabilise)
+
+    def plan(self, formulation: Formulation, **described: Any) -> Plan:
+        (space,) = formulation.cspaces
+        return plan_of(
+            DEFAULT_LANES,
+            rows=self.rows,
+            cspace="SO3xR3" if space == "SO3xR3" else "SE3",
+            solver=formulation.solver,
+            **described,
+        )
+
+    def violation(
+        self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
+    ) -> LierbError | None:
+        poses = self.joint.closed_pose if pose0 is None else as_poses("pose0", pose0)
+        twists = as_numbers("twist0", twist0, (6,))
+        return violation_of_body(self, poses, twists, t0, number)
+
+    def parameters(self, at: Connection | None = None) -> Parameters:
         """Return the problem's numbers as formulas take them, one array per component."""
         return parameters_of(self.body, self.joint, self.gravity)
 

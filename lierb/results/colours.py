@@ -1,4 +1,4 @@
-"""What each c-space is called and drawn in: the same in every figure and moving picture."""
+"""Names and colours of c-spaces, the same in every figure and animation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEP_COLOURS = ("#882255", "#E69F00", "#56B4E9", "#CC79A7", "#44AA99")
 
 
 def colours_of(cspaces: Sequence[str | None]) -> list[str]:
-    """A colour for each of several curves, by their c-spaces; of the first eight no two the same.
+    """Return a colour for each curve by its c-space; the first eight differ.
 
     The first one on a c-space has that c-space's; the others have no c-space's.
 

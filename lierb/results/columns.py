@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 def numbers(array: NDArray) -> pa.Array:
-    """A column of all of an array's numbers, without a copy if they lie in order."""
+    """Return a column of an array's numbers, without a copy if they are contiguous."""
     array = np.ascontiguousarray(array)
     return _column(array.dtype, array.size, pa.py_buffer(array))
 
@@ -28,7 +28,7 @@ _type = cache(pa.from_numpy_dtype)
 
 
 def each_row(array: NDArray) -> list[pa.Array]:
-    """A column for each index along an array's first axis, without a copy as above."""
+    """Return a column for each index of an array's first axis, without a copy as above."""
     if not len(array):
         return []
     array = np.ascontiguousarray(array)
@@ -38,12 +38,12 @@ def each_row(array: NDArray) -> list[pa.Array]:
 
 
 def vectors(array: NDArray) -> pa.Array:
-    """A column of fixed-size lists over an array's last axis, without a copy as above."""
+    """Return a column of fixed-size lists over an array's last axis, without a copy as above."""
     return pa.FixedSizeListArray.from_arrays(numbers(array), array.shape[-1])
 
 
 def texts(values: Sequence[str]) -> pa.Array:
-    """A column of these strings."""
+    """Return a column of strings."""
     encoded = [value.encode() for value in values]
     offsets = np.cumsum([0, *map(len, encoded)]).astype(np.int32)
     return pa.StringArray.from_buffers(
@@ -52,12 +52,12 @@ def texts(values: Sequence[str]) -> pa.Array:
 
 
 def repeated(value: str, rows: int) -> pa.Array:
-    """A column of one string, stored once."""
+    """Return a column that repeats one string, stored once."""
     return pa.DictionaryArray.from_arrays(numbers(np.zeros(rows, np.int32)), texts([value]))
 
 
 def as_array(column: pa.ChunkedArray) -> NDArray:
-    """The inverse: (rows,), or (rows, width) of fixed-size lists; read-only.
+    """Return a column as an array, (rows,), or (rows, width) of fixed-size lists; read-only.
 
     Without a copy where the column is one chunk, as those are that `lierb.integrate` makes.
     """
@@ -68,7 +68,7 @@ def as_array(column: pa.ChunkedArray) -> NDArray:
 
 
 def as_codes(column: pa.ChunkedArray) -> tuple[NDArray, list[str]]:
-    """Of a column of few strings: each row's index into them, and the strings."""
+    """Return each row's index into the distinct strings of a column, and the strings."""
     if not pa.types.is_dictionary(column.type):
         column = column.dictionary_encode()
     whole = _whole(column.unify_dictionaries())
@@ -84,7 +84,7 @@ DTYPES = {pa.from_numpy_dtype(code): np.dtype(code) for code in "bhilBHILefd"}
 
 
 def numbers_of(array: pa.Array) -> NDArray:
-    """As `array.to_numpy()`, which looks for pandas first, too."""
+    """Return an Arrow array as a NumPy array; `to_numpy()` would import pandas."""
     dtype, buffer = DTYPES[array.type], array.buffers()[1]
     found: NDArray = np.ndarray(len(array), dtype, buffer, array.offset * dtype.itemsize)
     found.setflags(write=False)

@@ -1,4 +1,4 @@
-"""Trajectories that do not reach their end: what is said of them, and to whom."""
+"""Failed trajectories: their statuses, messages and warnings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.systems.state import DT_MIN, EVENT, MAX_STEPS, NON_FINITE, OK, RAISED, SINGULAR
 from lierb.results.columns import as_codes
-from lierb.support.collected_warnings import is_told_elsewhere
+from lierb.support.collected_warnings import are_warnings_collected
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,7 +49,7 @@ COLUMNS = ("trajectory", "status", "t")
 
 
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
-    """Row by row, whether the status is another one than ok and event."""
+    """Return True for each row whose status is neither ok nor event."""
     codes, names = as_codes(summary["status"])
     found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
     return found
@@ -57,7 +57,7 @@ def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Raised:
-    """What a function of the user's has raised, in words, in which trajectory; t in s."""
+    """Exception of a user's function as text, with its trajectory and time, s."""
 
     trajectory: int
     t: float
@@ -66,7 +66,7 @@ class Raised:
 
 @dataclass(frozen=True)
 class Failures:
-    """What there is to say of trajectories that failed; there is at least one.
+    """Summary of failed trajectories, at least one.
 
     runs : trajectories in all.   counts : of those that failed, by status.
     trajectory, status, t : of the first of them in the table; t in s.
@@ -84,7 +84,7 @@ class Failures:
 
     @classmethod
     def of(cls, summary: pa.Table) -> Failures | None:
-        """Those of a summary; None if all are ok."""
+        """Return the failures in a summary; None if all trajectories are ok."""
         failed = has_failed(summary)
         if not failed.any():
             return None
@@ -101,7 +101,7 @@ class Failures:
 
     @classmethod
     def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
-        """Those of several summaries of `runs` trajectories in all, the first one's first."""
+        """Return the failures of several summaries, of `runs` trajectories in all."""
         if not each:
             return None
         counts: Counter[str] = Counter()
@@ -127,7 +127,7 @@ class Failures:
 
     @property
     def _exception(self) -> str:
-        """The first one, and of which trajectory, where that is not said already."""
+        """Text of the first exception, with its trajectory where that is another one."""
         if self.raised is None:
             return ""
         raised = self.raised
@@ -137,7 +137,7 @@ class Failures:
 
     @property
     def remedies(self) -> list[str]:
-        """What each status means, and what helps."""
+        """Meaning and remedy of each status."""
         return [REMEDIES[status] for status in self.counts]
 
 
@@ -150,12 +150,11 @@ def _row(summary: pa.Table, number: int) -> dict[str, Any]:
 # ---- warnings ----------------------------------------------------------------------------------
 
 
-# A context variable, not `warnings.catch_warnings`, which threads share.
 def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
-    """Issue one FailedTrajectoryWarning, if there is reason to.
+    """Issue one FailedTrajectoryWarning unless there are no failures or the caller suppresses it.
 
     look : where to look.   options : of `warnings.warn`.
     """
-    if failures is not None and not is_told_elsewhere():
+    if failures is not None and not are_warnings_collected():
         lines = (f"{failures}; {look}", *failures.remedies)
         warnings.warn("\n  ".join(lines), FailedTrajectoryWarning, **options)

@@ -1,15 +1,14 @@
-"""What trajectories did, over time: motion, energy, errors, and whatever else was recorded.
+"""Figure of a history: motion, energy, errors and other recorded columns over time.
 
-A panel is made of the columns that a history has; a column that this module has never heard of,
-such as an observable, has one with its name and unit. Needs Matplotlib: the extra `lierb[plot]`.
+Every column of numbers has a panel with its name and unit. Needs Matplotlib: the extra
+`lierb[plot]`.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -17,11 +16,10 @@ import numpy as np
 import pyarrow as pa
 
 from lierb.errors import ArgumentError, items_of, unknown_name
-from lierb.model.joints.coordinates import motions_of
-from lierb.model.joints.motions import TURNS
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.columns import as_array
+from lierb.results.motion_panels import SUBSCRIPTS, Coordinates, Panel, Series, State, Trace
 from lierb.results.states import RunStates
 from lierb.support.arrays import Array
 from lierb.support.extras import require
@@ -39,7 +37,6 @@ MOST_LINES = 6  # trajectories that are drawn one by one; of more, quantiles
 ACROSS = 3  # panels
 MOST_BESIDE = 24  # letters of a legend for which there is room beside a panel's title
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
-SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
 SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn when they are asked for
@@ -49,29 +46,6 @@ QUANTILES = (0.05, 0.5, 0.95)
 LABELS = {"lambda": "λ", "omega": "ω", "position": "r", "v": "v"}
 TITLES = {"lambda": "multipliers", "omega": "angular velocity"}
 NO_NUMBER = "nothing to draw: not a number"
-NEAR = 0.02  # of the distances in the body: a centre of mass so near to the joint shows no turn
-
-
-@dataclass(frozen=True)
-class Series:
-    """A quantity of every trajectory over time, (times, trajectories)."""
-
-    label: str
-    values: Array
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Series of one unit on one axis."""
-
-    title: str
-    unit: str
-    series: tuple[Series, ...]
-    is_error: bool = False
-
-    @property
-    def axis(self) -> str:
-        return f"{self.title} [{self.unit}]" if self.unit not in ("", "1") else self.title
 
 
 def history_figure(
@@ -81,7 +55,7 @@ def history_figure(
     trajectories: int | Iterable[int] | None,
     problem: Problem | Mechanism | None,
 ) -> Figure:
-    """Panels of a result's history; see `lierb.Result.plot`."""
+    """Return a figure of a result's history; see `lierb.Result.plot`."""
     if result.history is None:
         raise ArgumentError(
             "there is no history to plot: integrate with save_every=… or save_at=…, and record="
@@ -130,13 +104,13 @@ def _numbers(given: Any, count: int) -> list[int]:
 def _panels(
     result: RunStates, problem: Problem | Mechanism | None
 ) -> dict[str, Callable[[], Panel | Trace | None]]:
-    """How to make each panel that there are columns for, by name, in the order of the figure."""
+    """Return a function for each panel that has columns, by name, in the figure's order."""
     history = result.history
     assert history is not None
-    known: Any = problem or (result._end.problem if result._end else None)
+    known: Any = problem or (result._end.model if result._end else None)
     made: dict[str, Callable[[], Any]] = {}
     if result.links:
-        if isinstance(known, Mechanism) and result.has_states:
+        if known is not None and known.link_names == result.links and result.has_states:
             coordinates = Coordinates(result, known)
             made |= {name: getattr(coordinates, name) for name in COORDINATES}
         for column in history.schema:
@@ -158,7 +132,7 @@ def _panels(
 
 
 def _without_rows(problem: Problem | None) -> set[str]:
-    """Errors that are zero because no row of the constraints is of their kind."""
+    """Return the names of errors that no constraint row has."""
     if problem is None or any(element.kind.rows for element in problem.elements):
         return set()
     kinds = problem.joint.error_kinds
@@ -171,7 +145,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Callable[[], Panel]]:
-    """A panel for each unit that a column's components have."""
+    """Return a panel for each unit of a column's components."""
     metadata = column.metadata or {}
     width = column.type.list_size if pa.types.is_fixed_size_list(column.type) else 1
     units = metadata.get(b"unit", b"").decode().split(", ")
@@ -193,196 +167,17 @@ def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Cal
     plain = f"{owner}: {plain}" if owner else plain
     distinct = list(dict.fromkeys(units))
     if name == "reaction":
-        told = {"N m": ("torque of the joint", "T"), "N": ("force of the joint", "F")}
+        titles = {"N m": ("torque of the joint", "T"), "N": ("force of the joint", "F")}
         if owner:
             return {
                 f"{owner}.{what.split()[0]}": partial(panel, u, f"{owner}: {what}", letter)
                 for u in distinct
-                for what, letter in [told[u]]
+                for what, letter in [titles[u]]
             }
-        return {told[u][0]: partial(panel, u, *told[u]) for u in distinct}
+        return {titles[u][0]: partial(panel, u, *titles[u]) for u in distinct}
     if len(distinct) == 1:
         return {column.name: partial(panel, distinct[0], plain, short)}
     return {f"{column.name} [{unit}]": partial(panel, unit, plain, short) for unit in distinct}
-
-
-# ---- motion ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Trace:
-    """Where a unit vector points, (times, trajectories, 2) in an equal-area map of the sphere."""
-
-    title: str
-    points: Array
-
-
-class Coordinates:
-    """Panels of the coordinates of a mechanism's joints, as `Mechanism.coordinates` has them."""
-
-    def __init__(self, result: RunStates, mechanism: Mechanism) -> None:
-        self.result, self.mechanism = result, mechanism
-
-    def angles(self) -> Panel | None:
-        """Coordinates that are angles, or components of rotation vectors."""
-        return self._panel("joint angles", "rad")
-
-    def slides(self) -> Panel | None:
-        """Coordinates that are lengths."""
-        return self._panel("joint slides", "m")
-
-    def _panel(self, title: str, unit: str) -> Panel | None:
-        found = [Series(label, values) for label, own, values in self._series if own == unit]
-        return Panel(title, unit, tuple(found)) if found else None
-
-    @cached_property
-    def _series(self) -> list[tuple[str, str, Array]]:
-        """Label, unit and (times, trajectories) of each."""
-        made = []
-        for link in self.mechanism.links:
-            names = [] if motions_of(link.joint) is None else link.joint.coordinate_names
-            for i, name in enumerate(names):
-                values = self._coordinates[link.name][..., i]
-                is_length = name[0] in "ds"
-                if not is_length and name not in TURNS:
-                    values = np.unwrap(values, axis=0)
-                label = link.name if len(names) == 1 else f"{link.name} {name}"
-                made.append((label, "m" if is_length else "rad", values))
-        return made
-
-    @cached_property
-    def _coordinates(self) -> dict[str, Array]:
-        """(times, trajectories, k) of each link; NaN after a failure."""
-        poses: dict[str, Array] = {}
-        for name in self.mechanism.names:
-            link = self.result[name]
-            pose = np.zeros((*link.position.shape[:2], 4, 4))
-            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = link.rotation, link.position, 1.0
-            poses[name] = pose
-        lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
-        for pose in poses.values():
-            pose[lost] = np.eye(4)
-        each = [
-            self.mechanism.coordinates({name: pose[k] for name, pose in poses.items()})
-            for k in range(len(lost))
-        ]
-        found = {name: np.stack([at[name] for at in each]) for name in each[0]}
-        for values in found.values():
-            values[lost] = np.nan
-        return found
-
-
-class State:
-    """Panels of poses and velocities."""
-
-    def __init__(self, result: RunStates, problem: Problem | None) -> None:
-        self.rotation, self.place = result.rotation, result.position
-        self.spin, self.problem = result.omega, problem
-        times, count = self.place.shape[:2]
-        self.batch = (times, count)
-
-    @property
-    def _has_coordinates(self) -> bool:
-        """Whether the joint's own coordinates tell the motion: not as rotation vectors do."""
-        joint = self.problem.joint if self.problem else None
-        if joint is None or joint.subgroup is None or not joint.rows:
-            return False
-        return TURNS[0] not in joint.coordinate_names
-
-    def angles(self) -> Panel | None:
-        """The joint's angle, if it has one; else how far its axis tilts, and which way."""
-        if self._has_coordinates:
-            assert self.problem is not None
-            names = self.problem.joint.coordinate_names
-            if "phi" not in names:
-                return None  # it does not turn
-            turns = self._coordinates()[..., names.index("phi")]
-            return Panel("angle of the joint", "rad", (Series("φ", np.unwrap(turns, axis=0)),))
-        if np.ptp(np.nan_to_num(self.rotation - self.rotation[:1])) == 0.0:
-            return None
-        axis, up, _ = self._axis()
-        a, b = _across(up)
-        tilt = np.arccos(np.clip(axis @ up, -1.0, 1.0))
-        azimuth = np.unwrap(np.arctan2(axis @ b, axis @ a), axis=0)
-        return Panel(
-            "direction of the axis", "rad", (Series("tilt", tilt), Series("azimuth", azimuth))
-        )
-
-    def trace(self) -> Trace | None:
-        """Where the axis points; nothing where it is kept."""
-        axis, up, name = self._axis()
-        moves = np.nan_to_num(axis - axis[:1])
-        if self._has_coordinates or np.abs(moves).max(initial=0.0) < 1e-9:
-            return None
-        is_above = np.nanmean(axis @ up) >= 0.0
-        towards = up if is_above else -up
-        a, b = _across(towards)
-        level = np.stack([axis @ a, axis @ b], axis=-1)
-        # Lambert's map: 2 sin(θ/2) from the middle
-        with np.errstate(invalid="ignore", divide="ignore"):
-            stretch = np.sqrt(2.0 / (1.0 + axis @ towards))
-        side = "above" if is_above else "below"
-        return Trace(f"{name}, seen from {side}", level * stretch[..., None])
-
-    def position(self) -> Panel | None:
-        """Of the centre of mass; nothing where it rests."""
-        com = np.zeros(3) if self.problem is None else np.asarray(self.problem.body.com)
-        place = self.place + np.einsum("tnij,...j->tni", self.rotation, np.atleast_2d(com)[0])
-        if com.ndim == 2:
-            place = self.place + np.einsum("tnij,nj->tni", self.rotation, com)
-        if np.nanmax(np.ptp(place, axis=0), initial=0.0) == 0.0:
-            return None
-        series = tuple(Series(f"r{SUBSCRIPTS[i]}", place[..., i]) for i in range(3))
-        return Panel("centre of mass" if self.problem else "position", "m", series)
-
-    def omega(self) -> Panel:
-        """Of the body, in its axes."""
-        series = tuple(Series(f"ω{SUBSCRIPTS[i]}", self.spin[..., i]) for i in range(3))
-        return Panel("angular velocity", "rad/s", series)
-
-    def _coordinates(self) -> Array:
-        """(times, trajectories, k); NaN after a failure."""
-        assert self.problem is not None
-        joint, (times, count) = self.problem.joint, self.batch
-        poses = np.zeros((times, count, 4, 4))
-        poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = self.rotation, self.place, 1.0
-        lost = ~np.isfinite(poses).all(axis=(2, 3))
-        poses[lost] = np.eye(4)
-        found = np.stack([joint.coordinates(each) for each in poses])
-        found[lost] = np.nan
-        return found
-
-    def _axis(self) -> tuple[Array, Array, str]:
-        """The body's axis in the ground's, (times, trajectories, 3), up, and what axis that is.
-
-        From the joint's point to the centre of mass; e₃ of the joint where they are the same, or of
-        the body where nothing is known of it.
-        """
-        up, own, name = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), "e₃ of the body"
-        if self.problem is not None:
-            joint, gravity = self.problem.joint, np.atleast_2d(self.problem.gravity)[0]
-            if np.any(gravity):
-                up = -gravity / np.linalg.norm(gravity)
-            if joint.rows:
-                frame = np.atleast_3d(joint.body_frame).reshape(-1, 4, 4)
-                arm = np.asarray(self.problem.body.com) - frame[:, :3, 3]
-                far = np.linalg.norm(arm, axis=-1, keepdims=True)
-                gyration = np.sqrt(
-                    np.max(self.problem.body.inertia) / np.min(self.problem.body.mass)
-                )
-                is_apart = bool(np.all(far > NEAR * gyration))
-                own = arm / far if is_apart else frame[:, :3, 2]
-                name = "the centre of mass" if is_apart else "e₃ of the joint on the body"
-        own = np.broadcast_to(np.atleast_2d(own), (self.batch[1], 3))
-        return np.einsum("tnij,nj->tni", self.rotation, own), up, name
-
-
-def _across(up: Array) -> tuple[Array, Array]:
-    """Two directions ⊥ up, right-handed: e₁ and e₂ where up is e₃."""
-    start = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    a = start - (start @ up) * up
-    a /= np.linalg.norm(a)
-    return a, np.cross(up, a)
 
 
 # ---- looks -------------------------------------------------------------------------------------
@@ -407,20 +202,20 @@ def _drawn(found: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -
         labels = [f"trajectory {number}" for number in chosen]
         figure.legend(lines, labels, loc="outside lower left", ncols=6)
     elif not one_by_one:
-        told = f"{len(chosen)} trajectories: median, 5 to 95 % shaded; errors: thin, the largest"
-        figure.supxlabel(told, x=0.01, ha="left", fontsize=9, color="#555555")
+        text = f"{len(chosen)} trajectories: median, 5 to 95 % shaded; errors: thin, the largest"
+        figure.supxlabel(text, x=0.01, ha="left", fontsize=9, color="#555555")
     return figure
 
 
 def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
-    """One line for each trajectory and component, or the quantiles of many trajectories."""
+    """Draw a line for each trajectory and component, or quantiles of many trajectories."""
     alone, many = len(chosen) == 1, len(chosen) > MOST_LINES
     drawn = [np.abs(s.values[:, chosen]) if panel.is_error else s.values[:, chosen]
              for s in panel.series]  # fmt: skip
     if not any(np.nanmax(np.abs(values), initial=0.0) > 0.0 for values in drawn):
-        told = NO_NUMBER if all(np.isnan(values).all() for values in drawn) else "exactly 0"
+        text = NO_NUMBER if all(np.isnan(values).all() for values in drawn) else "exactly 0"
         axes.set_yticks([])
-        axes.text(0.5, 0.5, told, transform=axes.transAxes, ha="center", va="center")
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center")
         drawn = []
     for n, (series, values) in enumerate(zip(panel.series, drawn)):
         dash: Any = "-" if alone or many else DASHES[n % len(DASHES)]
@@ -447,7 +242,7 @@ def _draw_panel(axes: Axes, panel: Panel, t: Array, chosen: list[int]) -> None:
 
 
 def _positive(errors: Array) -> Array:
-    """Zero has no logarithm: a gap."""
+    """Return errors with NaN for zeros, which leave gaps."""
     return np.where(errors > 0.0, errors, np.nan)
 
 
@@ -465,7 +260,7 @@ def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool
 
 
 def _draw_trace(axes: Axes, trace: Trace, chosen: list[int]) -> None:
-    """The sphere from one side, the other side around its rim; circles at 45°, 90° and 180°."""
+    """Draw a trace on the sphere, with circles at 45°, 90° and 180° from the middle."""
     turn = np.linspace(0.0, 2 * np.pi, 181)
     for angle in (45, 90, 180):
         radius = 2.0 * np.sin(np.radians(angle) / 2.0)
@@ -479,8 +274,8 @@ def _draw_trace(axes: Axes, trace: Trace, chosen: list[int]) -> None:
         for a, b in pairwise([0, *_jumps(x, y), len(x)]):
             axes.plot(x[a:b], y[a:b], color=COLOURS[n % len(COLOURS)], linewidth=0.9)
         axes.plot(x[:1], y[:1], "o", color=COLOURS[n % len(COLOURS)], markersize=4)
-    told = f", first {MOST_LINES}" if len(chosen) > MOST_LINES else ""
-    axes.set_title(f"{trace.title}{told}", loc="left", fontsize=10)
+    text = f", first {MOST_LINES}" if len(chosen) > MOST_LINES else ""
+    axes.set_title(f"{trace.title}{text}", loc="left", fontsize=10)
     axes.set(aspect="equal", xticks=[], yticks=[], xlim=(-2.1, 2.1), ylim=(-2.1, 2.25))
     axes.grid(visible=False)
     for spine in axes.spines.values():
@@ -488,6 +283,6 @@ def _draw_trace(axes: Axes, trace: Trace, chosen: list[int]) -> None:
 
 
 def _jumps(x: Array, y: Array) -> list[int]:
-    """Where the trace leaves one side of the rim for the other."""
+    """Return the indices at which the trace crosses to the other side of the rim."""
     far = np.hypot(np.diff(x), np.diff(y)) > 1.5
     return [int(i) + 1 for i in np.flatnonzero(far)]

@@ -40,7 +40,7 @@ Draw = Callable[[Axes], None]
 
 @dataclass(frozen=True)
 class Key:
-    """What a colour and a dash stand for."""
+    """Legend entry of a colour and a dash."""
 
     label: str
     colour: str
@@ -49,13 +49,13 @@ class Key:
 
     @property
     def plain(self) -> str:
-        """The label without Matplotlib's mathematics."""
+        """Return a label without Matplotlib's mathematics."""
         return reduce(lambda text, each: text.replace(*each), PLAIN.items(), self.label)
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A figure: its title, what draws its panels, and what their lines are.
+    """Description of a figure: title, drawing functions of its panels, and legend.
 
     height : of a panel, inches.
     """
@@ -68,14 +68,14 @@ class Sheet:
 
 
 class Named(Protocol):
-    """A study, or what else a figure is of."""
+    """Study or comparison with a name."""
 
     @property
     def name(self) -> str: ...
 
 
 def figure_of(sheet: Sheet, study: Named) -> Figure:
-    """All panels side by side, titled and with a legend."""
+    """Return a figure of all panels side by side, with title and legend."""
     with matplotlib.rc_context(STYLE):
         across = min(sheet.across, len(sheet.panels))
         down = -(-len(sheet.panels) // across)
@@ -101,7 +101,7 @@ def figure_of(sheet: Sheet, study: Named) -> Figure:
 
 
 def panels_of(sheet: Sheet) -> Iterator[Figure]:
-    """A figure for each panel, as wide as a phone."""
+    """Return a figure for each panel, as wide as a phone."""
     for draw in sheet.panels:
         with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(4.4, sheet.height), layout="constrained")
@@ -118,35 +118,35 @@ def _handle(key: Key) -> Line2D:
 
 
 def positive(errors: Any, least: float) -> Array:
-    """What a logarithmic axis shows; NaN for zeros and what is less than `least`."""
+    """Return values for a logarithmic axis; NaN for those below `least`."""
     values = np.asarray(errors, dtype=float)
     return np.where(values > least, np.minimum(values, MOST), np.nan)
 
 
 def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BODY) -> None:
-    """Logarithmic axes with few ticks; where nothing is drawn, the reason instead.
+    """Make axes logarithmic with few ticks; write the reason where nothing is drawn.
 
     zeros : labels of what is zero throughout, and so is not drawn: it is said in words.
     """
-    told = [f"{label}: exactly 0" for label in zeros]
+    notes = [f"{label}: exactly 0" for label in zeros]
     if not has_data(panel):
         panel.set(xticks=[], yticks=[])
-        text = "\n".join(told) or why
+        text = "\n".join(notes) or why
         panel.text(0.5, 0.5, text, transform=panel.transAxes, ha="center", va="center", wrap=True)
         return
     for axis in axes:
         panel.set(**{f"{axis}scale": "log"})
         few_ticks(panel, axis)
-    if told:
+    if notes:
         panel.annotate(
-            "\n".join(told), (0.99, 0.02), xycoords="axes fraction", ha="right", va="bottom",
+            "\n".join(notes), (0.99, 0.02), xycoords="axes fraction", ha="right", va="bottom",
             fontsize=8, color=GREY,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )  # fmt: skip
 
 
 def few_ticks(panel: Axes, axis: str) -> None:
-    """Ticks at whole decades whose labels have room; between them none if there are many."""
+    """Set ticks at whole decades, few enough for their labels."""
     low, high = sorted(panel.get_xlim() if axis == "x" else panel.get_ylim())
     decades = np.log10(high / low) if low > 0.0 else 0.0
     own = getattr(panel, f"{axis}axis")
@@ -169,7 +169,7 @@ def has_data(panel: Axes) -> bool:
 
 
 def order_lines(panel: Axes, lines: Mapping[int, float], dts: Array) -> None:
-    """A grey line of each order below the errors: `lines` has where it begins, at the last dt."""
+    """Draw a grey line of each order below the errors; `lines` has their values at the last dt."""
     for order, start in lines.items():
         panel.plot(dts, 0.25 * start * (dts / dts[-1]) ** order, color="#999999", linewidth=1.0)
         middle = dts[len(dts) // 2]
@@ -180,7 +180,7 @@ def order_lines(panel: Axes, lines: Mapping[int, float], dts: Array) -> None:
 
 
 def label_lines(panel: Axes, labels: Sequence[tuple[str, str, float, float]]) -> None:
-    """Texts at the right of a panel: (label, colour, x, y) where a line ends; pushed apart."""
+    """Write texts at the right of a panel, (label, colour, x, y) at a line's end, pushed apart."""
     panel.autoscale_view()
     to_axes = panel.transData + panel.transAxes.inverted()
     room = 0.048
@@ -199,7 +199,7 @@ def label_lines(panel: Axes, labels: Sequence[tuple[str, str, float, float]]) ->
 
 @dataclass(frozen=True)
 class Ridge:
-    """A histogram on a line of its own.
+    """Histogram with a baseline of its own.
 
     values : filled.   outline : of the same bodies, drawn as a line; may be empty.
     """
@@ -210,7 +210,7 @@ class Ridge:
 
 
 def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) -> None:
-    """Histograms one below the other, each as high as its own highest bin, and named.
+    """Draw named histograms one below the other, each scaled to its highest bin.
 
     Zeros, and what is below `least`, are counted in words: on a logarithmic axis they have no room.
     """
@@ -244,17 +244,17 @@ def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) ->
 def _name_ridge(panel: Axes, row: Ridge, base: int, least: float, is_log: bool) -> None:
     values = row.values[np.isfinite(row.values)]
     zeros = np.mean(np.abs(values) <= least) if values.size and is_log else 0.0
-    told = "no body got to its end" if not values.size else ""
+    note = "no body got to its end" if not values.size else ""
     if zeros > 0.0:
-        told = "exactly 0" if zeros == 1.0 else f"{100 * zeros:.2g} % exactly 0"
+        note = "exactly 0" if zeros == 1.0 else f"{100 * zeros:.2g} % exactly 0"
     panel.text(0.005, base + 0.97, row.key.label, transform=panel.get_yaxis_transform(),
                color=row.key.colour, fontsize=8, va="top")  # fmt: skip
-    panel.text(0.995, base + 0.97, told, transform=panel.get_yaxis_transform(), color=GREY,
+    panel.text(0.995, base + 0.97, note, transform=panel.get_yaxis_transform(), color=GREY,
                fontsize=8, va="top", ha="right")  # fmt: skip
 
 
 def _shown(values: Array, least: float, is_log: bool) -> Array:
-    """What has room on the axis; its logarithm if that is logarithmic."""
+    """Return the values within the axis, as logarithms on a logarithmic one."""
     finite = values[np.isfinite(values)]
     if not is_log:
         return finite

@@ -56,7 +56,7 @@ def error_figure(
     cspaces: Sequence[str] = ("SO3xR3", "SE3"),
     size: float = 1.0,
 ) -> Figure:
-    """An error over time, logarithmic: a panel for each c-space, a line for each step size.
+    """Return a figure of an error over time: a panel for each c-space, a line for each step.
 
     errors : columns "cspace", "dt" (s), "t" (s) and "<quantity>_error", of one body.
     summary : columns "cspace", "dt" and "<quantity>_error_max", a row for each line.
@@ -81,7 +81,7 @@ def error_figure(
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows, whether or not somebody has imported pyplot there."""
+    """Figure that a notebook shows, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
         content = BytesIO()
@@ -100,7 +100,7 @@ def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) ->
 
 
 def drawable(errors: ArrayLike, least: float) -> NDArray[np.float64]:
-    """What a logarithmic axis has room for: between `least`, see LEAST, and MOST."""
+    """Return values clipped to the range of a logarithmic axis, `least` to MOST."""
     return np.clip(errors, least, MOST)
 
 
@@ -131,7 +131,7 @@ def _draw_panel(
 
 
 def _scale(panels: Sequence[Axes], lowest: float, highest: float, least: float) -> None:
-    """Whole decades around what is drawn; mark where the least are drawn, if there are any."""
+    """Set the axis to whole decades around the values; mark the smallest ones."""
     bottom = 10.0 ** math.floor(math.log10(min(lowest, 100 * least)))
     top = 10.0 ** math.ceil(math.log10(max(1.5 * highest, 1000 * least)))
     panels[0].set_yscale("log")

@@ -1,4 +1,4 @@
-"""What `lierb.integrate` gives back."""
+"""Result of `lierb.integrate`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError, require_name
 from lierb.model.problem import Problem
-from lierb.results.animation.page import Animation, animate, links_told
+from lierb.results.animation.page import Animation, animate, described_links
 from lierb.results.columns import as_array, as_codes
 from lierb.results.failures import Failures, has_failed
 from lierb.results.states import (
@@ -80,7 +80,7 @@ class Result(RunStates):
         return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
 
     def __reduce__(self) -> Any:
-        """Without its end, whose problem may have functions that cannot be pickled."""
+        """Pickle without the end, whose model may have functions that cannot be pickled."""
         return Result, (self.summary, self.history, None, self.events)
 
     def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
@@ -244,49 +244,48 @@ class Result(RunStates):
         options = _metadata(self.summary).get("options")
         title = f"lierb.Result: {counted(self.summary.num_rows, 'trajectory', 'trajectories')}"
         if self.links:
-            title += (
-                f" of {links_told(_metadata(self.summary)) or counted(len(self.links), 'link')}"
-            )
+            links = described_links(_metadata(self.summary))
+            title += f" of {links or counted(len(self.links), 'link')}"
         if options:
             times = "from t = {t0:g} s to {t_end:g} s" if options["t0"] else "to t = {t_end:g} s"
-            told = f" {times} ({{cspace}}, {{method}}, ".format(**options)
-            title += f"{told}{steps_told(options)})"
+            text = f" {times} ({{cspace}}, {{method}}, ".format(**options)
+            title += f"{text}{steps_told(options)})"
         failures = Failures.of(self.summary)
-        rows = [("status", self._told_ends())] if failures is None else [(FAILED, str(failures))]
+        rows = [("status", self._ends_text())] if failures is None else [(FAILED, str(failures))]
         if "steps" in self.summary.column_names:
-            rows.append(("steps", self._told_steps()))
+            rows.append(("steps", self._steps_text()))
         rows += self._largest()
         if self.events is not None:
-            rows.append(("events", self._told_events()))
-        rows.append(("history", self._told_history()))
-        shape = self._told_arrays()
+            rows.append(("events", self._events_text()))
+        rows.append(("history", self._history_text()))
+        shape = self._array_shape()
         if self.links:
             rows.append(("links", ", ".join(f"result[{link!r}]" for link in self.links)))
         rows.append(("arrays", f"{', '.join(STATE)}: {shape}"))
         return title, rows
 
-    def _told_ends(self) -> str:
-        """Of trajectories that are fine."""
+    def _ends_text(self) -> str:
+        """Return the text for a summary without failures."""
         codes, names = as_codes(self.summary["status"])
         ended = np.count_nonzero(codes == names.index("event")) if "event" in names else 0
         return f"all ok, {ended} ended by an event" if ended else "all ok"
 
-    def _told_steps(self) -> str:
-        """How many the trajectories have made, and the share of tries that were rejected."""
+    def _steps_text(self) -> str:
+        """Return the text for the numbers of steps and the fraction of rejected ones."""
         steps, rejected = (as_array(self.summary[name]) for name in ("steps", "rejected"))
         few, many = steps.min(), steps.max()
-        told = f"{few}" if few == many else f"{few} to {many}"
+        text = f"{few}" if few == many else f"{few} to {many}"
         tries = steps.sum() + rejected.sum()
-        return told + (f", {rejected.sum() / tries:.2g} of all tries rejected" if tries else "")
+        return text + (f", {rejected.sum() / tries:.2g} of all tries rejected" if tries else "")
 
-    def _told_events(self) -> str:
-        """How many there are of each."""
+    def _events_text(self) -> str:
+        """Return the text for the number of each event."""
         assert self.events is not None
         counts = pc.value_counts(self.events["event"].cast(pa.string())).to_pylist()
         return ", ".join(f"{each['counts']} {each['values']}" for each in counts) or "none"
 
     def _largest(self) -> Lines:
-        """The largest errors of the trajectories that are ok, of those that there are rows for."""
+        """Return the row of the largest errors of the trajectories that are ok."""
         ok, kinds = ~has_failed(self.summary), _kinds_of(_metadata(self.summary))
         if not ok.any():
             return []
@@ -301,7 +300,7 @@ class Result(RunStates):
         return [("largest", ", ".join(texts))]
 
     def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
-        """Of a mechanism, the joint that has the largest error, if it is one's and not zero."""
+        """Return the joint with the largest error in parentheses; "" where no joint has it."""
         for name in self.summary.column_names:
             joint, _, what = name.rpartition(".")
             if (
@@ -313,7 +312,7 @@ class Result(RunStates):
                 return f" ({joint})"
         return ""
 
-    def _told_history(self) -> str:
+    def _history_text(self) -> str:
         if self.history is None:
             return "none; save_every= or save_at= keeps one"
         times = self.history.num_rows // self.summary.num_rows

@@ -1,4 +1,4 @@
-"""States of bodies and links, as arrays and tables."""
+"""States of bodies and links as arrays and tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from lierb.kernels.mechanics.spatial import Rigid, wrench_from
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, norm, scale
 from lierb.model.bodies.body import Body
 from lierb.model.functions.column_names import COMPONENTS
-from lierb.model.problem import Problem
 from lierb.results.columns import as_array, numbers
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components
@@ -39,7 +38,7 @@ class States(Shown):
 
     @property
     def _prefix(self) -> str:
-        """What stands before the names of the state's columns."""
+        """Prefix of the names of the state's columns."""
         return ""
 
     @property
@@ -86,7 +85,7 @@ class States(Shown):
 
     @property
     def has_states(self) -> bool:
-        """Whether the history has the state, which its arrays are then of."""
+        """True where the history has the state; the arrays are then those of the history."""
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
     def _state(self, name: str, *item: int, asked: str = "") -> Array:
@@ -96,10 +95,10 @@ class States(Shown):
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
 
     def _array(self, table: pa.Table, column: str, *item: int) -> Array:
-        """(times, n, *item)"""
+        """Return a column as an array, (times, n, *item)."""
         return as_array(table[column]).reshape(-1, self.summary.num_rows, *item)
 
-    def _told_arrays(self) -> str:
+    def _array_shape(self) -> str:
         times = (len(self.t),) if self.has_states else ()
         return f"({', '.join(map(str, (*times, self.summary.num_rows)))}, …)"
 
@@ -126,12 +125,12 @@ class LinkResult(States):
 
     def _shown(self) -> tuple[str, Lines]:
         count = counted(self.summary.num_rows, "trajectory", "trajectories")
-        rows = [("arrays", f"{', '.join(STATE)}: {self._told_arrays()}")]
+        rows = [("arrays", f"{', '.join(STATE)}: {self._array_shape()}")]
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
 
 
 def _momentum_of(body: Body, link: States) -> Vec:
-    """Of one body, about the ground's origin and in its axes."""
+    """Return the momentum of one body about the ground's origin, in the ground's axes."""
     com, inertia = components(body.com), components(body.inertia, 2)
     rigid = Rigid(body.mass, scale(body.mass, com), inertia)
     momentum = rigid.momentum(components(link.omega) + components(link.v))
@@ -140,16 +139,16 @@ def _momentum_of(body: Body, link: States) -> Vec:
 
 
 def _metadata(table: pa.Table) -> dict[str, Any]:
-    """What the metadata of a table of lierb's tell."""
+    """Return the metadata of a table as a dictionary."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
     found: dict[str, Any] = json.loads(metadata) if metadata else {}
     return found
 
 
-def _kinds_of(told: dict[str, Any]) -> list[str]:
-    """Those of LARGEST that there are rows for; an added row may be of either kind."""
+def _kinds_of(metadata: dict[str, Any]) -> list[str]:
+    """Return those of LARGEST that there are rows for; a constraint's row may be of either kind."""
     kinds = {"energy_drift"}
-    for name in told.get("problem", {}).get("rows", [""]):
+    for name in metadata.get("problem", {}).get("rows", [""]):
         row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
         kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
     return [name for name in LARGEST if name in kinds]
@@ -162,7 +161,7 @@ def _unit(field: pa.Field) -> str:
 
 
 def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
-    """A column as it is, or one for each component of its vectors."""
+    """Return a column of numbers, or a column for each component of vectors, by field."""
     if not pa.types.is_fixed_size_list(field.type):
         return {field: column}
     width = field.type.list_size
@@ -194,7 +193,7 @@ class RunStates(States):
         return tuple(link for link, _, what in ends if link and what == "rotation")
 
     def __getitem__(self, link: str) -> LinkResult:
-        """The state of one link of a mechanism, by its name.
+        """Return the state of one link of a mechanism.
 
         Raises UnknownNameError for another name, ArgumentError for the result of one body.
 
@@ -236,15 +235,9 @@ class RunStates(States):
         """
         if self._end is None:
             raise ArgumentError("result.momentum: only a result that integrate returned has bodies")
-        problem = self._end.problem
-        pairs: list[tuple[Body, States]] = []
-        if isinstance(problem, Problem):
-            pairs.append((problem.body, self))
-        else:
-            pairs += [(link.body, self[link.name]) for link in problem.links]
-        total = ZERO6
-        for body, link in pairs:
-            total = add(total, _momentum_of(body, link))
+        model, total = self._end.model, ZERO6
+        for name, body in zip(model.link_names, model.bodies, strict=True):
+            total = add(total, _momentum_of(body, self[name] if name else self))
         return assembled(total)
 
     def _state(self, name: str, *item: int, asked: str = "") -> Array:
@@ -259,7 +252,7 @@ class RunStates(States):
 
     @property
     def has_states(self) -> bool:
-        """Whether the history has the states of all links."""
+        """True where the history has the states of all links."""
         name = f"{self.links[0]}.position" if self.links else "position"
         return self.history is not None and name in self.history.column_names
 

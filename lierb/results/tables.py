@@ -1,4 +1,4 @@
-"""The Arrow tables of a run: their columns, units and metadata."""
+"""Arrow tables of a run: columns, units and metadata."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 from lierb.errors import MemoryLimitError
 from lierb.kernels.loops.record import history_measures
 from lierb.kernels.loops.workspace import EVENT_COLUMNS
-from lierb.kernels.mechanics.rows import Rows
-from lierb.kernels.stepping.clock import Clock, StepClock
+from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.layout import POSE_AND_TWIST
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, KEPT, MEASURES
 from lierb.kernels.systems.observables import KEEPS
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import outputs_of, signals_width, states_of
 from lierb.kernels.systems.system_of import system_of
+from lierb.model.base import Model
 from lierb.model.functions.wrenches import Force
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
 from lierb.results.columns import each_row, numbers, numbers_of, texts, vectors
 from lierb.results.failures import RAISED_KEY, STATUS_NAMES
 from lierb.runs.output import Output
+from lierb.runs.starts import Ready
 from lierb.support.memory import available, is_free, too_large
 
 COUNTS = ("steps", "rejected")  # of a trajectory with a clock of its own
@@ -68,16 +67,16 @@ def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str])
 
 
 class Covers(NamedTuple):
-    """In words, what is in the columns of that name."""
+    """Contents of the columns of energy, energy drift and work, in words."""
 
     energy: str
     energy_drift: str
     work: str
 
 
-def covers_of(problem: Problem | Mechanism) -> Covers:
-    stored = [force.name for force in problem.forces if force.kind.is_conservative]
-    working = [w for force in problem.forces if (w := _work_of(force))]
+def covers_of(model: Model) -> Covers:
+    stored = [force.name for force in model.forces if force.kind.is_conservative]
+    working = [w for force in model.forces if (w := _work_of(force))]
     energy = f"kinetic energy; potential energy of {', '.join(('gravity', *stored))}"
     if not working:
         return Covers(energy, energy, "nothing: all that acts has a potential")
@@ -86,12 +85,12 @@ def covers_of(problem: Problem | Mechanism) -> Covers:
 
 
 def _no_work(energy: pa.Array) -> pa.Array:
-    """Zero; NaN after a failure, as everything is."""
+    """Return a column of zeros, with NaN after a failure."""
     return numbers(np.where(np.isnan(numbers_of(energy)), np.nan, 0.0))
 
 
 def _work_of(force: Force) -> str:
-    """What of a force does work that its potential does not have, if anything."""
+    """Return the name of the part of a force that does work beside its potential, or ""."""
     if not force.kind.is_conservative:
         return force.name
     if force.kind.is_users:
@@ -103,10 +102,10 @@ def _work_of(force: Force) -> str:
 
 
 def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
-    """Bytes at the peak of both tables of a run and of the Output that they are made around.
+    """Return the bytes of both tables of a run at their peak, with the Output that they wrap.
 
-    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of what a process grows by. What events
-    there will be nobody knows.
+    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of the growth of a process. Events
+    are not included, since their number is unknown.
     """
     with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
     links = system_of(plan).links
@@ -122,36 +121,29 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     return Output.size(plan, count, rows, with_state) + 8 * ours
 
 
-def history_row_bytes(problem: Problem | Mechanism, recorded: Iterable[str]) -> int:
-    """Of the table that `history_table` makes."""
+def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
+    """Return the bytes of a row of the table that `history_table` returns."""
     numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
-    joints = _joints_of(problem)
-    numbers_in += len(problem.observables) + len(JOINT_ERRORS) * len(joints)
-    numbers_in += sum(prod(shape) for _, shape, _ in problem.signals)
+    joints = model.joint_names
+    numbers_in += len(model.observables) + len(JOINT_ERRORS) * len(joints)
+    numbers_in += sum(prod(shape) for _, shape, _ in model.signals)
     if "state" in recorded:
-        numbers_in += POSE_AND_TWIST.count * len(_links_of(problem))
+        numbers_in += POSE_AND_TWIST.count * len(_prefixes(model))
     if "multipliers" in recorded:
-        numbers_in += _rows_of(problem)
+        numbers_in += sum(len(rows) for _, rows in model.rows_by_name)
     if "reaction" in recorded:
         numbers_in += 6 * max(len(joints), 1)
     return 8 * numbers_in
 
 
-def event_row_bytes(problem: Problem | Mechanism) -> int:
-    """Of the table that `events_table` makes: 1 of them tells the event."""
-    signals = sum(prod(shape) for _, shape, _ in problem.signals)
-    return 8 * (2 + POSE_AND_TWIST.count * len(_links_of(problem)) + signals) + 1
+def event_row_bytes(model: Model) -> int:
+    """Return the bytes of a row of the table that `events_table` returns."""
+    signals = sum(prod(shape) for _, shape, _ in model.signals)
+    return 8 * (2 + POSE_AND_TWIST.count * len(_prefixes(model)) + signals) + 1
 
 
-def _rows_of(problem: Problem | Mechanism) -> int:
-    if isinstance(problem, Problem):
-        return len(problem.rows)
-    held = sum(len(each.joint.rows) for each in problem.links_and_loops)
-    return held + sum(len(each.rows) for each in problem.places)
-
-
-def summary_table(output: Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
-    """One row per trajectory."""
+def summary_table(output: Output, metadata: str, model: Model) -> pa.Table:
+    """Return a table with a row for each trajectory."""
     plan = output.plan
     columns = {
         "trajectory": numbers(np.arange(len(output.status), dtype=np.int64)),
@@ -163,24 +155,24 @@ def summary_table(output: Output, metadata: str, problem: Problem | Mechanism) -
         columns["dt_last"] = numbers(output.of_lanes("dt_last"))
     for (measure, how), column in zip(KEPT, each_row(output.kept), strict=True):
         columns[f"{measure.name}_{how}"] = column
-    observables = problem.observables
+    observables = model.observables
     watched = {f"{each.name}_{how}": each.unit for each in observables for how in KEEPS}
     more = each_row(output.observed)
     for joint, kept in zip(
-        _joints_of(problem), _in_parts(more[len(watched) :], len(JOINT_KEPT)), strict=True
+        model.joint_names, _in_parts(more[len(watched) :], len(JOINT_KEPT)), strict=True
     ):
         for (measure, how), column in zip(JOINT_KEPT, kept, strict=True):
             columns[f"{joint}.{measure.name}_{how}"] = column
-    for link, prefix in enumerate(_links_of(problem)):
+    for link, prefix in enumerate(_prefixes(model)):
         for field, array in zip(POSE_AND_TWIST.fields, output.state_of(link), strict=True):
             columns[prefix + field.name] = vectors(array)
     columns |= zip(watched, more[: len(watched)], strict=True)
-    for name, column, unit in _signals_of(problem, output.signals):
+    for name, column, unit in _signals_of(model, output.signals):
         columns[name], watched[name] = column, unit
-    table = _table(columns, metadata, covers_of(problem), watched)
+    table = _table(columns, metadata, covers_of(model), watched)
     for what in output.raised.values():
-        told = {RAISED_KEY: what.encode(errors="backslashreplace")}
-        table = table.replace_schema_metadata(table.schema.metadata | told)
+        raised = {RAISED_KEY: what.encode(errors="backslashreplace")}
+        table = table.replace_schema_metadata(table.schema.metadata | raised)
     return table
 
 
@@ -189,9 +181,9 @@ def history_table(
     recorded: tuple[str, ...],
     plan: AnyPlan,
     metadata: str,
-    problem: Problem | Mechanism,
+    model: Model,
 ) -> pa.Table:
-    """One row per saved time and trajectory, time-major."""
+    """Return a table with a row for each saved time and trajectory, time-major."""
     clock, count = output.clock, len(output.status)
     saved = clock.saved_steps()
     columns = {
@@ -199,17 +191,17 @@ def history_table(
         "step": numbers(np.repeat(saved, count)),
         "t": numbers(np.repeat(clock.saved_times(), count)),
     }
-    measures, observables = history_measures(plan), problem.observables
+    measures, observables = history_measures(plan), model.observables
     rows = each_row(output.history)
     found = dict(zip(measures, rows[: len(measures)], strict=True))
     columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
     before = len(output.history) - signals_width(plan)
     errors = rows[len(measures) + len(observables) : before]
-    for joint, own in zip(_joints_of(problem), _in_parts(errors, len(JOINT_ERRORS)), strict=True):
+    for joint, own in zip(model.joint_names, _in_parts(errors, len(JOINT_ERRORS)), strict=True):
         for measure, column in zip(JOINT_ERRORS, own, strict=True):
             columns[f"{joint}.{measure.name}"] = column
     if "state" in recorded:
-        for link, prefix in enumerate(_links_of(problem)):
+        for link, prefix in enumerate(_prefixes(model)):
             for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
                 part = array[output.rows * link : output.rows * link + len(saved)]
                 columns[prefix + field.name] = vectors(part)
@@ -218,41 +210,39 @@ def history_table(
         columns["work"] = _no_work(columns["energy"])
     units = {}
     if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
-        for name, part, unit in _multipliers_of(problem, output.multipliers):
+        for name, part, unit in _multipliers_of(model, output.multipliers):
             columns[name], units[name] = vectors(part), unit
     if "reaction" in recorded:
-        joints = [f"{name}." for name in _joints_of(problem)] or [""]
+        joints = [f"{name}." for name in model.joint_names] or [""]
         for number, prefix in enumerate(joints):
             part = output.reactions[len(saved) * number : len(saved) * (number + 1)]
             columns[f"{prefix}reaction"] = vectors(part)
     for each, values in zip(observables, rows[len(measures) :], strict=False):
         columns[each.name], units[each.name] = values, each.unit
     for name, column, unit in _signals_of(
-        problem, output.history[before:].reshape(-1, len(saved) * count)
+        model, output.history[before:].reshape(-1, len(saved) * count)
     ):
         columns[name], units[name] = column, unit
-    return _table(columns, metadata, covers_of(problem), units)
+    return _table(columns, metadata, covers_of(model), units)
 
 
-def _signals_of(
-    problem: Problem | Mechanism, found: NDArray
-) -> Iterator[tuple[str, pa.Array, str]]:
-    """Name, column and unit of each of the user's states and outputs.
+def _signals_of(model: Model, found: NDArray) -> Iterator[tuple[str, pa.Array, str]]:
+    """Yield name, column and unit of each extra state and controller output.
 
     found : [number][row].
     """
     first = 0
-    for name, shape, unit in problem.signals:
+    for name, shape, unit in model.signals:
         part = found[first : first + prod(shape)]
         yield name, vectors(part.T) if shape else numbers(part[0]), unit
         first += len(part)
 
 
-def events_table(output: Output, metadata: str, problem: Problem | Mechanism) -> pa.Table:
-    """One row per event, by trajectory and time."""
+def events_table(output: Output, metadata: str, model: Model) -> pa.Table:
+    """Return a table with a row for each event, by trajectory and time."""
     found = output.events
     assert found is not None
-    names = texts([event.name for event in problem.events])
+    names = texts([event.name for event in model.events])
     which = numbers(found[:, 1].astype(np.int32))
     columns = {
         "trajectory": numbers(found[:, 0].astype(np.int64)),
@@ -260,58 +250,46 @@ def events_table(output: Output, metadata: str, problem: Problem | Mechanism) ->
         "t": numbers(found[:, 2]),
     }
     first, units = EVENT_COLUMNS, {}
-    for prefix in _links_of(problem):
+    for prefix in _prefixes(model):
         for each in POSE_AND_TWIST.fields:
             columns[prefix + each.name] = vectors(found[:, first : first + each.width])
             first += each.width
-    for name, column, unit in _signals_of(problem, found[:, first:].T):
+    for name, column, unit in _signals_of(model, found[:, first:].T):
         columns[name], units[name] = column, unit
-    return _table(columns, metadata, covers_of(problem), units)
+    return _table(columns, metadata, covers_of(model), units)
 
 
 def _in_parts(columns: list[pa.Array], width: int) -> Iterator[list[pa.Array]]:
     return (columns[i : i + width] for i in range(0, len(columns), width))
 
 
-def _links_of(problem: Problem | Mechanism) -> list[str]:
-    """What stands before the names of each link's columns."""
-    return [f"{name}." for name in problem.names] if isinstance(problem, Mechanism) else [""]
+def _prefixes(model: Model) -> list[str]:
+    """Return the prefix of the columns of each link."""
+    return [f"{name}." if name else "" for name in model.link_names]
 
 
-def _joints_of(problem: Problem | Mechanism) -> list[str]:
-    """Names of the joints whose errors have columns of their own: of links, then of loops."""
-    return [each.name for each in problem.links_and_loops] if isinstance(problem, Mechanism) else []
-
-
-def _multipliers_of(
-    problem: Problem | Mechanism, found: NDArray
-) -> Iterator[tuple[str, NDArray, str]]:
-    """Name, λ and units of each joint that has rows."""
-    if isinstance(problem, Problem):
-        yield "lambda", found, ", ".join(row.unit for row in problem.rows)
-        return
-    held: list[tuple[str, Rows]] = [
-        (each.name, each.joint.rows) for each in problem.links_and_loops
-    ]
-    held += [(problem.name_of(k), c.rows) for k, c in enumerate(problem.places)]
+def _multipliers_of(model: Model, found: NDArray) -> Iterator[tuple[str, NDArray, str]]:
+    """Yield name, λ and units of each joint that has rows."""
     first = 0
-    for name, rows in held:
+    for name, rows in model.rows_by_name:
         if rows:
             part = np.ascontiguousarray(found[..., first : first + len(rows)])
-            yield f"{name}.lambda", part, ", ".join(row.unit for row in rows)
+            column = f"{name}.lambda" if name else "lambda"
+            yield column, part, ", ".join(row.unit for row in rows)
         first += len(rows)
 
 
-def _require_memory(plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]) -> None:
+def require_memory(ready: Ready) -> None:
     """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
-    if not is_free(size_of_tables(plan, count, clock.saved_rows, recorded)):
-        raise _no_room(plan, clock, count, recorded)
+    rows, count = ready.times.saved_rows, ready.inputs.count
+    if not is_free(size_of_tables(ready.plan, count, rows, ready.options.record)):
+        raise no_room(ready)
 
 
-def _no_room(
-    plan: AnyPlan, clock: Clock, count: int, recorded: tuple[str, ...]
-) -> MemoryLimitError:
-    free = available()
+def no_room(ready: Ready) -> MemoryLimitError:
+    """Return the error of results that are larger than the free memory."""
+    plan, clock, count = ready.plan, ready.times, ready.inputs.count
+    recorded, free = ready.options.record, available()
     whole = size_of_tables(plan, count, clock.saved_rows, recorded)
     summary = size_of_tables(plan, count, 0, ())
     apart = "lierb.integrate_batches or lierb.run, whose memory does not grow with the study"

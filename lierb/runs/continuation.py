@@ -1,8 +1,8 @@
-"""Going on where a run has ended, to the same bits as without a break.
+"""Continuation of a run from the end of another, to the bits of one run without a break.
 
-What the user sees of a state has been turned to the user's frames, and rounded on the way: turned
-back, it is not the driver's. So the poses at an end remember the driver's own state, and a run that
-starts from them, as they are, starts from that.
+A state in the user's frames has been rounded on the way there, and is not that of the kernels. The
+poses at an end therefore carry the kernels' state, and a run that starts from these objects starts
+from it.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from lierb.kernels.stepping.clock import Clock, StepClock
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
 from lierb.kernels.systems.signals import lane_end, states_of
 from lierb.kernels.systems.state import EVENT, OK
+from lierb.model.base import Model
 from lierb.model.functions.elements import Element
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
 from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
 from lierb.support.arrays import Array
@@ -30,13 +29,13 @@ NAMED = 5  # failed trajectories in a message
 
 @dataclass(frozen=True)
 class Continuation:
-    """The driver's state at the end of a run, and what it belongs to.
+    """State of the kernels at the end of a run.
 
-    state : `end_columns` of the plan, [column][body].
-    twist0 : (n, 6), of a mechanism by link.   t0 : s.   provenance : of the run.
+    model, plan, clock, provenance : those of the run.   twist0 : its twists at the end, (n, 6), of
+    a mechanism by link.   t0 : time there, s.   state : `end_columns` of the plan, [column][body].
     """
 
-    problem: Problem | Mechanism
+    model: Model
     plan: AnyPlan
     twist0: Any
     t0: float
@@ -44,23 +43,23 @@ class Continuation:
     state: Array
     provenance: str
 
-    def fits(self, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float) -> bool:
-        """Whether a run that starts so goes on from here; other forces may act from now on."""
-        is_one = problem is self.problem
+    def fits(self, model: Model, plan: AnyPlan, twist0: Any, t0: float) -> bool:
+        """Return whether a run with this start continues from here; its forces may be others."""
+        is_one = model is self.model
         return (
             t0 == self.t0
             and formulation(plan) == formulation(self.plan)
             and _are_equal(twist0, self.twist0)
-            and (is_one or _is_held_alike(problem, self.problem))
-            and (is_one or _are_controlled_alike(problem, self.problem))
+            and (is_one or _have_equal_joints(model, self.model))
+            and (is_one or _have_equal_controllers(model, self.model))
         )
 
     def clock_of(self, clock: StepClock) -> StepClock:
-        """The clock of fixed steps that starts here: with the same steps it counts on."""
+        """Return the clock of fixed steps from here; with equal steps it counts on."""
         return StepClock(*clock[:4], *self._origin(clock.dt))
 
     def _origin(self, dt: float) -> tuple[float, int]:
-        """s, and number of the first step."""
+        """Return the origin, s, and the number of the first step."""
         before = self.clock
         if isinstance(before, StepClock) and dt == before.dt:
             return before.origin, before.first_step + before.steps
@@ -71,7 +70,7 @@ class Continuation:
         return counted(self.t0, dt)
 
     def state_of(self, plan: AnyPlan) -> Array:
-        """`end_columns` of the run that goes on, NaN where the one before says nothing of it."""
+        """Return `end_columns` of the run that continues, NaN for what its end does not have."""
         before, after = lane_end(self.plan), lane_end(plan)
         has_its_rows = plan.rows == self.plan.rows
         if after.fields == before.fields and has_its_rows:
@@ -86,21 +85,21 @@ class Continuation:
 
     @property
     def own(self) -> list[str]:
-        """Names of the user's states, and of what controllers put out."""
-        return [column.name for column in self.problem.signals]
+        """Names of the extra states and of the controllers' outputs."""
+        return [column.name for column in self.model.signals]
 
 
 def continuing(
-    pose0: Any, problem: Problem | Mechanism, plan: AnyPlan, twist0: Any, t0: float
+    pose0: Any, model: Model, plan: AnyPlan, twist0: Any, t0: float
 ) -> Continuation | None:
-    """What the run goes on from, if it does.
+    """Return the end that a run continues from, None for a run with a start of its own.
 
-    Raises ArgumentError where states or what controllers remember would be lost on the way.
+    Raises ArgumentError where extra states or controllers' memory would be lost.
     """
     known = continuation_of(pose0)
-    if known is None or known.fits(problem, plan, twist0, t0):
+    if known is None or known.fits(model, plan, twist0, t0):
         return known
-    if known.own and problem.signals:
+    if known.own and model.signals:
         raise ArgumentError(
             f"pose0 is the end of a run that had {', '.join(known.own)} beside the motion, which "
             "go on with result.end as it is alone: with its twist0 and t0, the same c-space, "
@@ -111,16 +110,16 @@ def continuing(
 
 
 def counted(t0: float, dt: float) -> tuple[float, int]:
-    """Origin, s, and number of the first step: from 0 on, where t0 is so many steps to the bit."""
+    """Return the origin, s, and the number of the first step, counted from 0 s where they fit."""
     steps = round(t0 / dt)
     return (0.0, steps) if steps * dt == t0 else (t0, 0)
 
 
 def formulation(plan: AnyPlan) -> tuple[Any, ...]:
-    """What a state's numbers mean."""
+    """Return the fields of a plan that give a state's numbers their meaning."""
     if isinstance(plan, MechanismPlan):
-        held = plan.tree, plan.connections[: len(plan.joints)], plan.update, plan.stabilisation
-        return *held, states_of(plan)
+        joints = plan.connections[: len(plan.joints)]
+        return plan.tree, joints, plan.update, plan.stabilisation, states_of(plan)
     assert isinstance(plan, Plan)
     return plan.cspace, plan.update, plan.solver, states_of(plan)
 
@@ -133,31 +132,19 @@ def _are_equal(a: Any, b: Any) -> bool:
     return a is b or np.array_equal(a, b)
 
 
-def _is_held_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
-    """Whether bodies, joints and what else holds them have the same numbers and functions."""
-    holding = [[e for e in problem.elements if e.kind.rows] for problem in (a, b)]
+def _have_equal_joints(a: Model, b: Model) -> bool:
+    """Return whether bodies, joints and constraints have the same numbers and functions."""
+    constraints = [[e for e in model.elements if e.kind.rows] for model in (a, b)]
     return (
-        _held(a) == _held(b)
-        and all(np.array_equal(array, b.quantities[name]) for name, array in _held_by(a).items())
-        and len(holding[0]) == len(holding[1])
-        and all(map(_is_same, *holding))
+        a.topology == b.topology
+        and all(
+            np.array_equal(array, b.quantities[name])
+            for name, array in a.quantities.items()
+            if name != "gravity" and not name.startswith("element")
+        )
+        and len(constraints[0]) == len(constraints[1])
+        and all(map(_is_same, *constraints))
     )
-
-
-def _held(problem: Problem | Mechanism) -> list[Any]:
-    """Names and rows of what has a joint, and what it hangs on."""
-    if isinstance(problem, Problem):
-        return [problem.joint.rows]
-    return [(c.name, c.body, c.parent, c.rows) for c in problem.joints]
-
-
-def _held_by(problem: Problem | Mechanism) -> dict[str, Any]:
-    """Numbers of bodies and joints."""
-    return {
-        name: array
-        for name, array in problem.quantities.items()
-        if name != "gravity" and not name.startswith("element")
-    }
 
 
 def _is_same(a: Element, b: Element) -> bool:
@@ -168,9 +155,10 @@ def _is_same(a: Element, b: Element) -> bool:
     )
 
 
-def _are_controlled_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> bool:
-    """Whether what controllers hold and remember means the same: outputs, memory and periods; of
-    none there is nothing to mean.
+def _have_equal_controllers(a: Model, b: Model) -> bool:
+    """Return whether the controllers' outputs, memory and periods mean the same.
+
+    Where one model has none, there is nothing to compare.
     """
     if not (a.controllers and b.controllers):
         return True
@@ -183,9 +171,9 @@ def _are_controlled_alike(a: Problem | Mechanism, b: Problem | Mechanism) -> boo
 
 
 class EndPose(np.ndarray):
-    """Poses at the end of a run, (n, 4, 4), read-only; what is made of them are plain arrays."""
+    """Poses at the end of a run, (n, 4, 4), read-only; parts and copies are plain arrays."""
 
-    continuation: Continuation | None = None  # of what the class makes of itself: a copy has none
+    continuation: Continuation | None = None
 
     def __getitem__(self, key: Any) -> Any:
         return np.asarray(self)[key]
@@ -207,9 +195,9 @@ class EndPoses(dict[str, Array]):
 
     @property
     def continuation(self) -> Continuation | None:
-        """None as soon as one of the poses is another."""
-        kept = self._poses
-        is_whole = self.keys() == kept.keys() and all(self[name] is kept[name] for name in kept)
+        """End of the run; None once a pose has been replaced."""
+        own = self._poses
+        is_whole = self.keys() == own.keys() and all(self[name] is own[name] for name in own)
         return self._continuation if is_whole else None
 
     @continuation.setter
@@ -224,41 +212,39 @@ class EndPoses(dict[str, Array]):
 
 
 def continuation_of(pose0: Any) -> Continuation | None:
-    """What poses remember of the run at whose end they are, if they do."""
+    """Return the continuation that poses carry, None for ordinary ones."""
     return pose0.continuation if isinstance(pose0, (EndPose, EndPoses)) else None
 
 
 @dataclass(frozen=True)
 class End:
-    """The end of a run, from which it can go on.
+    """End of a run, from which another can continue.
 
-    statuses : names of the statuses, by their codes.   provenance : of the run.
+    statuses : names of the statuses, by their codes.
     """
 
-    problem: Problem | Mechanism
+    model: Model
     plan: AnyPlan
     output: Output
     statuses: dict[int, str]
     provenance: str
 
     def keywords(self) -> dict[str, Any]:
-        """pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
+        """Return pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
         self._require_all()
         clock, t = self.output.clock, self._time()
         states = [self._state(link) for link in range(self.output.links)]
-        twists: Any = states[0][1]
-        poses: Any = states[0][0].view(EndPose)
-        if isinstance(self.problem, Mechanism):
-            pairs = dict(zip(self.problem.names, states, strict=True))
-            twists = {name: twist for name, (_, twist) in pairs.items()}
-            poses = EndPoses({name: pose for name, (pose, _) in pairs.items()})
-        poses.continuation = Continuation(
-            self.problem, self.plan, twists, t, clock, self.output.ends, self.provenance
+        names = self.model.link_names
+        twists = self.model.from_links(dict(zip(names, (s[1] for s in states), strict=True)))
+        poses = self.model.from_links(dict(zip(names, (s[0] for s in states), strict=True)))
+        marked: Any = EndPoses(poses) if isinstance(poses, dict) else poses.view(EndPose)
+        marked.continuation = Continuation(
+            self.model, self.plan, twists, t, clock, self.output.ends, self.provenance
         )
-        return {"pose0": poses, "twist0": twists, "t0": t}
+        return {"pose0": marked, "twist0": twists, "t0": t}
 
     def _time(self) -> float:
-        """At which all of them end, s."""
+        """Return the time at which all trajectories ended, s."""
         first, last = float(self.output.t.min()), float(self.output.t.max())
         if first != last:
             raise ArgumentError(
@@ -268,7 +254,7 @@ class End:
         return first
 
     def _state(self, link: int) -> tuple[Array, Array]:
-        """Poses and twists of one link."""
+        """Return poses, (n, 4, 4), and twists, (n, 6), of one link."""
         r, place, omega, v = self.output.state_of(link)
         poses = np.zeros((len(r), 4, 4))
         poses[:, :3, :3] = r.reshape(-1, 3, 3)

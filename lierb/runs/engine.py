@@ -24,6 +24,8 @@ from lierb.support.progress import BODY_STEPS, Progress, reporter
 
 # Least number of trajectories in a chunk: what is carried of them stays in the cache.
 CHUNK_BODIES = 4096
+StartCheck = Callable[[Array, int], bool]
+
 FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to measure how fast a plan runs
 
 
@@ -34,7 +36,7 @@ def integrate(
     with_state: bool = False,
     threads: int | None = None,
     progress: Progress = None,
-    check: Callable[[Array, int], bool] | None = None,
+    check: StartCheck | None = None,
 ) -> Output:
     """Run every trajectory to the end.
 

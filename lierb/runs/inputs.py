@@ -14,11 +14,9 @@ from lierb.kernels.loops.job import BODIES, POSES, TWISTS
 from lierb.kernels.loops.record import end_columns
 from lierb.kernels.systems.layout import Columns, Field
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
+from lierb.model.base import Model
 from lierb.support.arrays import Array
 
-CLOSED = np.full((4, 4), np.nan)  # stands for the joint's closed pose
 ZEROS = np.zeros(1)  # where unused columns are read
 
 Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
@@ -36,7 +34,7 @@ class _Layout(NamedTuple):
     arrays: tuple[Array, ...]
 
 
-_layouts: WeakKeyDictionary[Problem | Mechanism, _Layout] = WeakKeyDictionary()
+_layouts: WeakKeyDictionary[Model, _Layout] = WeakKeyDictionary()
 
 
 def _places_of(field: Field, array: Array) -> Places:
@@ -70,31 +68,19 @@ def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
     return offsets.ravel()[list(field.entries)] if field.entries else offsets.ravel()
 
 
-def _layout(problem: Problem | Mechanism, columns: Columns) -> _Layout:
-    """Return the addresses of a problem's numbers.
+def _layout(model: Model, columns: Columns) -> _Layout:
+    """Return the addresses of a model's numbers.
 
     Cached: they would take a tenth of the time of a call for one body.
     """
-    if problem not in _layouts:
-        arrays = numbers_of(problem)
+    if model not in _layouts:
+        arrays = model.inputs
         places = _unused(columns["state"].start)
         for field, part in columns:
             if field.name in arrays:
                 places[part] = _places_of(field, arrays[field.name])
-        _layouts[problem] = _Layout(places, bool(places[:, 1].any()), tuple(arrays.values()))
-    return _layouts[problem]
-
-
-def numbers_of(problem: Problem | Mechanism) -> dict[str, Array]:
-    """Return a problem's arrays of the driver's inputs, by field."""
-    if isinstance(problem, Mechanism):
-        return problem.quantities
-    parameters = {
-        f"{number}.{name}": element.parameters[name]
-        for number, element in enumerate(problem.elements)
-        for name in element.kind.shapes
-    }
-    return {**problem.quantities, **parameters, "pose": CLOSED}  # unless a start has another
+        _layouts[model] = _Layout(places, bool(places[:, 1].any()), tuple(arrays.values()))
+    return _layouts[model]
 
 
 @dataclass(frozen=True)
@@ -108,7 +94,7 @@ class Inputs:
     state : state to continue from instead of pose and twist, [`end_columns`][trajectory or 1].
     """
 
-    problem: Problem | Mechanism
+    model: Model
     columns: Columns
     starts: dict[str, Array]
     count: int
@@ -118,7 +104,7 @@ class Inputs:
     @property
     def differ(self) -> int:
         """Kind of inputs that differ between trajectories: TWISTS, POSES or BODIES."""
-        if _layout(self.problem, self.columns).differ:
+        if _layout(self.model, self.columns).differ:
             return BODIES
         are_one = self.state is not None or all(
             _is_shared(self.columns.field(name), array)
@@ -131,7 +117,7 @@ class Inputs:
         """Return the addresses of all columns: a continued run reads no pose and twist, others no
         state.
         """
-        columns, places = self.columns, _layout(self.problem, self.columns).places.copy()
+        columns, places = self.columns, _layout(self.model, self.columns).places.copy()
         if self.state is None:
             for name, array in self.starts.items():
                 places[columns[name]] = _places_of(columns.field(name), array)
@@ -144,7 +130,7 @@ class Inputs:
 
     def numbers(self, trajectory: int) -> list[np.float64]:
         """Return the numbers of one trajectory in the order of the columns, without a state."""
-        arrays, numbers = numbers_of(self.problem) | self.starts, []
+        arrays, numbers = self.model.inputs | self.starts, []
         for field, _ in self.columns:
             if field.name in arrays:
                 array = arrays[field.name]

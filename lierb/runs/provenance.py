@@ -1,4 +1,4 @@
-"""Where a table came from: the whole problem, the method, versions, the machine."""
+"""Provenance of a table: model, options, method, versions and machine, as JSON."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ import numpy as np
 from lierb.compiler.threads import begun
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
+from lierb.model.base import Model
 from lierb.model.functions.elements import Element
-from lierb.model.mechanism.links import Loop
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.mechanism.tree import BODY, JOINT
-from lierb.model.problem import Problem
+from lierb.runs.starts import Ready
 from lierb.support.arrays import Array, slices
 
 LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
 LARGE = 1 << 16  # numbers of a start whose digest takes longer than to start a thread for it
 
+OWN = ("unit", "direction", "terminal", "units")  # of observables, events, states, controllers
 Start = Array | dict[str, Array]  # of a mechanism by link
 
 
@@ -51,59 +50,48 @@ def machine() -> dict[str, Any]:
     }
 
 
-def provenance(
-    problem: Problem | Mechanism, *, twist0: Start, pose0: Start | None, **more: Any
-) -> Callable[[], str]:
-    """What gives the text of `_described`, once it is asked for: the digests of a large start are
-    made in a thread of their own, beside the run.
+def provenance(ready: Ready) -> Callable[[], str]:
+    """Return a function that returns the metadata of a run, a JSON object.
+
+    The digests of a large start are made in a thread of their own, beside the run.
     """
-    described = partial(_described, problem, twist0=twist0, pose0=pose0, **more)
-    if more["before"] is None and _count_of(twist0) + _count_of(pose0) >= LARGE:
+    described = partial(_described_run, ready)
+    if ready.before is None and _count_of(ready.twist0) + _count_of(ready.pose0) >= LARGE:
         return begun(described)
     text = described()
     return lambda: text
 
 
 def _count_of(start: Start | None) -> int:
-    """Numbers of it."""
+    """Return how many numbers a start has."""
     if start is None:
         return 0
     return sum(map(_count_of, start.values())) if isinstance(start, dict) else start.size
 
 
-def _described(
-    problem: Problem | Mechanism,
-    *,
-    twist0: Start,
-    pose0: Start | None,
-    before: str | None,
-    plan: AnyPlan,
-    options: dict[str, Any],
-    more: dict[str, Any],
-) -> str:
-    """A JSON object.
-
-    options : hashable.   more : such that are not, or differ from run to run.
-    before : of the run for whose end twist0 and pose0 stand, to rounding, if they do.
-    """
-    if problem not in _problems:
-        _problems[problem] = json.dumps(_described_problem(problem))
+def _described_run(ready: Ready) -> str:
+    model, options, before = ready.model, ready.options, ready.before
+    if model not in _models:
+        _models[model] = json.dumps(model.description, default=_described)
     start = {
-        "twist0": _described_start(twist0, before),
-        "pose0": None if pose0 is None else _described_start(pose0, before),
+        "twist0": _described_start(ready.twist0, before),
+        "pose0": None if ready.pose0 is None else _described_start(ready.pose0, before),
     }
     if before is not None:
         start["continued"] = True
-    whole_problem = _merged(_problems[problem], json.dumps(start))
+    own = options.timing.metadata()
+    if ready.trajectories is not None and model.controllers:
+        own["trajectories"] = ready.trajectories
+    given = _described_options(*options.metadata(model).items())
     return _merged(
-        _described_plan(plan),
-        f'{{"options": {_merged(_described_options(*options.items()), json.dumps(more))}}}',
-        f'{{"problem": {whole_problem}}}',
-    )  # fmt: skip
+        _described_plan(ready.plan),
+        f'{{"options": {_merged(given, json.dumps(own, default=_described))}}}',
+        f'{{"problem": {_merged(_models[model], json.dumps(start))}}}',
+    )
 
 
 def _merged(*objects: str) -> str:
-    """One JSON object with the members of these."""
+    """Return one JSON object with the members of several."""
     return "{" + ", ".join(text[1:-1] for text in objects if text != "{}") + "}"
 
 
@@ -126,7 +114,7 @@ def _described_plan(plan: AnyPlan) -> str:
 
 
 def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
-    """What of a `ButcherTableau` the run has used."""
+    """Return the numbers of the `ButcherTableau` that the run uses."""
     found: dict[str, Any] = {"A": plan.stages, "b": plan.weights}
     if plan.exponentials:
         found["exponentials"] = plan.exponentials
@@ -137,8 +125,8 @@ def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
     return found
 
 
-# As JSON: a problem's arrays cannot change, and digests of large ones take a while.
-_problems: WeakKeyDictionary[Problem | Mechanism, str] = WeakKeyDictionary()
+# As JSON: a model's arrays cannot change, and digests of large ones take a while.
+_models: WeakKeyDictionary[Model, str] = WeakKeyDictionary()
 
 
 def _described_start(given: Start, before: str | None) -> Any:
@@ -150,71 +138,21 @@ def _described_start(given: Start, before: str | None) -> Any:
     return {"shape": list(given.shape), "end_of": digest.hexdigest()}
 
 
-def _described_problem(problem: Problem | Mechanism) -> dict[str, Any]:
-    if isinstance(problem, Mechanism):
-        return _described_mechanism(problem)
-    return {
-        **{name: described_array(array) for name, array in problem.quantities.items()},
-        "joint": problem.joint.name,
-        "rows": [str(row) for row in problem.rows],
-        "forces": [_described_element(force) for force in problem.forces],
-        "constraints": [_described_element(added) for added in problem.constraints],
-        "observables": [
-            _described_element(each) | {"unit": each.unit} for each in problem.observables
-        ],
-        **_described_signals(problem),
-    }
-
-
-def _described_mechanism(mechanism: Mechanism) -> dict[str, Any]:
-    held = {}
-    for each in mechanism.links_and_loops:
-        is_loop = isinstance(each, Loop)
-        numbers = {} if is_loop else {name: getattr(each.body, name) for name in BODY}
-        numbers |= {name: getattr(each.joint, name) for name in JOINT}
-        held[each.name] = {
-            "kind": "loop" if is_loop else "link",
-            "parent": each.parent,
-            **({"body": each.body} if is_loop else {}),
-            "joint": each.joint.name,
-            "rows": [str(row) for row in each.joint.rows],
-            **{name: described_array(array) for name, array in numbers.items()},
-        }
-    return {
-        "mechanism": held,
-        "gravity": described_array(mechanism.gravity),
-        "forces": [_described_element(force) for force in mechanism.forces],
-        "constraints": [_described_element(added) for added in mechanism.constraints],
-        "observables": [
-            _described_element(each) | {"unit": each.unit} for each in mechanism.observables
-        ],
-        **_described_signals(mechanism),
-        "rows": [f"{each.name}.{row}" for each in mechanism.connections for row in each.rows],
-    }
-
-
-def _described_signals(problem: Problem | Mechanism) -> dict[str, Any]:
-    """Events, extra states and controllers, where there are any."""
-    found: dict[str, Any] = {}
-    if problem.events:
-        found["events"] = [
-            _described_element(e) | {"direction": e.direction, "terminal": e.terminal}
-            for e in problem.events
-        ]
-    for label in ("states", "controllers"):
-        if elements := getattr(problem, label):
-            found[label] = [_described_element(e) | {"units": dict(e.units)} for e in elements]
-    return found
-
-
-def _described_element(element: Element) -> dict[str, Any]:
-    parameters = {name: described_array(array) for name, array in element.parameters.items()}
-    placed = {"on": list(element.at)} if element.at else {}
-    return {"name": element.name, "kind": repr(element.kind), **placed, **parameters}
+def _described(value: Any) -> Any:
+    """Return an array or an element of a model's description for JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return described_array(np.asarray(value))
+    assert isinstance(value, Element)
+    parameters = {name: described_array(array) for name, array in value.parameters.items()}
+    placed = {"on": list(value.at)} if value.at else {}
+    own = {name: getattr(value, name) for name in OWN if hasattr(value, name)}
+    if "units" in own:
+        own["units"] = dict(own["units"])
+    return {"name": value.name, "kind": repr(value.kind), **placed, **parameters, **own}
 
 
 def described_array(array: Array) -> Any:
-    """Its numbers, or of many the shape and a digest."""
+    """Return the numbers of an array; of a large one its shape and a digest."""
     if array.size <= LISTED:
         return array.tolist()
     digest = hashlib.sha256()

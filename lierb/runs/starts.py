@@ -1,4 +1,4 @@
-"""A problem made ready to be integrated: its plan, its start, and whether it goes on from a run."""
+"""Preparation of a run: its plan, inputs and clocks from a model, a start and options."""
 
 from __future__ import annotations
 
@@ -6,176 +6,90 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lierb.errors import ArgumentError, brief
 from lierb.kernels.stepping.clock import StepClock
-from lierb.kernels.systems.plan import AnyPlan, Stabilisation
-from lierb.kernels.systems.system_of import plan_of, system_of
-from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
+from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.system_of import system_of
+from lierb.model.base import Model
 from lierb.runs.continuation import continuation_of, continuing
 from lierb.runs.inputs import Inputs
-from lierb.runs.plans import CSpace, cspaces_of, mechanism_plan_of
-from lierb.support.arrays import Array, as_number, as_numbers, as_poses
+from lierb.runs.lane_engine import LaneTime
+from lierb.runs.options import Options
+from lierb.runs.time_options import checked_numbers
+from lierb.support.arrays import Array, as_numbers, as_poses
+
+ByLink = dict[str, Array]
 
 
 class Ready(NamedTuple):
-    """pose0, twist0 : as arrays, of a mechanism by link; pose0 is None for the closed joint.
+    """A run, ready to be integrated.
 
-    before : provenance of the run at whose end it starts, from the driver's own state, if it does.
+    pose0, twist0 : arrays, of a mechanism by link; pose0 is None for the closed joint.
+    trajectories : their numbers, where they are given.
+    before : provenance of the run that this one continues from the state of its kernels, or None.
     """
 
+    model: Model
+    options: Options
     plan: AnyPlan
     inputs: Inputs
-    clock: StepClock | None
+    times: StepClock | LaneTime
     pose0: Any
     twist0: Any
+    trajectories: Array | None
     before: str | None
 
+    @property
+    def is_checked(self) -> bool:
+        """True where the start is compared with the joints; a continued run has none to compare."""
+        return self.options.on_violation != "off" and self.before is None
 
-def ready_body(
-    problem: Problem,
-    pose0: Any,
-    twist0: Any,
-    clock: StepClock | None,
-    t0: float,
-    cspace: str,
-    solver: str,
-    described: dict[str, Any],
-) -> Ready:
-    """described : what of the plan does not depend on how the body is held."""
-    twists = as_numbers("twist0", twist0, (6,), copy=None)
-    poses: Array | None = None
-    if pose0 is not None:
-        is_an_end = continuation_of(pose0) is not None
-        poses = np.asarray(pose0) if is_an_end else as_poses("pose0", pose0, copy=None)
-    start = (
-        {"twist0": (twists, 1)} if poses is None else {"pose0": (poses, 2), "twist0": (twists, 1)}
-    )
-    count = problem.batch_size(**start) or 1
-    plan = plan_of(
-        DEFAULT_LANES,
-        rows=problem.rows,
-        cspace="SO3xR3" if cspace == "SO3xR3" else "SE3",
-        solver=solver,
-        **described,
-    )
-    known = continuing(pose0, problem, plan, twist0, t0)
+
+def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
+    """Validate a start, and return the run."""
+    given = model.default_pose() if pose0 is None else pose0
+    poses = None if given is None else arrays_of(model, "pose0", given)
+    twists = arrays_of(model, "twist0", twist0)
+    sizes = {model.label("pose0", link): (array, 2) for link, array in (poses or {}).items()}
+    sizes |= {model.label("twist0", link): (array, 1) for link, array in twists.items()}
+    count = model.batch_size(**sizes) or 1
+    plan = model.plan(options.formulation, **options.plan_fields(model))
+    timing = options.timing
+    clock = None if timing.is_adaptive else timing.clock()
+    known = continuing(pose0, model, plan, twist0, timing.t0)
     if known is not None and clock is not None:
         clock = known.clock_of(clock)
+    starts = {}
+    for field, link in zip(model.fields, model.link_names, strict=True):
+        starts[f"{field}twist"] = twists[link]
+        if poses is not None:
+            starts[f"{field}pose"] = poses[link]
     state = None if known is None else known.state_of(plan)
-    starts = {"twist": twists} | ({} if poses is None else {"pose": poses})
-    inputs = Inputs(problem, system_of(plan).inputs, starts, count, t0, state)
-    return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
-
-
-def ready_mechanism(
-    mechanism: Mechanism,
-    pose0: Any,
-    twist0: Any,
-    clock: StepClock | None,
-    t0: float,
-    cspace: CSpace,
-    stabilise: Any,
-    described: dict[str, Any],
-) -> Ready:
-    """described : what of the plan does not depend on what hangs on what."""
-    poses = arrays_of(mechanism, "pose0", mechanism.pose() if pose0 is None else pose0)
-    twists = arrays_of(mechanism, "twist0", twist0)
-    sizes = {f"pose0[{name!r}]": (array, 2) for name, array in poses.items()}
-    sizes |= {f"twist0[{name!r}]": (array, 1) for name, array in twists.items()}
-    count = mechanism.batch_size(**sizes) or 1
-    plan = mechanism_plan_of(
-        mechanism, cspaces_of(mechanism, cspace), stabilisation_of(stabilise), **described
-    )
-    starts = {f"{i}.pose": poses[name] for i, name in enumerate(mechanism.names)}
-    starts |= {f"{i}.twist": twists[name] for i, name in enumerate(mechanism.names)}
-    known = continuing(pose0, mechanism, plan, twist0, t0)
-    if known is not None and clock is not None:
-        clock = known.clock_of(clock)
-    state = None if known is None else known.state_of(plan)
-    inputs = Inputs(mechanism, system_of(plan).inputs, starts, count, t0, state)
-    return Ready(plan, inputs, clock, poses, twists, None if known is None else known.provenance)
-
-
-def arrays_of(mechanism: Mechanism, argument: str, given: Any) -> dict[str, Array]:
-    """Poses or twists of all links, checked."""
-    given = mechanism.by_link(argument, given)
-    if argument == "pose0":
-        return {n: as_poses(f"pose0[{n!r}]", given[n], copy=None) for n in mechanism.names}
-    return {n: as_numbers(f"twist0[{n!r}]", given[n], (6,), copy=None) for n in mechanism.names}
-
-
-def baumgarte(alpha: float, beta: float) -> Stabilisation:
-    """Baumgarte's stabilisation, for `lierb.integrate(…, stabilise=…)`.
-
-    In place of ḧ = 0 the constraints obey ḧ + 2α ḣ + β² h = 0, so that errors decay like e^(−αt)
-    where β = α.
-
-    Parameters
-    ----------
-    alpha : float
-        Rate α, 1/s. Values beyond 1/dt make steps unstable.
-    beta : float
-        Rate β, 1/s.
-
-    Returns
-    -------
-    Stabilisation
-        Value of the argument `stabilise`.
-
-    References
-    ----------
-    J. Baumgarte, Comput. Methods Appl. Mech. Eng. 1 (1972) 1–16.
-
-    Examples
-    --------
-    >>> import lierb
-    >>> lierb.baumgarte(10.0, 10.0)
-    Stabilisation(kind='baumgarte', alpha=10.0, beta=10.0)
-    """
-    rates = {}
-    for name, given in (("alpha", alpha), ("beta", beta)):
-        rates[name] = float(as_number(name, given))
-        if rates[name] < 0.0:
-            raise ArgumentError(f"{name}={brief(given)}; expected zero or a positive number, 1/s")
-    return Stabilisation("baumgarte", **rates)
-
-
-def stabilisation_of(given: Any) -> Stabilisation:
-    """Of the argument `stabilise`. Raises ArgumentError for anything else."""
-    if given is None:
-        return Stabilisation()
-    if isinstance(given, Stabilisation):
-        return given
-    if isinstance(given, str) and given == "project":
-        return Stabilisation("project")
-    raise ArgumentError(
-        f'stabilise={brief(given)}; expected None, "project" or lierb.baumgarte(alpha, beta)'
-    )
-
-
-def told_stabilisation(given: Any) -> str | None:
-    """As metadata have it."""
-    kept = stabilisation_of(given)
-    rates = f"({kept.alpha!r}, {kept.beta!r})" if kept.kind == "baumgarte" else ""
-    return None if kept.kind == "none" else f"{kept.kind}{rates}"
-
-
-def told_cspace(given: CSpace) -> str:
-    """As metadata have it."""
-    return given if isinstance(given, str) else ", ".join(f"{k}: {v}" for k, v in given.items())
-
-
-def check_mechanism_options(mechanism: Mechanism, update: str, solver: str, stabilise: Any) -> None:
-    kept = stabilisation_of(stabilise)
-    if solver != "auto":
-        raise ArgumentError(
-            f'solver="{solver}" is for a lierb.Problem; a mechanism has none to choose: '
-            "leave solver out"
+    inputs = Inputs(model, system_of(plan).inputs, starts, count, timing.t0, state)
+    given = options.trajectories
+    numbers = None if given is None else checked_numbers(given, count)
+    if timing.is_of_lanes:
+        all_numbers = np.arange(count, dtype=np.float64) if numbers is None else numbers
+        times: StepClock | LaneTime = timing.lane_time(
+            clock, model.events, options.seed, all_numbers
         )
-    if kept.kind == "project" and update == "global":
-        raise ArgumentError(
-            'stabilise="project" needs update="local": it moves poses, and a global update keeps '
-            "them in one chart"
-        )
+    else:
+        assert clock is not None
+        times = clock
+    return Ready(
+        model, options, plan, inputs, times,
+        None if poses is None else model.from_links(poses), model.from_links(twists), numbers,
+        None if known is None else known.provenance,
+    )  # fmt: skip
+
+
+def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
+    """Return poses, whose argument is a pose0, or twists of all links as arrays, validated."""
+    values, is_pose = model.by_link(argument, given), argument.endswith("pose0")
+    if is_pose and continuation_of(given) is not None:  # the end of a run, which may have drifted
+        return {link: np.asarray(each) for link, each in values.items()}
+    return {
+        link: as_poses(model.label(argument, link), values[link], copy=None)
+        if is_pose
+        else as_numbers(model.label(argument, link), values[link], (6,), copy=None)
+        for link in model.link_names
+    }

@@ -24,13 +24,16 @@ from lierb.kernels.numbers.arithmetic import plain
 from lierb.kernels.numbers.vec import IDENTITY, UNIT, ZERO3, scale
 from lierb.kernels.numbers.zero import ZERO
 from lierb.methods import ButcherTableau
-from lierb.model.mechanism.links import Connection, Link
+from lierb.model.base import Model
+from lierb.model.connections import Connection
+from lierb.model.mechanism.links import Link
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.mechanism.row_system import System
 from lierb.model.problem import Problem
+from lierb.runs.starts import Ready
 from lierb.runs.timing import Timing
 from lierb.support.arrays import Array, assembled, components, pose_components, taken
-from lierb.support.collected_warnings import is_told_elsewhere
+from lierb.support.collected_warnings import are_warnings_collected
 
 Indices = NDArray[np.int64]
 Complex = NDArray[np.complex128]
@@ -46,25 +49,21 @@ HALVINGS = 1000  # of a step, at most: numbers end there
 DIGITS = 20  # binary ones, of the longest stable step
 
 
-def warn_of_stiff_steps(
-    problem: Problem | Mechanism,
-    start: tuple[Any, Any, int],
-    timing: Timing,
-    goes_on: bool,
-    **options: Any,
-) -> None:
+def warn_of_stiff_steps(run: Ready, **options: Any) -> None:
     """Issue one StiffStepWarning, if fixed steps are beyond the stability bound.
 
-    start, timing, goes_on : as of `stiff_steps`.   options : of `warnings.warn`.
+    options : of `warnings.warn`.
     """
-    if is_told_elsewhere():
+    if are_warnings_collected():
         return
-    if message := stiff_steps(problem, *start, timing, goes_on):
+    start = run.pose0, run.twist0, run.inputs.count
+    goes_on = run.before is not None
+    if message := stiff_steps(run.model, *start, run.options.timing, goes_on):
         warnings.warn(message, StiffStepWarning, **options)
 
 
 def stiff_steps(
-    problem: Problem | Mechanism,
+    problem: Model,
     pose0: Any,
     twist0: Any,
     count: int,
@@ -138,7 +137,7 @@ class _OwnForces:
         self._last: tuple[Any, Any, str] = None, None, ""  # steps, start and message
 
     @classmethod
-    def of(cls, problem: Problem | Mechanism) -> _OwnForces:
+    def of(cls, problem: Model) -> _OwnForces:
         forces = [f for f in problem.forces if _is_known(f.kind) or f.kind.rows]
         given: dict[str, Any] = {"forces": forces, "constraints": problem.constraints}
         if isinstance(problem, Mechanism):
@@ -275,7 +274,7 @@ class _OwnForces:
 # Far from its anchor a spring has all its stiffness across the line, and its damping along it.
 APART = Motion(ZERO, IDENTITY, scale(1e6, UNIT[0]), ZERO3, UNIT[0])
 
-_own_forces: WeakKeyDictionary[Problem | Mechanism, _OwnForces] = WeakKeyDictionary()
+_own_forces: WeakKeyDictionary[Model, _OwnForces] = WeakKeyDictionary()
 
 
 def _modes_of(

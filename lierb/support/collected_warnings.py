@@ -6,19 +6,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_told_elsewhere: ContextVar[bool] = ContextVar("told_elsewhere", default=False)
+# A context variable, not `warnings.catch_warnings`, which threads share.
+_are_collected: ContextVar[bool] = ContextVar("are_warnings_collected", default=False)
 
 
 @contextmanager
-def told_elsewhere() -> Iterator[None]:
+def warnings_collected() -> Iterator[None]:
     """Suppress warnings of failures and stiff steps: the caller issues one for all runs."""
-    token = _told_elsewhere.set(True)
+    token = _are_collected.set(True)
     try:
         yield
     finally:
-        _told_elsewhere.reset(token)
+        _are_collected.reset(token)
 
 
-def is_told_elsewhere() -> bool:
+def are_warnings_collected() -> bool:
     """Return whether the caller collects warnings."""
-    return _told_elsewhere.get()
+    return _are_collected.get()

@@ -35,7 +35,7 @@ from lierb import errors
 from lierb import methods as tableaus
 from lierb.analysis import convergence
 from lierb.kernels.mechanics.rows import JOINT_ROWS, Point
-from lierb.runs.plans import cspaces_of
+from lierb.model.mechanism.plan import cspaces_of
 
 SECONDS = 5.0  # that a call may take
 MESSAGE = 2000  # characters that an error's message may have

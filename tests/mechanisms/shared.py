@@ -15,7 +15,7 @@ from lierb.kernels.systems.plan import UNSTABILISED
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.tree_system import TreeFormulation
-from lierb.runs.plans import mechanism_plan_of
+from lierb.model.mechanism.plan import mechanism_plan_of
 
 GRAVITY = (0.0, 0.0, -9.81)
 TURNING = {"axis": (0.0, 1.0, 0.0), "body_point": (0.0, 0.0, 0.25)}

@@ -9,8 +9,8 @@ import pytest
 from cases import tiered
 
 import lierb
+from lierb.model.mechanism import plan as mechanism_plan
 from lierb.runs import engine
-from lierb.runs import plans as mechanism_plan
 
 DT, STEPS, COUNT = 5e-3, 20, 100
 

@@ -122,5 +122,5 @@ class TreeFormulation(Projection, TreeMeasures):
         return ()
 
     def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
-        """Return 1: `lierb.runs.mechanism_checks` checks starts of mechanisms beforehand."""
+        """Return 1: `Mechanism.violation` examines starts before they are packed."""
         return 1.0

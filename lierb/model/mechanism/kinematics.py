@@ -17,9 +17,10 @@ from lierb.kernels.mechanics import elements as kinds
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
 from lierb.kernels.numbers.vec import ZERO6, Vec, add, sub
 from lierb.model.base import numbers_of, parameters_of
+from lierb.model.connections import NOWHERE, Connection
 from lierb.model.joints import coordinates as joint_coordinates
 from lierb.model.joints.coordinates import is_pose, is_rigid, motions_of, relative_of
-from lierb.model.mechanism.links import NOWHERE, ByLink, Connection
+from lierb.model.mechanism.links import ByLink
 from lierb.model.mechanism.tree import Tree
 from lierb.support.arrays import (
     Array,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from lierb.errors import ArgumentError, brief
-from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import require
 from lierb.model.bodies.body import Body
 from lierb.model.functions.decorated import MOST_NAME
@@ -15,7 +14,6 @@ from lierb.model.joints.joint import Joint
 from lierb.support.shown import Lines, Shown
 
 GROUND = "ground"
-NOWHERE = -1  # number of the ground
 ByLink = Mapping[str, Any]  # values by name of the link: poses, twists, coordinates or rates
 
 
@@ -123,21 +121,3 @@ def _require_held(what: str, name: str, joint: Any, parent: Any) -> None:
         raise ArgumentError(
             f'{what} {name}: parent={brief(parent)}; expected the name of a link, or "{GROUND}"'
         )
-
-
-class Connection(NamedTuple):
-    """Joint or element between two links.
-
-    name : name of the link or loop with the joint, or of the element.
-    body, parent : numbers of the links; NOWHERE is the ground.
-    joint : joint with the two frames; None for an element between the body frames.
-    rows : rows of the joint or the element.
-    elements : number of the element; empty for a joint.
-    """
-
-    name: str
-    body: int
-    parent: int
-    joint: Joint | None
-    rows: Rows = ()
-    elements: tuple[int, ...] = ()

@@ -8,11 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lierb.errors import LeftOutWarning
+from lierb.errors import LeftOutWarning, LierbError
+from lierb.kernels.systems.plan import UNSTABILISED, MechanismPlan
 from lierb.model.files import mujoco as model_files
+from lierb.model.formulation import Formulation
 from lierb.model.mechanism.closing import Mobility, closed, mobility, projected
 from lierb.model.mechanism.kinematics import TreeKinematics
 from lierb.model.mechanism.links import ByLink, Link, Loop
+from lierb.model.mechanism.plan import formulation_of, mechanism_plan_of
+from lierb.model.mechanism.start_checks import immobile, start_of_mechanism, violation_of
 from lierb.support.arrays import Array, as_number, finite
 
 
@@ -161,6 +165,27 @@ class Mechanism(TreeKinematics):
             parts.gravity if gravity is None else gravity,
             parts.forces,
         )
+
+    # ---- runs ------------------------------------------------------------------------------------
+
+    def default_pose(self) -> dict[str, Array]:
+        return self.pose()
+
+    def formulation(
+        self, *, cspace: Any, update: str, check: str, solver: str, stabilise: Any
+    ) -> Formulation:
+        return formulation_of(self, cspace, update, solver, stabilise)
+
+    def plan(self, formulation: Formulation, **described: Any) -> MechanismPlan:
+        stabilisation = formulation.stabilisation or UNSTABILISED
+        return mechanism_plan_of(self, formulation.cspaces, stabilisation, **described)
+
+    def violation(
+        self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
+    ) -> LierbError | None:
+        with np.errstate(all="ignore"):
+            start = start_of_mechanism(self, pose0, twist0, t0)
+            return violation_of(start) or immobile(self, pose0)
 
     # ---- closing ---------------------------------------------------------------------------------
 

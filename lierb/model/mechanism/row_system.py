@@ -44,8 +44,8 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.support.arrays import Array, assembled
 
 if TYPE_CHECKING:
+    from lierb.model.connections import Connection
     from lierb.model.mechanism.kinematics import TreeKinematics
-    from lierb.model.mechanism.links import Connection
 
 # Bound between nonzero and zero singular values, relative to the largest. A start
 # may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.

@@ -10,8 +10,11 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, items_of, unknown_name
+from lierb.kernels.mechanics.rows import Rows
 from lierb.model.acting import require, require_fit
 from lierb.model.base import Model
+from lierb.model.bodies.body import Body
+from lierb.model.connections import NOWHERE, Connection
 from lierb.model.functions.constraints import Constraint
 from lierb.model.functions.controllers import Controller
 from lierb.model.functions.decorated import reject_functions
@@ -20,8 +23,13 @@ from lierb.model.functions.events import Event
 from lierb.model.functions.observables import Observable
 from lierb.model.functions.states import ExtraStates
 from lierb.model.functions.wrenches import Force
-from lierb.model.mechanism.links import GROUND, NOWHERE, Connection, Link, Loop
-from lierb.support.arrays import Array, Which, as_numbers, taken
+from lierb.model.mechanism.links import GROUND, Link, Loop
+from lierb.support.arrays import (
+    Array,
+    Which,
+    as_numbers,
+    taken,
+)
 from lierb.support.shown import Lines, counted, quantity
 
 BODY = {"mass": 0, "inertia": 2, "com": 1}  # axes of an item, by the name of the array
@@ -252,6 +260,55 @@ class Tree(Model):
         if name not in owners:
             raise unknown_name(f"{label}, {element.name}: on", name, owners)
         require_fit(element, owners[name])
+
+    # ---- interface of a model --------------------------------------------------------------------
+
+    default_cspace = "reduced"
+    flags_starts = False
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        return self.names
+
+    @cached_property
+    def fields(self) -> tuple[str, ...]:
+        return tuple(f"{i}." for i in range(len(self.links)))
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        return tuple(link.body for link in self.links)
+
+    @property
+    def inputs(self) -> dict[str, Array]:
+        return self.quantities
+
+    @cached_property
+    def rows_by_name(self) -> tuple[tuple[str, Rows], ...]:
+        added = ((self.name_of(k), c.rows) for k, c in enumerate(self.places))
+        return (*((each.name, each.joint.rows) for each in self.links_and_loops), *added)
+
+    @property
+    def description(self) -> dict[str, Any]:
+        held: dict[str, Any] = {}
+        for each in self.links_and_loops:
+            is_loop = isinstance(each, Loop)
+            numbers = {} if is_loop else {name: getattr(each.body, name) for name in BODY}
+            held[each.name] = {
+                "kind": "loop" if is_loop else "link",
+                "parent": each.parent,
+                **({"body": each.body} if is_loop else {}),
+                "joint": each.joint.name,
+                "rows": [str(row) for row in each.joint.rows],
+                **numbers,
+                **{name: getattr(each.joint, name) for name in JOINT},
+            }
+        rows = [f"{each.name}.{row}" for each in self.connections for row in each.rows]
+        return {
+            "mechanism": held, "gravity": self.gravity, **self.described_elements, "rows": rows,
+        }  # fmt: skip
+
+    def from_links(self, values: dict[str, Any]) -> dict[str, Any]:
+        return dict(values)
 
     # ---- arguments -------------------------------------------------------------------------------
 

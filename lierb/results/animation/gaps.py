@@ -1,4 +1,4 @@
-"""How far a body is off its joint, as a displacement: what the animation magnifies."""
+"""Gap of a joint as a displacement of its body, which the animation magnifies."""
 
 from __future__ import annotations
 
@@ -7,43 +7,32 @@ import numpy as np
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters
+from lierb.model.base import Model
+from lierb.model.connections import NOWHERE, Connection
 from lierb.model.joints.joint import Joint
-from lierb.model.mechanism.links import NOWHERE, Connection
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
 from lierb.support.arrays import Array, assembled, pose_components
 
 
-def gap_of(problem: Problem, poses: Array) -> Array:
-    """The displacement that has taken the body from what its joint allows; see `gaps_in`.
+def gap_of(model: Model, at: Connection, poses: list[Array]) -> Array:
+    """Return the displacement of a joint's body from what the joint allows; see `gaps_in`.
 
-    problem : of one body.   poses : (times, 4, 4).
-    """
-    return gaps_in(problem.joint, problem.parameters(), problem.in_joint_axes(SE3), poses)
-
-
-def gap_between(mechanism: Mechanism, at: Connection, poses: list[Array]) -> Array:
-    """The same of a joint of a mechanism, for what it hangs on where that is at each time.
-
-    poses : (times, 4, 4) of each link.
+    model : of one member.   poses : poses of each link over time, (times, 4, 4).
     """
     assert at.joint is not None
-    parameters = mechanism.parameters(at)
+    parameters = model.parameters(at)
     if at.parent != NOWHERE:
         ground = se3.compose(pose_components(poses[at.parent]), parameters.ground)
         parameters = parameters._replace(ground=ground)
-    return gaps_in(at.joint, parameters, mechanism.constants(at), poses[at.body])
+    return gaps_in(at.joint, parameters, model.constants(at), poses[at.body])
 
 
 def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Array) -> Array:
-    """The displacement that has taken a body from what its joint allows, in the ground's axes.
+    """Return the displacement of a body from what its joint allows, (times, 6).
 
-    Returns (times, 6): a rotation vector, rad, and the displacement of the joint's point, m. The
-    shortest that explain the values h of the joint's rows to first order: δ = J⁺ h, by the rows of
-    rotation and those of position apart.
-
-    In double precision, from the poses: single precision, which a page draws with, has no room for
-    1e-7 m beside 1 m.
+    A row is a rotation vector, rad, and the displacement of the joint's point, m, in the ground's
+    axes. They are the shortest that explain the values h of the joint's rows to first order,
+    δ = J⁺ h, with the rows of rotation and of position apart. They are computed here, since the
+    page's single precision has no room for 1e-7 m beside 1 m.
     """
     rows = joint.rows
     rotation, position = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lierb.errors import ArgumentError, brief, items_of, unknown_name
+from lierb.model.base import Model
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.results.animation.scene import (
@@ -185,11 +186,11 @@ def animate(
     if not (is_whole(frames) and frames >= 2):
         raise ArgumentError(f"frames={brief(frames)}; expected a whole number, at least 2")
     named = _named(results)
-    problems = {name: _problem_of(name, result, problem) for name, result in named.items()}
+    models = {name: _model_of(name, result, problem) for name, result in named.items()}
     chosen = _chosen(named, trajectories)
-    first = next(iter(problems.values()))
+    first = next(iter(models.values()))
     scene = scene_of(
-        list(_views(named, problems, chosen)),
+        list(_views(named, models, chosen)),
         title=_title(next(iter(named.values()))) if title is None else str(title),
         shape=_shapes(shape, first), trail=_trails(trail, first),
         frames=int(frames), magnified=_factor(magnify),
@@ -209,7 +210,7 @@ def _asset(name: str) -> str:
 
 
 def _named(results: Any) -> dict[str, RunStates]:
-    """Results by name: that of the c-space where none is given."""
+    """Return results by name; the default is that of the c-space."""
     given: list[tuple[str | None, Any]]
     if isinstance(results, Mapping):
         given = [(str(name), result) for name, result in results.items()]
@@ -235,9 +236,9 @@ def _named(results: Any) -> dict[str, RunStates]:
 RESULTS = "what lierb.integrate returned, one or several"
 
 
-def _problem_of(name: str, result: Any, given: Problem | Mechanism | None) -> Problem | Mechanism:
-    known = given if given is not None or result._end is None else result._end.problem
-    if not isinstance(known, (Problem, Mechanism)):
+def _model_of(name: str, result: Any, given: Model | None) -> Model:
+    known = given if given is not None or result._end is None else result._end.model
+    if not isinstance(known, Model):
         label = f"{name}: " if name else ""
         raise ArgumentError(
             f"{label}the result has lost its problem, as one that was pickled has; give problem="
@@ -263,12 +264,12 @@ def _chosen(named: dict[str, RunStates], given: Any) -> list[int]:
 
 
 def _views(
-    named: dict[str, RunStates], problems: dict[str, Problem | Mechanism], chosen: list[int]
-) -> Iterator[tuple[str, RunStates, Problem | Mechanism, int]]:
-    """Trajectory by trajectory, so that what is to be compared stands side by side."""
+    named: dict[str, RunStates], models: dict[str, Model], chosen: list[int]
+) -> Iterator[tuple[str, RunStates, Model, int]]:
+    """Yield title, result, model and number of each view, trajectory by trajectory."""
     for number in chosen:
         for name, result in named.items():
-            known = problems[name]
+            known = models[name]
             own = known.of_body(number if (known.batch_size() or 1) > 1 else 0)
             many = result.summary.num_rows > 1
             labels = [name] if name else []
@@ -282,50 +283,52 @@ def _views(
 def _title(result: RunStates) -> str:
     known = settings_of(result)
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
-    parts = [f"{joint} joint"] if joint else [links_told(known) or "lierb"]
+    parts = [f"{joint} joint"] if joint else [described_links(known) or "lierb"]
     if options:
         parts += [options["method"], steps_told(options)]
     return ", ".join(parts)
 
 
-def links_told(known: dict[str, Any]) -> str:
-    """`2 links and 1 loop`, of a mechanism."""
+def described_links(known: dict[str, Any]) -> str:
+    """Return "2 links and 1 loop" or the like, from the metadata of a mechanism."""
     kinds = [each["kind"] for each in known.get("problem", {}).get("mechanism", {}).values()]
     parts = [counted(kinds.count(kind), kind) for kind in ("link", "loop") if kind in kinds]
     return " and ".join(parts)
 
 
-def _shapes(given: Any, problem: Problem | Mechanism) -> Shapes:
-    if given is None or (isinstance(given, Shape) and isinstance(problem, Problem)):
+def _shapes(given: Any, model: Model) -> Shapes:
+    names = model.joint_names and model.link_names
+    if given is None or (isinstance(given, Shape) and not names):
         return given
-    if isinstance(given, Mapping) and isinstance(problem, Mechanism):
+    if isinstance(given, Mapping) and names:
         for name, each in given.items():
-            if name not in problem.names:
-                raise unknown_name("shape", name, problem.names)
+            if name not in names:
+                raise unknown_name("shape", name, names)
             if not isinstance(each, Shape):
                 raise ArgumentError(
                     f"shape[{name!r}]={brief(each)}; expected a lierb.animation.Shape"
                 )
         return given
     expected = "a lierb.animation.Shape"
-    if isinstance(problem, Mechanism):
-        expected = f"a dictionary of shapes by link, as {{{problem.names[0]!r}: …}}"
+    if names:
+        expected = f"a dictionary of shapes by link, as {{{names[0]!r}: …}}"
     raise ArgumentError(f"shape={brief(given)}; expected {expected}")
 
 
-def _trails(given: Any, problem: Problem | Mechanism) -> Trails:
+def _trails(given: Any, model: Model) -> Trails:
+    names = model.joint_names and model.link_names
     if isinstance(given, bool):
         return given
-    if isinstance(problem, Problem):
+    if not names:
         return _point("trail", given)
     if not isinstance(given, Mapping):
         raise ArgumentError(
             f"trail={brief(given)}; expected a flag, or a dictionary of points by link, as "
-            f"{{{problem.names[0]!r}: (0.0, 0.0, 0.1)}}"
+            f"{{{names[0]!r}: (0.0, 0.0, 0.1)}}"
         )
     for name in given:
-        if name not in problem.names:
-            raise unknown_name("trail", name, problem.names)
+        if name not in names:
+            raise unknown_name("trail", name, names)
     return {name: _point(f"trail[{name!r}]", point) for name, point in given.items()}
 
 

@@ -1,4 +1,4 @@
-"""What an animation shows, as plain data that becomes JSON: `scene_of` says all that is in it.
+"""Scene of an animation: plain data that becomes JSON.
 
     scene   title, up (3), centre (3) and radius of what is seen, size of its bodies, m; floor: how
             high along up it is drawn, m, or null; follow: whether the camera goes with the bodies;
@@ -20,7 +20,6 @@ are float32, t is float64, little-endian, in base64; NaN after a failure.
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -28,17 +27,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from lierb.errors import ArgumentError
 from lierb.kernels.groups import so3
-from lierb.kernels.mechanics.rows import keeps_axis
 from lierb.kernels.numbers.vec import norm, scale
+from lierb.model.base import Model
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
-from lierb.model.mechanism.mechanism import Mechanism
-from lierb.model.problem import Problem
-from lierb.results.animation.gaps import gap_between, gap_of
+from lierb.results.animation.drawn_joints import drawn_joints
+from lierb.results.animation.encoding import RUNAWAY, encoded, text_of
 from lierb.results.animation.shapes import Shape, equivalent
 from lierb.results.colours import COLOURS, CSPACE_COLOURS, colours_of
 from lierb.results.columns import as_array
@@ -52,7 +49,6 @@ MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible: it is no gap
 WANDERS = 12.0  # times its size: a body that goes farther is followed by the camera
 TURN_SEEN = 0.5 * math.pi  # rad from frame to frame: beyond, one does not see which way it turns
 CENTRED = 0.02  # of the size: a centre of mass nearer to the joint draws no trail
-RUNAWAY = 1e30  # m: what is farther is not looked at; float32 ends at 3e38
 RECORD = (
     "an animation needs the poses over time: integrate with save_every=… or save_at=…, and "
     'record="state", such as save_every=10'
@@ -65,7 +61,7 @@ CURVES = {
 
 
 def scene_of(
-    named: Sequence[tuple[str, RunStates, Problem | Mechanism, int]],
+    named: Sequence[tuple[str, RunStates, Model, int]],
     *,
     title: str,
     shape: Shapes,
@@ -73,14 +69,14 @@ def scene_of(
     frames: int,
     magnified: float = 1.0,
 ) -> dict[str, Any]:
-    """The scene of these trajectories, a view for each.
+    """Return the scene of these trajectories, a view for each.
 
-    named : titles, results with states, problems of one body each, numbers of trajectories.
+    named : titles, results with states, models of one member each, numbers of trajectories.
     shape, trail : of the body; of a mechanism by link, of those for which one is given.
     """
     looks = [
-        _view(name, result, problem, number, shape, trail, frames)
-        for name, result, problem, number in named
+        _view(name, result, model, number, shape, trail, frames)
+        for name, result, model, number in named
     ]
     views, swept, sizes, gaps, curves, turns = zip(*looks, strict=True)
     for view, (colour, dash) in zip(views, _colours([r for _, r, _, _ in named])):
@@ -114,21 +110,22 @@ def scene_of(
 
 
 def settings_of(result: RunStates) -> dict[str, Any]:
-    """What the metadata of its tables tell: the problem and the options."""
+    """Return the metadata of a result: its problem and options."""
     found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
     return found
 
 
 def cspace_of(result: RunStates) -> str | None:
-    """The c-space that it was integrated on."""
+    """Return the c-space of a result; None where its tables do not have it."""
     found: str | None = settings_of(result).get("options", {}).get("cspace")
     return found
 
 
 def _colours(results: Sequence[RunStates]) -> list[tuple[str, int]]:
-    """A colour and a dash for each: c-spaces have their own, views of one c-space dashes in it.
+    """Return a colour and the number of a dash for each result.
 
-    Where all are on one c-space, each has a colour of its own.
+    A c-space has a colour, and the results on it differ by dashes. Where all are on one c-space,
+    each has a colour of its own.
     """
     spaces = [cspace_of(result) for result in results]
     if len({*spaces}) == 1 or not {*spaces} <= CSPACE_COLOURS.keys():
@@ -136,27 +133,13 @@ def _colours(results: Sequence[RunStates]) -> list[tuple[str, int]]:
     return [(CSPACE_COLOURS[str(s)], spaces[:n].count(s)) for n, s in enumerate(spaces)]
 
 
-def encoded(array: Array) -> str:
-    """float32, little-endian, in base64."""
-    return _text(_single(array))
-
-
-def _text(array: NDArray[Any]) -> str:
-    return base64.b64encode(array.tobytes()).decode()
-
-
 def _rounded(points: Array, size: float) -> Array:
-    """To nine digits of the size, for a shorter page."""
+    """Round to nine digits of the size, for a shorter page."""
     return np.asarray(np.round(points, 9 - math.ceil(math.log10(size))))
 
 
-def _single(array: Array) -> NDArray[np.float32]:
-    with np.errstate(over="ignore"):  # of a body that runs away: infinite, which is not drawn
-        return np.ascontiguousarray(array, "<f4")
-
-
 def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: str = "") -> Array:
-    """Poses of a trajectory at some of the saved times, (rows, 4, 4).
+    """Return poses of a trajectory at some of the saved times, (rows, 4, 4).
 
     count : of the trajectories in the history.   prefix : of the columns' names.
     """
@@ -169,7 +152,7 @@ def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: st
 
 
 class Linked(NamedTuple):
-    """A body that is drawn: its columns' prefix, and all joint points on it, its own the first."""
+    """Body that is drawn: prefix of its columns, and the joint points on it, its own first."""
 
     name: str
     prefix: str
@@ -179,88 +162,58 @@ class Linked(NamedTuple):
     is_pinned: bool
 
 
-class Held(NamedTuple):
-    """A joint that is drawn: bodies by their numbers, None for the ground."""
-
-    name: str
-    joint: Joint
-    parent: int | None
-    child: int
-    closes: bool
-    gap: Array
-
-
-def _linked(problem: Problem | Mechanism) -> list[Linked]:
-    if isinstance(problem, Problem):
-        own = [problem.joint.body_frame[:3, 3]]
-        return [Linked("body", "", problem.body, own, False, bool(problem.joint.rows))]
-    found = []
-    for i, link in enumerate(problem.links):
-        points = [link.joint.body_frame[:3, 3]] if link.joint.rows else []
+def _linked(model: Model) -> list[Linked]:
+    links, found = model.joints[: len(model.bodies)], []
+    for i, (name, body) in enumerate(zip(model.link_names, model.bodies, strict=True)):
+        own = links[i].joint
+        assert own is not None
+        points = [own.body_frame[:3, 3]] if own.rows else []
         points += [
             at.joint.ground_frame[:3, 3] if at.parent == i else at.joint.body_frame[:3, 3]
-            for n, at in enumerate(problem.joints)
+            for n, at in enumerate(model.joints)
             if n != i and i in (at.parent, at.body) and at.joint is not None and at.rows
         ]
-        is_parent = link.name in (other.parent for other in problem.links)
-        found.append(
-            Linked(link.name, f"{link.name}.", link.body, points, is_parent, bool(link.joint.rows))
-        )
+        is_parent = i in (at.parent for at in links)
+        prefix = f"{name}." if name else ""
+        found.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
     return found
-
-
-def _held(problem: Problem | Mechanism, poses: list[Array]) -> list[Held]:
-    """Those that have rows, parents first, and loops after the links."""
-    if isinstance(problem, Problem):
-        joint = problem.joint
-        gap = gap_of(problem, poses[0])
-        return [Held(joint.name, joint, None, 0, False, gap)] if joint.rows else []
-    count = len(problem.links)
-    return [
-        Held(
-            at.name, at.joint, at.parent if at.parent >= 0 else None, at.body, n >= count,
-            gap_between(problem, at, poses),
-        )
-        for n in (*problem.order, *range(count, len(problem.joints)))
-        if (at := problem.joints[n]).joint is not None and at.rows
-    ]  # fmt: skip
 
 
 def _view(
     name: str,
     result: RunStates,
-    problem: Problem | Mechanism,
+    model: Model,
     number: int,
     shape: Shapes,
     trail: Trails,
     frames: int,
 ) -> tuple[dict[str, Any], Array, float, float, list[str], float]:
-    """A view; points it reaches, how large its bodies are, its largest gap, curves and turns."""
+    """Return a view, the points it reaches, the bodies' size, the largest gap, curves and turn."""
     history = result.history
     if history is None or not result.has_states:
         raise ArgumentError(f"{name or 'the result'}: {RECORD}")
     count = result.summary.num_rows
     t = as_array(history["t"]).reshape(-1, count)[:, number]
     rows = np.unique(np.rint(np.linspace(0, len(t) - 1, min(frames, len(t)))).astype(int))
-    links = _linked(problem)
+    links = _linked(model)
     poses = [poses_of(history, count, number, rows, each.prefix) for each in links]
     shapes = [_of_link(shape, each.name) or equivalent(each.body) for each in links]
-    held = _held(problem, poses)
+    held = drawn_joints(model, poses)
     errors = _errors(history, [each.joint for each in held], count, number, rows)
     view = {
         "title": name,
-        "t": _text(np.ascontiguousarray(t[rows], "<f8")),  # steps of 1e-3 s after days
+        "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # steps of 1e-3 s after days
         "bodies": [
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
-        "joints": [_joint(each) for each in held],
+        "joints": [each.described() for each in held],
         "errors": {name: encoded(values) for name, values in errors.items()},
     }
     size = max(each.size for each in shapes)
     turn = max(_turn(history, count, number, rows, t[rows], each.prefix) for each in links)
     grounds = [each.joint.ground_frame[:3, 3] for each in held if each.parent is None]
     swept = np.vstack([_swept(*each) for each in zip(poses, shapes)] + grounds)
-    gap = max((_gap_size(each.gap, size) for each in held), default=0.0)
+    gap = max((each.gap_size(size) for each in held), default=0.0)
     return view, swept, size, gap, [*errors], turn
 
 
@@ -294,9 +247,10 @@ def _quaternions(poses: Array) -> Array:
 
 
 def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
-    """The body's point that leaves a trail: the centre of mass, or if that rests a far corner.
+    """Return the point of a body that leaves a trail, None for no trail.
 
-    Of a mechanism only links on which no other hangs leave one, or those for which one is given.
+    It is the centre of mass, or a far corner where that rests. Links with children leave none
+    unless a point is given.
     """
     if isinstance(trail, Mapping):
         return trail.get(link.name)
@@ -311,19 +265,19 @@ def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
     return np.asarray(shape.vertices[int(away.argmax())])
 
 
-def _up(problem: Problem | Mechanism) -> Array:
-    """Against gravity; e₃ where there is none."""
-    pull = np.linalg.norm(problem.gravity)
-    up = -problem.gravity / pull if pull else np.array([0.0, 0.0, 1.0])
+def _up(model: Model) -> Array:
+    """Return the direction against gravity; e₃ without gravity."""
+    pull = np.linalg.norm(model.gravity)
+    up = -model.gravity / pull if pull else np.array([0.0, 0.0, 1.0])
     return np.asarray(up) + 0.0  # no −0
 
 
 def _errors(
     history: pa.Table, joints: list[Joint], count: int, number: int, rows: Array
 ) -> dict[str, Array]:
-    """The errors that joints have rows for; without any, the drift of energy.
+    """Return the errors that joints have rows for; without any, the drift of energy.
 
-    Where frames are left out, the largest since the one before.
+    Each value is the largest since the frame before.
     """
     found = {kind for joint in joints for kind in joint.error_kinds}
     kinds = [f"{kind}_error" for kind in sorted(found)] or ["energy_drift"]
@@ -336,53 +290,11 @@ def _errors(
     }
 
 
-def _joint(held: Held) -> dict[str, Any]:
-    joint = held.joint
-    ground, body = _axes(joint)
-    slides, child_slides = _slides(joint)
-    return {
-        "name": held.name, "parent": held.parent, "child": held.child, "closes": held.closes,
-        "parent_frame": joint.ground_frame.ravel().tolist(),
-        "child_frame": joint.body_frame.ravel().tolist(),
-        "parent_axes": ground, "child_axes": body,
-        "slides": slides, "child_slides": child_slides,
-        "is_rod": "rod" in map(str, joint.rows),
-        "gap": encoded(held.gap),
-    }  # fmt: skip
-
-
-def _axes(joint: Joint) -> tuple[list[int], list[int]]:
-    """Axes of the joint frame on the ground, and of that on the body, about which it turns."""
-    ground, body = set(), set()
-    if keeps_axis(joint.rows) and not {"Omega3"} & {*map(str, joint.rows)}:
-        ground.add(2)
-        body.add(2)
-    for row in joint.rows:
-        if row.symbol == "Q":
-            ground.add(row.i)
-            body.add(row.j)
-        if row.symbol == "cv":
-            ground.add(2)
-            body.add(2)
-    return sorted(ground), sorted(body)
-
-
-def _slides(joint: Joint) -> tuple[list[int], list[int]]:
-    """Axes of the joint frame on the ground, and of that on the body, along which it slides."""
-    found = []
-    for symbol in ("d", "Qtd"):
-        held = {row.i for row in joint.rows if row.symbol == symbol}
-        if "screw" in map(str, joint.rows) and symbol == "d" and len(held) < 2:
-            held = {0, 1, 2}  # a plane that rises: no line to draw
-        found.append([i for i in range(3) if i not in held] if len(held) == 2 else [])
-    return found[0], found[1]
-
-
 # ---- sizes -------------------------------------------------------------------------------------
 
 
 def _swept(poses: Array, shape: Shape) -> Array:
-    """Places of a body's outermost vertices, (k, 3)."""
+    """Return the positions of a body's outermost vertices, (k, 3)."""
     with np.errstate(invalid="ignore"):
         alive = poses[(np.abs(poses) < RUNAWAY).all(axis=(1, 2))]
     corners = shape.vertices[np.unique(np.r_[shape.vertices.argmin(0), shape.vertices.argmax(0)])]
@@ -393,23 +305,15 @@ def _swept(poses: Array, shape: Shape) -> Array:
 
 
 def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:
-    """The largest turn from one frame to the next, rad, by its rates: poses do not count turns."""
+    """Return the largest turn between frames, rad, from rates, since poses do not count turns."""
     omega = as_array(history[f"{prefix}omega"]).reshape(-1, count, 3)[rows, number]
     with np.errstate(all="ignore"):
         turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
     return float(np.nanmax(turns, initial=0.0))
 
 
-def _gap_size(gap: Array, size: float) -> float:
-    """The largest gap relative to the body's size, or in rad."""
-    with np.errstate(invalid="ignore"):
-        near = gap[(np.abs(gap) < RUNAWAY).all(axis=1)]
-    turned, moved = (np.linalg.norm(part, axis=1) for part in (near[:, :3], near[:, 3:]))
-    return float(np.max(np.maximum(turned, moved / size), initial=0.0))
-
-
 def _largest_factor(gap: float, size: float) -> float:
-    """By how much the slider magnifies at most: a power of ten; 1 where nothing would be seen."""
+    """Return the largest factor of the slider, a power of ten; 1 where no gap would be visible."""
     if gap * MOST_MAGNIFIED < 1e-3:
         return 1.0
     factor = 10.0 ** math.ceil(math.log10(GAP_SHOWN / gap))

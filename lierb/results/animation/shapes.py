@@ -1,4 +1,4 @@
-"""What a body looks like: given shapes, or the box or cylinder that has its mass and inertia."""
+"""Shapes of bodies: given ones, or the box or cylinder of equal mass and inertia."""
 
 from __future__ import annotations
 

@@ -7,10 +7,7 @@ from math import prod
 from typing import Any
 
 from lierb.errors import StudyError
-from lierb.model.problem import Problem
-from lierb.runs import start_checks
-from lierb.runs.mechanism_checks import violation
-from lierb.runs.timing import MOST_SEED
+from lierb.runs.time_options import MOST_SEED
 from lierb.studies.description.batches import Batch
 from lierb.studies.description.changes import index_of, path_of
 from lierb.studies.description.sections.running import IntegrateSection
@@ -82,10 +79,7 @@ def check_seed(study: StudyTables) -> None:
 
 def check_start(batch: Batch, t0: float) -> None:
     """Raise LierbError for poses and twists that violate the constraints at t0, s."""
-    problem = batch.problem
-    if isinstance(problem, Problem):
-        start_checks.require_consistent(problem, batch.twist0, batch.pose0, t0)
-    elif error := violation(problem, batch.pose0, batch.twist0, t0):
+    if error := batch.problem.violation(batch.pose0, batch.twist0, t0):
         raise error
 
 

@@ -15,9 +15,9 @@ from lierb.errors import ArgumentError
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.numbers.vec import IDENTITY, ZERO6, Vec, add, mat_t_vec
+from lierb.model.connections import NOWHERE
 from lierb.model.joints.coordinates import motions_of, numbers_of
 from lierb.model.joints.joint import Joint
-from lierb.model.mechanism.links import NOWHERE
 from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.support.arrays import (

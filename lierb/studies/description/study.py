@@ -22,9 +22,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from lierb.errors import LierbError, StudyError
-from lierb.runs.options import check_options
-from lierb.runs.starts import baumgarte
-from lierb.runs.timing import has_jumps
+from lierb.kernels.systems.plan import Stabilisation
+from lierb.model.base import Model
+from lierb.model.formulation import baumgarte
+from lierb.runs.options import Options
 from lierb.sampling import Design
 from lierb.studies.description import checks
 from lierb.studies.description.batches import Batch, batch_of
@@ -176,7 +177,7 @@ class Study(Shown, StudyTables):
             checks.check_start(batch, self.integrate.t0)
         for setting in self.settings:
             with at("integrate", (*NEW_KEYS, "save_every")):
-                check_options(batch.problem, **self.options(setting))
+                self.options(setting, batch.problem)
         checks.check_seed(self)
 
     def _shown(self) -> tuple[str, Lines]:
@@ -210,21 +211,30 @@ class Study(Shown, StudyTables):
         is_timed = run.is_adaptive or any(x is not None for x in given)
         if is_timed or has.events or has.states or has.controllers:
             return True
-        return bool(self.files) and has_jumps(self.batch(0, 1).problem)
+        return bool(self.files) and self.batch(0, 1).problem.has_jumps
 
-    def options(self, setting: Setting) -> dict[str, Any]:
-        """Keyword arguments of `lierb.integrate` for a setting, without those of the batch."""
+    @property
+    def stabilise(self) -> str | Stabilisation | None:
+        """Argument of `lierb.integrate`."""
+        own = self.integrate.stabilise
+        return baumgarte(**own.model_dump()) if isinstance(own, Baumgarte) else own
+
+    def options(self, setting: Setting, model: Model, **own: Any) -> Options:
+        """Return the options of a run. Raises the errors of `lierb.integrate`.
+
+        own : keywords of `lierb.integrate` in place of the study's.
+        """
         run = self.integrate
-        kept = run.stabilise
-        return {
-            "stabilise": baumgarte(**kept.model_dump()) if isinstance(kept, Baumgarte) else kept,
-            "cspace": setting.cspace, "method": setting.method, "dt": setting.dt,
-            "t_end": run.t_end, "t0": run.t0, "update": run.update, "solver": run.solver,
-            "save_every": run.save_every, "save_at": run.times, "measure_every": run.measure_every,
+        given = {
+            "stabilise": self.stabilise, "cspace": setting.cspace, "method": setting.method,
+            "dt": setting.dt, "t_end": run.t_end, "t0": run.t0, "update": run.update,
+            "solver": run.solver, "save_every": run.save_every, "save_at": run.times,
+            "measure_every": run.measure_every,
             "record": tuple(run.record), "rtol": setting.rtol, "atol": run.atol,
             "dt_min": run.dt_min, "dt_max": run.dt_max, "max_steps": run.max_steps,
             "discontinuities": run.discontinuities,
         }  # fmt: skip
+        return Options.of(model, **given | own)
 
     @property
     def stopping_rule(self) -> Rule | None:

@@ -10,7 +10,7 @@ from typing import Any, Self
 import tomli_w
 from pydantic import ConfigDict, PrivateAttr, model_validator
 
-from lierb.runs.timing import ADAPTIVE_METHOD
+from lierb.runs.time_options import ADAPTIVE_METHOD
 from lierb.sampling import Design
 from lierb.studies.description.code import Code, named, sha256_of_text
 from lierb.studies.description.sections.bodies import BodySection, InitialSection, JointSection

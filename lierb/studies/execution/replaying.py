@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from lierb.api import integrate
+from lierb.api import integrate_model
 from lierb.errors import StudyError
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.execution.opening import loaded
 from lierb.studies.storage.parts import Part
-from lierb.support.collected_warnings import told_elsewhere
+from lierb.support.collected_warnings import warnings_collected
 
 REPLAYED = 1000  # equal intervals of the history of a replay with adaptive steps
 REPLAY = (
@@ -67,15 +67,10 @@ def compile_for(
     batch = given.batch(0, 1)
     seconds = []
     for setting in given.settings:
-        options = given.options(setting)
-        if given.has_lane_clocks:
-            options |= {"max_steps": 1}
-        else:
-            options |= {"t0": 0.0, "t_end": setting.dt}
+        one_step = {"max_steps": 1} if given.has_lane_clocks else {"t0": 0.0, "t_end": setting.dt}
+        options = given.options(setting, batch.problem, **one_step)
         began = time.perf_counter()
-        with told_elsewhere():
-            integrate(
-                batch.problem, twist0=batch.twist0, pose0=batch.pose0, progress=False, **options
-            )
+        with warnings_collected():
+            integrate_model(batch.problem, options, batch.pose0, batch.twist0, progress=False)
         seconds.append((setting, time.perf_counter() - began))
     return seconds

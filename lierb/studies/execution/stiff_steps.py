@@ -6,17 +6,16 @@ import warnings
 from typing import Any
 
 from lierb.errors import StiffStepWarning
-from lierb.runs.options import check_options
 from lierb.runs.stiffness import stiff_steps
 from lierb.studies.description.study import Study
-from lierb.support.collected_warnings import is_told_elsewhere
+from lierb.support.collected_warnings import are_warnings_collected
 
 MOST_BODIES = 4096  # first bodies of a study that are examined
 
 
 def warn_of_stiff_steps(study: Study, **options: Any) -> None:
     """Issue one StiffStepWarning for all settings of a study.   options : of `warnings.warn`."""
-    if not is_told_elsewhere() and (messages := stiff_settings(study)):
+    if not are_warnings_collected() and (messages := stiff_settings(study)):
         warnings.warn("\n  ".join(messages), StiffStepWarning, **options)
 
 
@@ -27,6 +26,6 @@ def stiff_settings(study: Study) -> list[str]:
     batch = study.batch(0, count, design)
     messages = []
     for setting in study.settings:
-        _, timing, _ = check_options(batch.problem, **study.options(setting))
+        timing = study.options(setting, batch.problem).timing
         messages.append(stiff_steps(batch.problem, batch.pose0, batch.twist0, count, timing))
     return [message for message in dict.fromkeys(messages) if message]

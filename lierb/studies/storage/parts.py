@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from lierb.api import integrate
+from lierb.api import integrate_model
 from lierb.results.columns import as_array, numbers, repeated, vectors
 from lierb.results.tables import event_row_bytes, history_row_bytes
 from lierb.runs.lane_engine import SHARES
@@ -18,7 +19,7 @@ from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.description.units import unit_of
 from lierb.support.arrays import Array
-from lierb.support.collected_warnings import told_elsewhere
+from lierb.support.collected_warnings import warnings_collected
 
 Progress = Callable[[int, int], None]
 HISTORY_BYTES = 64e6  # most bytes of a part's history
@@ -52,15 +53,20 @@ class Part:
     ) -> dict[str, pa.Table]:
         """Integrate the bodies; return `summary`, and `history` and `events` if there are any."""
         batch = study.batch(self.first, self.count, design)
-        options = study.options(self.setting)
+        own: dict[str, Any] = {}
         if study.problem.controllers:  # noise depends on a trajectory's number in the study
             numbers_of_all = np.arange(self.first, self.first + self.count)
-            options |= {"seed": study.sample.seed, "trajectories": numbers_of_all}
-        with told_elsewhere():
-            result = integrate(
-                batch.problem, twist0=batch.twist0, pose0=batch.pose0, threads=threads,
-                progress=progress or False, **options,
-            )  # fmt: skip
+            own = {"seed": study.sample.seed, "trajectories": numbers_of_all}
+        options = study.options(self.setting, batch.problem, **own)
+        with warnings_collected():
+            result = integrate_model(
+                batch.problem,
+                options,
+                batch.pose0,
+                batch.twist0,
+                threads=threads,
+                progress=progress or False,
+            )
         tables = {"summary": _with_draws(self._labelled(result.summary), study, batch)}
         if result.history is not None:
             tables["history"] = self._labelled(result.history)

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
-from lierb.runs.timing import RTOL
+from lierb.runs.time_options import RTOL
 from lierb.studies.description.sections.fields import SECTION, Count, Names, Section, Several
 from lierb.studies.description.times import SaveAt, saved_times
 from lierb.support.arrays import Array

@@ -1,4 +1,4 @@
-"""What compiled code of a mechanism is specialised on: its tree, in the c-spaces asked for."""
+"""Formulation and plan of a mechanism: nodes and connections on which code is specialised."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
 from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
+from lierb.model.connections import NOWHERE
+from lierb.model.formulation import CSpace, Formulation, stabilisation_of
 from lierb.model.joints.joint import Joint
-from lierb.model.mechanism.links import NOWHERE
-from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
-CSpace = str | Mapping[str, str]
 
 
-def cspaces_of(mechanism: Mechanism, cspace: CSpace) -> tuple[str, ...]:
-    """Of every link. Raises ArgumentError for what is none, and for a body that it does not fit."""
+def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
+    """Return the c-space of each link. Raises ArgumentError for an unfit name or body."""
     if isinstance(cspace, Mapping):
         for name in cspace:
             if name not in mechanism.names:
@@ -46,13 +46,31 @@ def cspaces_of(mechanism: Mechanism, cspace: CSpace) -> tuple[str, ...]:
     return found
 
 
+def formulation_of(
+    mechanism: Tree, cspace: CSpace, update: str, solver: str, stabilise: Any
+) -> Formulation:
+    """Validate the options that choose the equations. Raises ArgumentError."""
+    cspaces, stabilisation = cspaces_of(mechanism, cspace), stabilisation_of(stabilise)
+    if solver != "auto":
+        raise ArgumentError(
+            f'solver="{solver}" is for a lierb.Problem; a mechanism has none to choose: '
+            "leave solver out"
+        )
+    if stabilisation.kind == "project" and update == "global":
+        raise ArgumentError(
+            'stabilise="project" needs update="local": it moves poses, and a global update keeps '
+            "them in one chart"
+        )
+    return Formulation(cspaces, solver, stabilisation)
+
+
 def mechanism_plan_of(
-    mechanism: Mechanism,
+    mechanism: Tree,
     cspaces: tuple[str, ...],
     stabilisation: Stabilisation,
     **described: Any,
 ) -> MechanismPlan:
-    """What compiled code is specialised on."""
+    """Return the plan of a mechanism with a c-space for each link."""
     tree: list[Node] = []
     nodes = {NOWHERE: GROUND}  # by the numbers of links
     for i in mechanism.order:
@@ -96,12 +114,12 @@ def mechanism_plan_of(
 
 
 def is_group(joint: Joint) -> bool:
-    """Whether its motions are a subgroup of SE(3), that of a fixed joint included."""
+    """Return whether the joint's motions are a subgroup of SE(3), or the identity alone."""
     return joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6
 
 
-def _hangs(mechanism: Mechanism, i: int, cspaces: tuple[str, ...]) -> bool:
-    """Whether a link hangs on its parent by one node."""
+def _hangs(mechanism: Tree, i: int, cspaces: tuple[str, ...]) -> bool:
+    """Return whether one node connects a link to its parent."""
     return cspaces[i] != "reduced" or not mechanism.links[i].joint.factors
 
 

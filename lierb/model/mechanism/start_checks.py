@@ -1,0 +1,253 @@
+"""Start of a run: poses and twists against the rows of all joints, before anything runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.errors import (
+    ArgumentError,
+    LierbError,
+    PoseError,
+    TwistError,
+    beyond_numbers,
+    body_label,
+)
+from lierb.kernels.groups import so3
+from lierb.kernels.mechanics.constraints import rate_errors_squared
+from lierb.kernels.mechanics.newton_euler import SE3
+from lierb.kernels.mechanics.scale import ROUNDING, START_TOLERANCE, length_of, rounding_of
+from lierb.kernels.numbers.arithmetic import absolute, plain, sqrt
+from lierb.kernels.numbers.vec import Vec, cross_add, dot, norm, sub
+from lierb.model.acting import unfit_rate
+from lierb.model.base import Model
+from lierb.model.mechanism.closing import closed, mobility
+from lierb.model.mechanism.kinematics import TreeKinematics
+from lierb.model.mechanism.row_system import (
+    ConnectionState,
+    System,
+    errors_of,
+    name_of,
+    one_of,
+    velocity_of,
+    wrong_way,
+)
+from lierb.support.arrays import Array, as_poses, components, pose_components, taken
+
+EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
+
+
+class Members(NamedTuple):
+    """Members of a batch: number of the first, how many they are, and size of the batch."""
+
+    first: int
+    size: int
+    total: int
+
+    def label(self, argument: str, member: int) -> str:
+        return body_label(argument, self.first + member, self.total)
+
+
+class Start(NamedTuple):
+    """Joints of a model at the start, with their names in messages.
+
+    speed : m/s, with which the tolerances of velocities scale.   time : s.
+    turned : what to turn where a joint is half a turn off.   closing : effect of `close` on a
+    member.   projecting : effect of `project`.
+    """
+
+    joints: list[tuple[str, ConnectionState]]
+    speed: Any
+    time: float
+    members: Members
+    turned: str
+    closing: Callable[[int], str]
+    projecting: str
+
+
+def violation_of_body(
+    model: Model, poses: Array, twists: Array, t0: float, number: int | None
+) -> LierbError | None:
+    """Return the error of the first body whose start violates its joint; None without one.
+
+    number : the only body to check, or None.
+    """
+    count = model.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
+    with np.errstate(all="ignore"):
+        if number is None:
+            return violation_of(_start_of_body(model, poses, twists, t0, Members(0, count, count)))
+        alone = model.of_body(number) if model.batch_size() else model
+        own = taken(poses, number, 2), taken(twists, number, 1)
+        return violation_of(_start_of_body(alone, *own, t0, Members(number, 1, count)))
+
+
+def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members: Members) -> Start:
+    (at,), ((_, rows),) = model.joints, model.rows_by_name
+    assert at.joint is not None
+    p, body, pose, twist = (
+        model.parameters(at), model.constants(at), pose_components(poses), components(twists),
+    )  # fmt: skip
+    x = SE3.kinematics(body, *SE3.to_joint_axes(p, pose, twist))._replace(time=np.float64(t0))
+    state = ConnectionState(at._replace(rows=rows), p, body, x, length_of(p), rounding_of(p, pose))
+    added = [element.name for element in model.elements if element.kind.rows]
+    closing = (
+        "problem.close(pose0) finds a pose near by that does"
+        if model.constraints
+        else "leave pose0 out for the closed joint, or give the joint frames that it closes"
+    )
+    return Start(
+        joints=[(" with ".join((f"the {at.joint.name} joint", *added)), state)],
+        speed=speed_of(twist, p.com, state.length),
+        time=t0,
+        members=members,
+        turned="pose0",
+        closing=lambda member: closing,
+        projecting="problem.project(twist0, pose0) is the nearest twist that the joint allows",
+    )
+
+
+def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: float) -> Start:
+    """Return all joints, loops and constraints at poses and twists as `lierb.integrate` takes them.
+
+    The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest
+    but for the rounding of the others' speed.
+    """
+    placed, moving = mechanism.poses("pose0", pose), mechanism.twists("twist0", twist)
+    sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
+    sizes |= {f"twist0[{n!r}]": moving[i][0] for i, n in enumerate(mechanism.names)}
+    count = mechanism.batch_size(**sizes) or 1
+    system = System(mechanism, count)
+    joints = [(name_of(mechanism, h.at), h) for h in system.states(placed, moving, np.float64(t0))]
+    speed: Any = 0.0
+    for velocity, metric, length in zip(moving, system.metrics, system.lengths, strict=True):
+        speed = speed + speed_of(velocity, metric.com, length)
+
+    def closing(member: int) -> str:
+        return _effect_of_closing(mechanism, pose, member)
+
+    projecting = "mechanism.project(twist0, pose0) is the nearest twist that all joints allow"
+    return Start(joints, speed, t0, Members(0, count, count), "a link", closing, projecting)
+
+
+def speed_of(twist: Vec, com: Vec, length: Any) -> Any:
+    """‖v‖ + ℓ‖ω‖ of a body, m/s, v that of its centre of mass."""
+    return norm(cross_add(twist[:3], com, twist[3:])) + length * norm(twist[:3])
+
+
+def violation_of(start: Start) -> LierbError | None:
+    """Return the error of the first violated joint; None without one."""
+    for find in (_pose_violation, _twist_violation):
+        for name, h in start.joints:
+            if error := find(start, name, h):
+                return error
+    return None
+
+
+def _pose_violation(start: Start, name: str, h: ConnectionState) -> PoseError | None:
+    for member in wrong_way(h, start.members.size)[:1].tolist():
+        return PoseError(
+            f"{start.members.label('pose0', member)} holds {name} the wrong way round, half a turn "
+            f"off, which no row sees; turn {start.turned} or one of the joint's frames by 180°"
+        )
+    tolerances = START_TOLERANCE * h.length + h.rounding, START_TOLERANCE
+    for (what, unit, size), allowed in zip(errors_of(h), tolerances, strict=True):
+        for member in _beyond(size, allowed, start.members.size):
+            label = start.members.label("pose0", member)
+            error, most = one_of(size, member), one_of(allowed, member)
+            if not max(error, most) < np.inf:
+                return PoseError(beyond_numbers(label, f"{what} error"))
+            values = [
+                f"{r} = {one_of(r.value(h.x, h.body), member):.3g}"
+                for r in h.at.rows
+                if r.has_value and r.error_kind == what
+            ]
+            detail = f" ({', '.join(values)})" if values else ""
+            return PoseError(
+                f"{label} does not close {name}: {what} error {error:.3g}{unit} > "
+                f"{most:.3g}{unit}{detail}; {start.closing(member)} {EVEN_SO}"
+            )
+    return None
+
+
+def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError | None:
+    rates = [r.prescribed_rate(h.x, h.body) for r in h.at.rows]
+    if unfit := unfit_rate(h.at.rows, rates, start.time):
+        return unfit
+    velocity = velocity_of(h.x)
+    sizes = map(sqrt, map(plain, rate_errors_squared(h.at.rows, h.x, h.body, velocity)))
+    for what, unit, size, allowed in zip(
+        ("velocity", "rotation rate"), ("m/s", "rad/s"), sizes, _rate_tolerances(h, start.speed),
+        strict=True,
+    ):  # fmt: skip
+        for member in _beyond(size, allowed, start.members.size):
+            label = start.members.label("twist0", member)
+            error, most = one_of(size, member), one_of(allowed, member)
+            if not max(error, most) < np.inf:
+                return TwistError(beyond_numbers(label, what))
+            residuals = ", ".join(
+                f"{r}: {one_of(dot(r.jacobian(h.x, h.body), velocity) - rate, member):.3g}"
+                for r, rate in zip(h.at.rows, rates, strict=True)
+                if r.is_translational == (what == "velocity")
+            )
+            return TwistError(
+                f"{label} violates {name}: {what} {error:.3g} {unit} > {most:.3g} {unit} "
+                f"({residuals}); {start.projecting} {EVEN_SO}"
+            )
+    return None
+
+
+def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
+    """Return the first member whose error is beyond its tolerance, or is no number."""
+    is_fine = np.broadcast_to((size <= allowed) & (allowed < np.inf), (count,))
+    found: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
+    return found
+
+
+def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
+    """m/s and rad/s, relative to the speed and to that which forces bring about in ℓ/speed."""
+    position = START_TOLERANCE * h.length + h.rounding
+    ahead = sqrt(norm(h.parameters.gravity) / h.length)
+    for r in h.at.rows:
+        if not r.is_holonomic:
+            ahead = ahead + sqrt(absolute(plain(r.acceleration(h.x, h.body))))
+    brought = ROUNDING * ahead
+    return (
+        position / h.length * speed + h.length * brought,
+        START_TOLERANCE * speed / h.length + brought,
+    )
+
+
+def _effect_of_closing(mechanism: TreeKinematics, pose: Any, member: int) -> str:
+    """Describe how far `close` would move the links of one member."""
+    own = {name: taken(as_poses("pose0", pose[name]), member, 2) for name in mechanism.names}
+    alone = mechanism.of_body(member) if mechanism.batch_size() else mechanism
+    try:
+        near = closed(alone, list(own.values()))
+    except LierbError as error:
+        return f"mechanism.close(pose0) does not help: {error}"
+    far, turned = 0.0, 0.0
+    for before, after in zip(own.values(), near, strict=True):
+        (q, d), (r, e) = pose_components(before), pose_components(after)
+        far = max(far, float(norm(sub(e, d))))
+        turned = max(turned, float(norm(so3.log(so3.compose(so3.inverse(q), r)))))
+    return (
+        f"mechanism.close(pose0) closes it, and moves links by up to {far:.3g} m and "
+        f"{turned:.3g} rad"
+    )
+
+
+def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
+    """Return the error of a mechanism whose loops and constraints leave no freedom."""
+    if not any(at.rows and at.joint is None for at in mechanism.places) and not mechanism.loops:
+        return None
+    poses = [as_poses("pose0", pose[name]) for name in mechanism.names]
+    free, redundant = map(np.atleast_1d, mobility(mechanism, poses))
+    for number in np.flatnonzero(free == 0)[:1].tolist():
+        return ArgumentError(
+            f"{body_label('pose0', number, len(free))}: the mechanism cannot move, its joints and "
+            f"loops leave no freedom ({int(redundant[number])} of their rows are redundant); take "
+            "joints with more freedoms, such as spherical or universal, or leave a loop out"
+        )
+    return None

@@ -1,0 +1,87 @@
+"""Joints of a scene: frames, axes of turning and sliding, and gaps."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lierb.kernels.mechanics.rows import keeps_axis
+from lierb.model.base import Model
+from lierb.model.joints.joint import Joint
+from lierb.results.animation.encoding import RUNAWAY, encoded
+from lierb.results.animation.gaps import gap_of
+from lierb.support.arrays import Array
+
+
+class DrawnJoint(NamedTuple):
+    """Joint that is drawn; parent and child are numbers of bodies, None for the ground."""
+
+    name: str
+    joint: Joint
+    parent: int | None
+    child: int
+    closes: bool
+    gap: Array
+
+    def described(self) -> dict[str, Any]:
+        """Return the joint as the page reads it."""
+        joint = self.joint
+        ground, body = _axes(joint)
+        slides, child_slides = _slides(joint)
+        return {
+            "name": self.name, "parent": self.parent, "child": self.child, "closes": self.closes,
+            "parent_frame": joint.ground_frame.ravel().tolist(),
+            "child_frame": joint.body_frame.ravel().tolist(),
+            "parent_axes": ground, "child_axes": body,
+            "slides": slides, "child_slides": child_slides,
+            "is_rod": "rod" in map(str, joint.rows),
+            "gap": encoded(self.gap),
+        }  # fmt: skip
+
+    def gap_size(self, size: float) -> float:
+        """Return the largest gap relative to the bodies' size, or in rad."""
+        with np.errstate(invalid="ignore"):
+            near = self.gap[(np.abs(self.gap) < RUNAWAY).all(axis=1)]
+        turned, moved = (np.linalg.norm(part, axis=1) for part in (near[:, :3], near[:, 3:]))
+        return float(np.max(np.maximum(turned, moved / size), initial=0.0))
+
+
+def drawn_joints(model: Model, poses: list[Array]) -> list[DrawnJoint]:
+    """Return the joints that have rows, parents first, and loops after the links."""
+    count = len(model.bodies)
+    return [
+        DrawnJoint(
+            at.name or at.joint.name, at.joint, at.parent if at.parent >= 0 else None, at.body,
+            n >= count, gap_of(model, at, poses),
+        )
+        for n in (*model.order, *range(count, len(model.joints)))
+        if (at := model.joints[n]).joint is not None and at.rows
+    ]  # fmt: skip
+
+
+def _axes(joint: Joint) -> tuple[list[int], list[int]]:
+    """Return the axes of the joint's frames on the ground and on the body about which it turns."""
+    ground, body = set(), set()
+    if keeps_axis(joint.rows) and not {"Omega3"} & {*map(str, joint.rows)}:
+        ground.add(2)
+        body.add(2)
+    for row in joint.rows:
+        if row.symbol == "Q":
+            ground.add(row.i)
+            body.add(row.j)
+        if row.symbol == "cv":
+            ground.add(2)
+            body.add(2)
+    return sorted(ground), sorted(body)
+
+
+def _slides(joint: Joint) -> tuple[list[int], list[int]]:
+    """Return the axes of the joint's frames on the ground and on the body along which it slides."""
+    found = []
+    for symbol in ("d", "Qtd"):
+        held = {row.i for row in joint.rows if row.symbol == symbol}
+        if "screw" in map(str, joint.rows) and symbol == "d" and len(held) < 2:
+            held = {0, 1, 2}  # a plane that rises: no line to draw
+        found.append([i for i in range(3) if i not in held] if len(held) == 2 else [])
+    return found[0], found[1]

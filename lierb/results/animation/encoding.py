@@ -1,0 +1,24 @@
+"""Arrays of a scene as text: little-endian numbers in base64."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.support.arrays import Array
+
+RUNAWAY = 1e30  # m: positions beyond are not drawn; float32 ends at 3e38
+
+
+def encoded(array: Array) -> str:
+    """Return an array in single precision, in base64."""
+    with np.errstate(over="ignore"):  # a body that runs away is infinite, and not drawn
+        return text_of(np.ascontiguousarray(array, "<f4"))
+
+
+def text_of(array: NDArray[Any]) -> str:
+    """Return the bytes of an array in base64."""
+    return base64.b64encode(array.tobytes()).decode()

@@ -1,0 +1,216 @@
+"""Panels of motion over time: coordinates, position, direction and angular velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lierb.model.joints.coordinates import motions_of
+from lierb.model.joints.motions import TURNS
+from lierb.model.mechanism.mechanism import Mechanism
+from lierb.model.problem import Problem
+from lierb.results.states import RunStates
+from lierb.support.arrays import Array
+
+SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
+NEAR = 0.02  # of the distances in the body: a centre of mass so near to the joint shows no turn
+
+
+@dataclass(frozen=True)
+class Series:
+    """Quantity over time, (times, trajectories)."""
+
+    label: str
+    values: Array
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Series of one unit on one axis."""
+
+    title: str
+    unit: str
+    series: tuple[Series, ...]
+    is_error: bool = False
+
+    @property
+    def axis(self) -> str:
+        return f"{self.title} [{self.unit}]" if self.unit not in ("", "1") else self.title
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Direction of a unit vector on an equal-area map of the sphere, (times, trajectories, 2)."""
+
+    title: str
+    points: Array
+
+
+class Coordinates:
+    """Panels of the coordinates of a mechanism's joints, as `Mechanism.coordinates` has them."""
+
+    def __init__(self, result: RunStates, mechanism: Mechanism) -> None:
+        self.result, self.mechanism = result, mechanism
+
+    def angles(self) -> Panel | None:
+        """Coordinates that are angles, or components of rotation vectors."""
+        return self._panel("joint angles", "rad")
+
+    def slides(self) -> Panel | None:
+        """Coordinates that are lengths."""
+        return self._panel("joint slides", "m")
+
+    def _panel(self, title: str, unit: str) -> Panel | None:
+        found = [Series(label, values) for label, own, values in self._series if own == unit]
+        return Panel(title, unit, tuple(found)) if found else None
+
+    @cached_property
+    def _series(self) -> list[tuple[str, str, Array]]:
+        """Label, unit and values, (times, trajectories), of each coordinate."""
+        made = []
+        for link in self.mechanism.links:
+            names = [] if motions_of(link.joint) is None else link.joint.coordinate_names
+            for i, name in enumerate(names):
+                values = self._coordinates[link.name][..., i]
+                is_length = name[0] in "ds"
+                if not is_length and name not in TURNS:
+                    values = np.unwrap(values, axis=0)
+                label = link.name if len(names) == 1 else f"{link.name} {name}"
+                made.append((label, "m" if is_length else "rad", values))
+        return made
+
+    @cached_property
+    def _coordinates(self) -> dict[str, Array]:
+        """Coordinates of each link, (times, trajectories, k); NaN after a failure."""
+        poses: dict[str, Array] = {}
+        for name in self.mechanism.names:
+            link = self.result[name]
+            pose = np.zeros((*link.position.shape[:2], 4, 4))
+            pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = link.rotation, link.position, 1.0
+            poses[name] = pose
+        lost = np.any([~np.isfinite(pose).all(axis=(2, 3)) for pose in poses.values()], axis=0)
+        for pose in poses.values():
+            pose[lost] = np.eye(4)
+        each = [
+            self.mechanism.coordinates({name: pose[k] for name, pose in poses.items()})
+            for k in range(len(lost))
+        ]
+        found = {name: np.stack([at[name] for at in each]) for name in each[0]}
+        for values in found.values():
+            values[lost] = np.nan
+        return found
+
+
+class State:
+    """Panels of poses and velocities."""
+
+    def __init__(self, result: RunStates, problem: Problem | None) -> None:
+        self.rotation, self.place = result.rotation, result.position
+        self.spin, self.problem = result.omega, problem
+        times, count = self.place.shape[:2]
+        self.batch = (times, count)
+
+    @property
+    def _has_coordinates(self) -> bool:
+        """True where the joint has coordinates other than a rotation vector."""
+        joint = self.problem.joint if self.problem else None
+        if joint is None or joint.subgroup is None or not joint.rows:
+            return False
+        return TURNS[0] not in joint.coordinate_names
+
+    def angles(self) -> Panel | None:
+        """Return the joint's angle, or else tilt and azimuth of the body's axis."""
+        if self._has_coordinates:
+            assert self.problem is not None
+            names = self.problem.joint.coordinate_names
+            if "phi" not in names:
+                return None  # it does not turn
+            turns = self._coordinates()[..., names.index("phi")]
+            return Panel("angle of the joint", "rad", (Series("φ", np.unwrap(turns, axis=0)),))
+        if np.ptp(np.nan_to_num(self.rotation - self.rotation[:1])) == 0.0:
+            return None
+        axis, up, _ = self._axis()
+        a, b = _across(up)
+        tilt = np.arccos(np.clip(axis @ up, -1.0, 1.0))
+        azimuth = np.unwrap(np.arctan2(axis @ b, axis @ a), axis=0)
+        return Panel(
+            "direction of the axis", "rad", (Series("tilt", tilt), Series("azimuth", azimuth))
+        )
+
+    def trace(self) -> Trace | None:
+        """Return the direction of the body's axis; None where it is constant."""
+        axis, up, name = self._axis()
+        moves = np.nan_to_num(axis - axis[:1])
+        if self._has_coordinates or np.abs(moves).max(initial=0.0) < 1e-9:
+            return None
+        is_above = np.nanmean(axis @ up) >= 0.0
+        towards = up if is_above else -up
+        a, b = _across(towards)
+        level = np.stack([axis @ a, axis @ b], axis=-1)
+        # Lambert's map: 2 sin(θ/2) from the middle
+        with np.errstate(invalid="ignore", divide="ignore"):
+            stretch = np.sqrt(2.0 / (1.0 + axis @ towards))
+        side = "above" if is_above else "below"
+        return Trace(f"{name}, seen from {side}", level * stretch[..., None])
+
+    def position(self) -> Panel | None:
+        """Return the position of the centre of mass; None where it rests."""
+        com = np.zeros(3) if self.problem is None else np.asarray(self.problem.body.com)
+        place = self.place + np.einsum("tnij,...j->tni", self.rotation, np.atleast_2d(com)[0])
+        if com.ndim == 2:
+            place = self.place + np.einsum("tnij,nj->tni", self.rotation, com)
+        if np.nanmax(np.ptp(place, axis=0), initial=0.0) == 0.0:
+            return None
+        series = tuple(Series(f"r{SUBSCRIPTS[i]}", place[..., i]) for i in range(3))
+        return Panel("centre of mass" if self.problem else "position", "m", series)
+
+    def omega(self) -> Panel:
+        """Return the angular velocity in the body's axes."""
+        series = tuple(Series(f"ω{SUBSCRIPTS[i]}", self.spin[..., i]) for i in range(3))
+        return Panel("angular velocity", "rad/s", series)
+
+    def _coordinates(self) -> Array:
+        """Return the joint's coordinates, (times, trajectories, k); NaN after a failure."""
+        assert self.problem is not None
+        joint, (times, count) = self.problem.joint, self.batch
+        poses = np.zeros((times, count, 4, 4))
+        poses[..., :3, :3], poses[..., :3, 3], poses[..., 3, 3] = self.rotation, self.place, 1.0
+        lost = ~np.isfinite(poses).all(axis=(2, 3))
+        poses[lost] = np.eye(4)
+        found = np.stack([joint.coordinates(each) for each in poses])
+        found[lost] = np.nan
+        return found
+
+    def _axis(self) -> tuple[Array, Array, str]:
+        """Return the body's axis, (times, trajectories, 3), the vertical, and the axis's name.
+
+        The axis points from the joint to the centre of mass. It is e₃ of the joint where both are
+        one point, and e₃ of the body without a problem.
+        """
+        up, own, name = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), "e₃ of the body"
+        if self.problem is not None:
+            joint, gravity = self.problem.joint, np.atleast_2d(self.problem.gravity)[0]
+            if np.any(gravity):
+                up = -gravity / np.linalg.norm(gravity)
+            if joint.rows:
+                frame = np.atleast_3d(joint.body_frame).reshape(-1, 4, 4)
+                arm = np.asarray(self.problem.body.com) - frame[:, :3, 3]
+                far = np.linalg.norm(arm, axis=-1, keepdims=True)
+                gyration = np.sqrt(
+                    np.max(self.problem.body.inertia) / np.min(self.problem.body.mass)
+                )
+                is_apart = bool(np.all(far > NEAR * gyration))
+                own = arm / far if is_apart else frame[:, :3, 2]
+                name = "the centre of mass" if is_apart else "e₃ of the joint on the body"
+        own = np.broadcast_to(np.atleast_2d(own), (self.batch[1], 3))
+        return np.einsum("tnij,nj->tni", self.rotation, own), up, name
+
+
+def _across(up: Array) -> tuple[Array, Array]:
+    """Return two unit vectors ⊥ up, right-handed: e₁ and e₂ where up is e₃."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    a = start - (start @ up) * up
+    a /= np.linalg.norm(a)
+    return a, np.cross(up, a)
