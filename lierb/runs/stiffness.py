@@ -142,6 +142,7 @@ class _OwnForces:
         given: dict[str, Any] = {"forces": forces, "constraints": problem.constraints}
         if isinstance(problem, Mechanism):
             return cls(Mechanism(problem.links, problem.loops, **given), False, False)
+        assert isinstance(problem, Problem)
         # In axes of the body neither its mass matrix nor the rows of a subgroup depend on the pose.
         only_joint = problem.joint.subgroup is not None and problem.rows == problem.joint.rows
         is_alike = only_joint and all(force.kind.needs_axis for force in forces)
