@@ -18,8 +18,8 @@ from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.newton_euler import SE3, BodyConstants, Parameters, SO3xR3
 from lierb.kernels.mechanics.rows import Rows
 from lierb.kernels.mechanics.saddle import solve
-from lierb.kernels.mechanics.support import Load
 from lierb.kernels.mechanics.scale import ROUNDING, bearings, length_of, rounding_of
+from lierb.kernels.mechanics.support import Load
 from lierb.kernels.numbers.arithmetic import absolute, where
 from lierb.kernels.numbers.vec import ZERO3, Vec, add, diagonal, dot, norm
 from lierb.kernels.systems.layout import INPUTS

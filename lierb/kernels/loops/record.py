@@ -22,7 +22,6 @@ from lierb.kernels.numbers.arithmetic import (
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.stepping.lane_clock import LaneClock
 from lierb.kernels.systems.layout import (
-    LANE_END,
     LANE_SUMMARY,
     Columns,
     Field,
@@ -47,7 +46,7 @@ from lierb.kernels.systems.observables import (
 )
 from lierb.kernels.systems.one_body import LARGEST
 from lierb.kernels.systems.plan import AnyPlan
-from lierb.kernels.systems.signals import lane_end, signals_width
+from lierb.kernels.systems.signals import held_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing import calls
@@ -86,7 +85,7 @@ def carried_columns(plan: AnyPlan) -> Columns:
     if not plan.has_lane_clocks:
         return Columns(*columns)
     clock = Field("clock", (len(LaneClock._fields),))
-    return Columns(*columns, clock, *lane_end(plan).fields[len(LANE_END.fields) :])
+    return Columns(*columns, clock, *held_fields(plan))
 
 
 def joint_columns(plan: AnyPlan) -> int:

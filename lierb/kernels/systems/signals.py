@@ -52,6 +52,15 @@ def signals_width(plan: AnyPlan) -> int:
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
+def held_fields(plan: AnyPlan) -> tuple[Field, ...]:
+    """Fields of what controllers hold from tick to tick: outputs, memory, number of the next tick."""
+    return (
+        Field("controls", (size_of(outputs_of(plan)),)),
+        Field("memory", (size_of(memory_of(plan)),)),
+        Field("ticks", (len(controllers_of(plan)),)),
+    )
+
+
 @lru_cache(64)
 def lane_end(plan: AnyPlan) -> Columns:
     """Columns at the end of a run, beside its state, from which another resumes: the rank of the
@@ -60,13 +69,7 @@ def lane_end(plan: AnyPlan) -> Columns:
     rank = Field("dropped", (int(plan.keeps_rank),))
     if not plan.has_lane_clocks:
         return Columns(rank)
-    return Columns(
-        rank,
-        *LANE_END.fields,
-        Field("controls", (size_of(outputs_of(plan)),)),
-        Field("memory", (size_of(memory_of(plan)),)),
-        Field("ticks", (len(controllers_of(plan)),)),
-    )
+    return Columns(rank, *LANE_END.fields, *held_fields(plan))
 
 
 @lru_cache(64)
