@@ -222,7 +222,7 @@ class LaneRun(Run[LaneTime]):
         """Collect the exceptions of trajectories that have ended, each once."""
         flags = self.output.summary[SUMMARY.index("raised")]
         self.output.collect_flags(np.nan_to_num(flags), 0)
-        flags[flags > calls.HEARD] = calls.HEARD
+        flags[flags > calls.COLLECTED] = calls.COLLECTED
 
     def _any_active(self) -> bool:
         return any((w.arrays["rows"][ws.ACTIVE] > 0.0).any() for w in self._workspaces)

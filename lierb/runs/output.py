@@ -151,8 +151,8 @@ class Output:
     def collect_flags(self, flags: Array, first: int) -> None:
         """Collect the exceptions that flags refer to, of trajectories from `first` on."""
         known = np.unique(np.abs(flags)).astype(np.int64).tolist()
-        errors = {flag: calls.exception_of(flag) for flag in known if flag > calls.HEARD}
-        for index in np.flatnonzero(flags > calls.HEARD)[:1].tolist():
+        errors = {flag: calls.exception_of(flag) for flag in known if flag > calls.COLLECTED}
+        for index in np.flatnonzero(flags > calls.COLLECTED)[:1].tolist():
             if first + index < min(self.raised, default=math.inf):
                 self.raised.clear()
                 error = errors[int(flags[index])]

@@ -64,18 +64,18 @@ def _advanced(
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
     if plan.calls_functions:
-        fine = fine & (calls.marks(record.status) == calls.CLEAR)
+        fine = fine & (calls.exception_flags(record.status) == calls.CLEAR)
 
     def failed() -> Any:
         now = where(singular > 0.5, float(SINGULAR), where(fine, float(OK), float(NON_FINITE)))
         alive = record.status == OK
         if plan.calls_functions:
-            known = calls.marks(record.status)
-            now = where(known > calls.SILENT, float(RAISED), now)  # whose NaN made it singular
+            known = calls.exception_flags(record.status)
+            now = where(known > calls.SUPPRESSED, float(RAISED), now)  # whose NaN made it singular
             fails = where(
-                (now > 0.0) | (record.status > 0.0), float(calls.SILENT), float(calls.CLEAR)
+                (now > 0.0) | (record.status > 0.0), float(calls.SUPPRESSED), float(calls.CLEAR)
             )
-            calls.set_marks(maximum(known, fails))
+            calls.set_exception_flags(maximum(known, fails))
         fresh = (now > 0.0) & alive
         return (
             # NaN from the next step on, and from there into the pose.

@@ -112,8 +112,8 @@ def suppress_exceptions(plan: AnyPlan, mask: Any) -> Any:
     """
     if not plan.calls_functions:
         return mask
-    before = calls.marks(mask)
-    calls.set_marks(where(mask > 0.5, before, float(calls.SILENT)))
+    before = calls.exception_flags(mask)
+    calls.set_exception_flags(where(mask > 0.5, before, float(calls.SUPPRESSED)))
     return before
 
 
@@ -121,15 +121,15 @@ def clear_exceptions(plan: AnyPlan, fresh: Any) -> Any:
     """Clear the flags of trajectories that start, suppress others; return the flags so far."""
     if not plan.calls_functions:
         return fresh
-    before = calls.marks(fresh)
-    calls.set_marks(where(fresh > 0.5, float(calls.CLEAR), float(calls.SILENT)))
+    before = calls.exception_flags(fresh)
+    calls.set_exception_flags(where(fresh > 0.5, float(calls.CLEAR), float(calls.SUPPRESSED)))
     return before
 
 
 def restore_exceptions(plan: AnyPlan, before: Any, mask: Any) -> None:
     """Restore the flags where the mask is not 1."""
     if plan.calls_functions:
-        calls.set_marks(where(mask > 0.5, calls.marks(mask), before))
+        calls.set_exception_flags(where(mask > 0.5, calls.exception_flags(mask), before))
 
 
 # ---- start of a trajectory ----

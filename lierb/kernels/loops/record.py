@@ -146,7 +146,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
     energy = seen.values["energy"]
     dropped = system.dropped(body, state)
     if plan.calls_functions and not plan.has_lane_clocks:
-        calls.set_marks(nothing + float(calls.CLEAR))
+        calls.set_exception_flags(nothing + float(calls.CLEAR))
     watched = nothing_kept(plan, nothing)
     joints = (nothing,) * joint_columns(plan)
     kept = (nothing,) * len(KEPT)
@@ -187,9 +187,11 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     if plan.calls_functions:
         (before,) = parts["flags"]
         # Exceptions of lanes with clocks of their own are collected at the end of a trajectory.
-        known = before if plan.has_lane_clocks else where(before > 0.0, float(calls.HEARD), before)
-        fine = where(record.status == OK, float(calls.CLEAR), float(calls.SILENT))
-        calls.set_marks(where(before > calls.SILENT, known, fine))
+        known = (
+            before if plan.has_lane_clocks else where(before > 0.0, float(calls.COLLECTED), before)
+        )
+        fine = where(record.status == OK, float(calls.CLEAR), float(calls.SUPPRESSED))
+        calls.set_exception_flags(where(before > calls.SUPPRESSED, known, fine))
     return state, record
 
 
@@ -240,7 +242,7 @@ def with_exceptions(plan: AnyPlan, record: Record, k: Any) -> Record:
     """
     if not plan.calls_functions:
         return record  # never
-    fresh = (calls.marks(record.status) > calls.SILENT) & (record.status == OK)
+    fresh = (calls.exception_flags(record.status) > calls.SUPPRESSED) & (record.status == OK)
     return record._replace(
         status=where(fresh, float(RAISED), record.status),
         failed_step=where(fresh, real(k), record.failed_step),
@@ -251,7 +253,7 @@ def exception_flags(plan: AnyPlan, record: Record) -> Any:
     """Return the exception flags; negative where the trajectory had failed before."""
     if not plan.calls_functions:
         return ()
-    known = calls.marks(record.status)
+    known = calls.exception_flags(record.status)
     counts = (record.status == OK) | (record.status == RAISED)
     return (where(counts, known, -known),)
 

@@ -24,7 +24,7 @@ from lierb.kernels.mechanics.saddle import less, multipliers_of
 from lierb.kernels.mechanics.spatial import Articulated, twist_at, wrench_from
 from lierb.kernels.mechanics.subgroup import inverse
 from lierb.kernels.mechanics.tree import GROUND, MASSLESS, TreeMotion, combined, joint_space_pays
-from lierb.kernels.mechanics.tree_rows import Asked, Response, stiffness_of
+from lierb.kernels.mechanics.tree_rows import NodeRow, Response, stiffness_of
 from lierb.kernels.numbers.arithmetic import fma, sqrt
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, add, axpy, dot, neg, norm, sub
@@ -34,7 +34,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 class ArticulatedBodies:
     """Solver by articulated inertias of a tree."""
 
-    def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
+    def __init__(self, motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
         self.free = motion.directions
@@ -126,7 +126,7 @@ class JointSpace:
     Kane's method on the columns of `TreeMotion.columns`.
     """
 
-    def __init__(self, motion: TreeMotion, rows: Sequence[Asked] = ()) -> None:
+    def __init__(self, motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> None:
         self.motion = motion
         nodes, constants = motion.nodes, motion.body.nodes
         entries: dict[tuple[int, int], Number] = {}
@@ -230,7 +230,7 @@ class Factored:
 Bodies = ArticulatedBodies | JointSpace
 
 
-def bodies_of(motion: TreeMotion, rows: Sequence[Asked] = ()) -> Bodies:
+def bodies_of(motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> Bodies:
     """Return the cheaper solver.   rows : further rows, of which some make nodes stiff."""
     return (JointSpace if joint_space_pays(motion.nodes) else ArticulatedBodies)(motion, rows)
 
@@ -280,7 +280,7 @@ class Solved(NamedTuple):
 
 def solved(
     bodies: Bodies,
-    rows: Sequence[Asked],
+    rows: Sequence[NodeRow],
     loads: dict[int, Vec],
     biases: Sequence[Vec] | None = None,
     fall: dict[int, Vec] | None = None,
@@ -349,12 +349,12 @@ class _TreeScales:
             total = fma(x * x, easy, total)
         return total
 
-    def of(self, row: Asked) -> Number:
+    def of(self, row: NodeRow) -> Number:
         """Square of the size of a row."""
         size = self._square(row.node, row.push)
         return size if row.other == GROUND else size + self._square(row.other, row.pull)
 
-    def acceleration(self, row: Asked) -> Number:
+    def acceleration(self, row: NodeRow) -> Number:
         """Bound on the acceleration of a row by loads and motion."""
         return sqrt(self.of(row)) * self._forced
 

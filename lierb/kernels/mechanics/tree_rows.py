@@ -21,7 +21,7 @@ class Response(NamedTuple):
     totals: tuple[Vec, ...]  # loads, with those that descendants pass on
 
 
-class Asked(NamedTuple):
+class NodeRow(NamedTuple):
     """A row on the accelerations of two nodes: push·A − pull·A_other = wanted.
 
     push, pull : the row as wrenches about the nodes' frames.   fall : see `Relative`.
@@ -51,16 +51,16 @@ class Asked(NamedTuple):
         return total
 
 
-def asked(
+def node_row(
     connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
-) -> Asked:
+) -> NodeRow:
     """Row of a connection on its nodes, with the Jacobian J of J·V_rel."""
     push = jacobian if connection.hangs else wrench_from(inner, jacobian)
     pull = wrench_from(relative.seat, jacobian)
-    return Asked(connection.node, connection.other, push, pull, relative.fall, wanted)
+    return NodeRow(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
-def stiffness_of(rows: Sequence[Asked], i: int, directions: list[Vec]) -> list[list[Number]]:
+def stiffness_of(rows: Sequence[NodeRow], i: int, directions: list[Vec]) -> list[list[Number]]:
     """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
     count = len(directions)
     total: list[list[Number]] = [[ZERO] * count for _ in range(count)]

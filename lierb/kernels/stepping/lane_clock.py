@@ -196,7 +196,7 @@ def judged(
     running = active > 0.5
     raised = running & ~running
     if plan.calls_functions:
-        raised = running & (calls.marks(clock.t) > calls.SILENT)
+        raised = running & (calls.exception_flags(clock.t) > calls.SUPPRESSED)
     worse = where(singular > 0.5, float(SINGULAR), float(NON_FINITE))
     if plan.embedded is None:
         return _fixed(clock, trial, fine, worse, raised, running)

@@ -11,7 +11,7 @@ from lierb.kernels.mechanics.rows import PITCHED, Row, Rows
 from lierb.kernels.mechanics.saddle import kinds_of
 from lierb.kernels.mechanics.tree import Connection, Ends, Relative, TreeConstants, TreeMotion
 from lierb.kernels.mechanics.tree_dynamics import Factored
-from lierb.kernels.mechanics.tree_rows import Asked, asked
+from lierb.kernels.mechanics.tree_rows import NodeRow, node_row
 from lierb.kernels.numbers.arithmetic import fma, maximum, sqrt, where
 from lierb.kernels.numbers.vec import Vec, dot, norm, row, scale
 from lierb.kernels.numbers.zero import ZERO, is_zero
@@ -34,11 +34,11 @@ class Relatives:
             self._known[number] = self.motion.between(*pair)
         return self._known[number]
 
-    def equation(self, number: int, row: Row | Vec, wanted: Any) -> Asked:
+    def equation(self, number: int, row: Row | Vec, wanted: Any) -> NodeRow:
         """Equation of a row there, or of a Jacobian (6,), in the motions of the nodes."""
         relative, ends, connection = self[number], self.ends[number], self.connections[number]
         jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
-        return asked(connection, relative, jacobian, ends.inner, wanted)
+        return node_row(connection, relative, jacobian, ends.inner, wanted)
 
     def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:
         """Constraint residuals h of the holonomic rows there."""

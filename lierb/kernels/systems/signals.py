@@ -53,7 +53,7 @@ def signals_width(plan: AnyPlan) -> int:
 
 
 def held_fields(plan: AnyPlan) -> tuple[Field, ...]:
-    """Fields of what controllers hold from tick to tick: outputs, memory, number of the next tick."""
+    """Fields of controllers between ticks: outputs, memory, number of the next tick."""
     return (
         Field("controls", (size_of(outputs_of(plan)),)),
         Field("memory", (size_of(memory_of(plan)),)),

@@ -11,7 +11,7 @@ from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
 from lierb.kernels.mechanics.tree import GROUND, HERE, Ends, TreeConstants, TreeMotion, root_of
 from lierb.kernels.mechanics.tree_dynamics import Bodies, Solved, bodies_of, solved
-from lierb.kernels.mechanics.tree_rows import Asked
+from lierb.kernels.mechanics.tree_rows import NodeRow
 from lierb.kernels.numbers.arithmetic import fma, sqrt, where
 from lierb.kernels.numbers.vec import (
     ZERO3,
@@ -124,7 +124,7 @@ class TreeAccelerations(TreeCharts):
         whole = fma(speed, speed, rates)
         return sqrt(pose + rates / where(whole > 0.0, whole, 1.0))
 
-    def equations(self, relatives: Relatives, wanted: list[Any]) -> list[Asked]:
+    def equations(self, relatives: Relatives, wanted: list[Any]) -> list[NodeRow]:
         """Equations of all rows in the motions of the nodes, those of the tree's joints stiff."""
         equations = []
         for (number, r), value in zip(self.rows, wanted, strict=True):

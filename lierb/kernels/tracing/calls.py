@@ -163,15 +163,15 @@ def _place(builder: ir.IRBuilder, buffer: ir.Value, *index: Any) -> ir.Value:
 
 # ---- exceptions --------------------------------------------------------------------------------
 
-CLEAR, SILENT, HEARD, STOPPED = 0, 1, 2, 3  # marks; larger ones are addresses of exceptions
+CLEAR, SUPPRESSED, COLLECTED, STOPPED = 0, 1, 2, 3  # marks; larger ones are addresses of exceptions
 
 
 class Marks:
     """Exception flags of a block, a number for each lane in the emitted function's memory.
 
-    CLEAR: users' functions are called. SILENT: they are not, as for a body that has failed.
+    CLEAR: users' functions are called. SUPPRESSED: they are not, as for a body that has failed.
     A function that raises sets the flag to the address of its exception, or to STOPPED for
-    StopIteration, which has none; HEARD: the exception was collected. Numba's own way, a status
+    StopIteration, which has none; COLLECTED: the exception was collected. Numba's own way, a status
     that each caller propagates, would end the other lanes too.
 
     A double holds an address exactly: addresses have at most 52 bits on supported systems.
@@ -246,12 +246,12 @@ def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> 
         return (math.nan,) * count
 
 
-def marks(like: Any) -> Any:
+def exception_flags(like: Any) -> Any:
     """Return the marks of a block in a formula.   like : a pack of the block."""
     return Marks.of(like.trace, like.lanes).pack if isinstance(like, Lane) else _Python.mark
 
 
-def set_marks(numbers: Any) -> None:
+def set_exception_flags(numbers: Any) -> None:
     """Write the marks of a block."""
     if isinstance(numbers, Lane):
         known = Marks.of(numbers.trace, numbers.lanes)
