@@ -243,7 +243,7 @@ def integrate_model(
     require_memory(prepared)
     warn_of_stiff_steps(prepared, stacklevel=stacklevel + 1)
     described = provenance(prepared)
-    check = _start_check(prepared, stacklevel + 4)
+    check = _start_check(prepared, stacklevel + 3)
     try:
         if prepared.is_checked and not model.flags_starts:
             error = model.violation(prepared.pose0, prepared.twist0, options.timing.t0)

@@ -51,8 +51,6 @@ def short_run(monkeypatch):
         e
         for e in lierb.analysis.paper_examples.EXAMPLES
         if e.key in ("spherical", "hook_R32", "hook_R23")
-        for e in lierb.analysis.paper_examples.EXAMPLES
-        if e.key in ("spherical", "hook_R32", "hook_R23")
     ]
     monkeypatch.setattr(lierb.analysis.paper_examples, "EXAMPLES", chosen)
 

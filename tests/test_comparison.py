@@ -25,6 +25,7 @@ from lierb.errors import (
     TimeGridError,
     UnknownNameError,
 )
+from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.system_of import plan_of
 from lierb.methods import TABLEAUS
 
@@ -263,11 +264,11 @@ def test_right_hand_sides_are_the_stages_of_a_step(name):
         1, rows=(), cspace="SE3", update="local", stages=tableau.A, weights=tableau.b,
         multipliers=False,
     )  # fmt: skip
-    assert compared_runs._evaluations(tableau, False, 10.0) == 10.0 * plan.last_stage
+    assert compared_runs._evaluations(tableau, False, 10.0) == 10.0 * method_of(plan).last_stage
     assert compared_runs._evaluations(tableau, True, 10.0) == 10.0 * len(plan.stages) + 2.0
     counts = {"BS32": (3, 4), "DP54": (6, 7), "Tsit5": (6, 7), "DOP853": (12, 12)}
-    assert counts.get(name, (plan.last_stage, len(plan.stages))) == (
-        plan.last_stage, len(plan.stages),
+    assert counts.get(name, (method_of(plan).last_stage, len(plan.stages))) == (
+        method_of(plan).last_stage, len(plan.stages),
     )  # fmt: skip
 
 

@@ -12,7 +12,9 @@ from lierb.kernels.stepping.clock import StepClock
 from lierb.kernels.systems.layout import inputs_of
 from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.state import NON_FINITE, OK, SINGULAR
-from lierb.runs import engine, starts
+from lierb.kernels.tracing.cpu import DEFAULT_LANES
+from lierb.model import problem as problem_module
+from lierb.runs import engine
 
 # At dt = 1e-2 some of the fastest of TWISTS fail: in any batch at the same step, or bits differ.
 pytestmark = pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
@@ -109,7 +111,7 @@ def test_bits_do_not_depend_on_place_in_batch(expected):
 
 @pytest.mark.parametrize("lanes", tiered([1, 2, 4, 8], [1], [8]))
 def test_bits_do_not_depend_on_lanes(lanes, expected, monkeypatch):
-    monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
+    monkeypatch.setattr(problem_module, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(_bits(_run(TWISTS)), expected)
 
 
@@ -162,8 +164,8 @@ def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):
     """Re-charting too goes lane by lane."""
     form = {"cspace": cspace, "update": update, "save_every": STEPS, "record": RECORD}
     results = []
-    for lanes in (1, starts.DEFAULT_LANES):
-        monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
+    for lanes in (1, DEFAULT_LANES):
+        monkeypatch.setattr(problem_module, "DEFAULT_LANES", lanes)
         results.append(_bits(_run(TWISTS[:64], **form)))
     np.testing.assert_array_equal(*results)
 
@@ -180,7 +182,7 @@ def test_a_failing_body_leaves_its_neighbours_alone(victim, fault, seen, expecte
     twists[victim, 1] = fault
     rk4 = lierb.methods.TABLEAUS["RK4"]
     plan = Plan(
-        lanes=starts.DEFAULT_LANES, rows=_problem().joint.rows, cspace="SE3", update="local",
+        lanes=DEFAULT_LANES, rows=_problem().joint.rows, cspace="SE3", update="local",
         stages=rk4.A, weights=rk4.b, multipliers=False,
     )  # fmt: skip
     problem = _problem()

@@ -136,7 +136,7 @@ def test_estimate_of_lanes_is_what_the_tables_hold(options, record, monkeypatch)
         estimated.append(size_of_tables(*given))
         return estimated[-1]
 
-    def made(plan, inputs, times, with_state, **_):
+    def made(plan, inputs, times, with_state, *_):
         outputs.append(engine.Output.empty(plan, inputs.count, times, with_state))
         for array in outputs[-1].arrays.values():
             array.fill(0.0)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from cases import column, joint
@@ -110,7 +111,7 @@ def test_what_raises_changes_no_bit_of_others_nor_of_what_was_before(mixed):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_what_is_said_does_not_depend_on_threads(mixed, threads):
-    if threads > engine.numba.config.NUMBA_NUM_THREADS:
+    if threads > numba.config.NUMBA_NUM_THREADS:
         pytest.skip("one core")
     options = SAVED | {"threads": threads}
     with pytest.warns(FailedTrajectoryWarning) as told:

@@ -16,7 +16,7 @@ import lierb
 from lierb import joints
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
-from lierb.runs import engine, lane_engine
+from lierb.runs import engine
 
 BOX = (0.0126563, 0.0468281, 0.0569531)
 POINT = (-0.15, 0.0375, 0.0)
@@ -766,13 +766,13 @@ def shaky(omega):
 def nothing_steps(monkeypatch):
     """Lanes with clocks of their own: their tables, of zeros, and nothing compiled."""
 
-    def integrate(plan, inputs, times, with_state, **_):
+    def integrate(plan, inputs, times, with_state, *_):
         output = engine.Output.empty(plan, inputs.count, times, with_state)
         for array in output.arrays.values():
             array.fill(0.0)
         return output
 
-    monkeypatch.setattr(lane_engine, "integrate", integrate)
+    monkeypatch.setattr(engine, "integrate", integrate)
 
 
 @pytest.mark.usefixtures("nothing_steps")
