@@ -57,7 +57,7 @@ def _piecewise(x: Any, conditions: Any, functions: Any, *given: Any) -> Any:
     return _select(conditions, choices[: len(conditions)], choices[-1] if default else 0.0)
 
 
-def _einsum(subscripts: Any, *operands: Any, **options: Any) -> Any:
+def _einsum(subscripts: Any, *operands: Any, optimize: Any = False) -> Any:
     return np.einsum(subscripts, *(np.asarray(objects(x)) for x in operands))
 
 
@@ -66,7 +66,8 @@ def _norm(x: Any, ord: Any = None, axis: Any = None, keepdims: bool = False) -> 
     is_vector = isinstance(axis, int) or (axis is None and x.ndim == 1)
     if ord in (None, "fro") or (ord == 2 and is_vector):
         if axis is None:
-            return np.sqrt(x.ravel() @ x.ravel())
+            size = np.sqrt(x.ravel() @ x.ravel())
+            return numbers([size]).reshape((1,) * x.ndim) if keepdims else size
         return np.sqrt((x * x).sum(axis=axis, keepdims=keepdims))
     if is_vector and ord in (1, np.inf, -np.inf):
         of: Any = {1: np.add, np.inf: np.maximum, -np.inf: np.minimum}[ord]
@@ -134,18 +135,33 @@ def _round(x: Any, decimals: int = 0, out: Any = None) -> Any:
 def _isclose(
     a: Any, b: Any, rtol: float = 1e-5, atol: float = 1e-8, equal_nan: bool = False
 ) -> Any:
-    return abs(numbers(a) - numbers(b)) <= atol + rtol * abs(numbers(b))
+    a, b = numbers(a), numbers(b)
+    close = (abs(a - b) <= atol + rtol * abs(b)) & np.isfinite(b) | (a == b)
+    return close | np.isnan(a) & np.isnan(b) if equal_nan else close
 
 
 def _linspace(start: Any, stop: Any, num: int = 50) -> Any:
-    return start + np.arange(num) * ((stop - start) / (num - 1))
-
-
-def _nan_to_num(x: Any, copy: bool = True, nan: float = 0.0, **_: Any) -> Any:
-    return _each(lambda one: choice(steps.isnan(one), nan, steps.clipped(one, *_FINITE)), x)
+    return start + np.arange(num) * ((stop - start) / max(num - 1, 1))
 
 
 _FINITE = (-np.finfo(float).max, np.finfo(float).max)
+
+
+def _nan_to_num(
+    x: Any,
+    copy: bool = True,
+    nan: float = 0.0,
+    posinf: float | None = None,
+    neginf: float | None = None,
+) -> Any:
+    least, most = (given if given is not None else limit
+                   for given, limit in zip((neginf, posinf), _FINITE))  # fmt: skip
+
+    def finite(one: Any) -> Any:
+        one = choice(one == np.inf, most, choice(one == -np.inf, least, one))
+        return choice(steps.isnan(one), nan, one)
+
+    return _each(finite, x)
 
 
 def _filled_like(value: Any) -> Callable[..., Any]:
