@@ -77,22 +77,23 @@ JOB = np.dtype(
 )
 """Arrays (float64 and C-contiguous unless stated otherwise), sizes, clock, tolerances and seed."""
 
+_ONES = ((1, 1, 1), (1, 1), (1,), ())  # extents of the axes that an array lacks
 _CODES = {"i": "q", "f": "d", "V": "4q"}  # integers, floats, addresses with extents
-_NAMES = tuple(JOB.names or ())[len(ARRAYS) :]
 _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or ()))
+_PLACES = {name: 4 * i for i, name in enumerate(ARRAYS)}  # in the content of a record
+_PLACES |= {name: i for i, name in enumerate((JOB.names or ())[len(ARRAYS) :], 4 * len(ARRAYS))}
+_EMPTY = [0] * (3 * len(ARRAYS) + len(_PLACES))
 
 
 def job_of(arrays: Mapping[str, NDArray], numbers: Mapping[str, float]) -> bytes:
     """Pack a record; what is missing is zero. The caller keeps the arrays alive."""
-    content: list[float] = []
-    for name in ARRAYS:
-        if name in arrays:
-            array = arrays[name]
-            extents = array.shape + (1,) * (3 - array.ndim)
-            content += (array.__array_interface__["data"][0], *extents)
-        else:
-            content += (0, 0, 0, 0)
-    return _PACKED.pack(*content, *(numbers.get(name, 0) for name in _NAMES))
+    content: list[float] = _EMPTY.copy()
+    for name, array in arrays.items():
+        at, shape = _PLACES[name], array.shape
+        content[at : at + 4] = array.__array_interface__["data"][0], *shape, *_ONES[len(shape)]
+    for name, number in numbers.items():
+        content[_PLACES[name]] = number
+    return _PACKED.pack(*content)
 
 
 def jobs_of(*records: bytes, per_thread: int = 1) -> NDArray:
