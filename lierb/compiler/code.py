@@ -55,7 +55,7 @@ def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
 
 
 def kinds_of(dispatcher: Any, *args: Any) -> tuple[Any, ...]:
-    """What code is found by: a tag itself, and of other arguments what decides on Numba's type.
+    """Key of compiled code: tags themselves, and what decides on the Numba type of other arguments.
 
     That type takes 20 times as long to find. Arguments of one type may be of several kinds.
     """
@@ -110,18 +110,18 @@ def _without_collections(work: Callable[..., None], *args: Any) -> None:
 
 
 def collect_again() -> None:
-    """In a forked child: the thread that would have done so stayed in the parent."""
+    """Enable the garbage collector in a forked child, which lacks the thread that would do so."""
     if _garbage_waits:
         gc.enable()
 
 
 def is_ready(dispatcher: Any, *args: Any) -> bool:
-    """Whether `compiled` has nothing to do any more."""
+    """Return whether the code is compiled already."""
     return kinds_of(dispatcher, *args) in _ready
 
 
 def is_compiling() -> bool:
-    """Whether another thread compiles, lierb or anybody: in a forked child, one that it lacks."""
+    """Return whether another thread compiles, or one of a parent process did at the fork."""
     for lock in (compiling, COMPILER_LOCK):
         if not lock.acquire(blocking=False):
             return True

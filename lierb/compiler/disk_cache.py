@@ -26,7 +26,7 @@ MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels: what was used last st
 
 
 class DiskCache(NullCache):
-    """What Numba asks for a function's code before it compiles it, and gives it afterwards."""
+    """Cache of a function's compiled code on the disk, in place of Numba's."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
@@ -36,7 +36,7 @@ class DiskCache(NullCache):
 
     @property
     def folders(self) -> list[Path]:
-        """Where code may be, those that come first being asked first."""
+        """Folders in which code may be, in the order of search."""
         return sealed.folders_of(self._function)
 
     @property
@@ -108,7 +108,7 @@ class DiskCache(NullCache):
 
     @property
     def _prefix(self) -> str:
-        """What files of this version of the sources begin with."""
+        """Prefix of the file names of this version of the sources."""
         return f"{self._stem}-{source_stamp(self._function.__module__)}-"
 
     def _prune(self, folder: Path) -> None:
@@ -157,7 +157,7 @@ def sized(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether one may write there, or make it."""
+    """Return whether a folder can be written to, or made."""
     there = next(each for each in (folder, *folder.parents) if os.access(each, os.F_OK))
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 

@@ -29,7 +29,7 @@ _callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of 
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
-    """What `call` takes to run dispatcher(tag, *args): the address of its code, a number.
+    """Address of the compiled code of dispatcher(tag, *args), for `call`.
 
     Code called by its address is compiled once; what calls it is compiled once for all tags. A
     caller that Numba links it to would optimise and translate all of it again, and so would each of
@@ -60,7 +60,7 @@ def _enter(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
 
 
 def kernels_loaded() -> int:
-    """How many are in this process's memory."""
+    """Number of kernels in this process's memory."""
     return len(_addresses)
 
 

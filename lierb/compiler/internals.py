@@ -1,4 +1,4 @@
-"""What lierb relies on of Numba beyond what Numba documents: no other module imports any of it.
+"""Undocumented parts of Numba on which lierb relies; no other module imports any of them.
 
 tests/compiler/test_internals.py has a test for each name that is imported here and each function:
 a release of Numba that changes one fails there, by its name. The releases that pass bound numba in
@@ -50,7 +50,7 @@ ALLOCATES_NOTHING = {"_nrt": False}
 
 
 def tracing_context() -> Any:
-    """What knows how Numba lays out values, without a function being compiled."""
+    """Context that lays out values as Numba does, without a function being compiled."""
     return cpu_target.target_context
 
 
@@ -80,7 +80,7 @@ def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
 
 
 def address_of(result: Any) -> int:
-    """Where the code of a compile result begins; arguments and results by Numba's convention."""
+    """Address of a compile result's code; arguments and results by Numba's convention."""
     return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
 
 
@@ -132,7 +132,7 @@ def from_bytes(content: bytes, context: Any) -> Any:
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
-    """For njit's pipeline_class: replaces operators and calls that give integers, and ufuncs.
+    """Pipeline class for njit that replaces operators and calls with integer results, and ufuncs.
 
     functions : by operator, function, or type that is called, and by the number of operands, a
         function with overloads, which replaces it where one of them takes their types.
@@ -242,12 +242,12 @@ def call_linked(context: Any, builder: ir.IRBuilder, result: Any, arguments: Any
 
 
 def runs_python(result: Any) -> bool:
-    """Whether compiled code runs Python code of its own (objmode)."""
+    """Return whether compiled code runs Python code of its own (objmode)."""
     return bool(getattr(result, "lifted", ()))
 
 
 def names_in(result: Any) -> Iterator[tuple[Any, types.Type, int | None]]:
-    """What variables of compiled code stand for: (function or module, type, line) each.
+    """Referents of the variables of compiled code: (function or module, type, line) each.
 
     The first is None for what is neither; a result that came from the disk knows of none.
     """

@@ -1,4 +1,4 @@
-"""What @njit loops use beside formulas: functions of their own, and memory by its address."""
+"""Helpers of @njit loops: functions of their own, and memory by its address."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 
 
 def folders_of(function: Callable[..., Any]) -> list[Path]:
-    """Where its files may be, those that come first being asked first: Numba's own choice."""
+    """Folders in which a function's files may be, in the order of search: Numba's own choice."""
     source = inspect.getfile(function)
     chosen = (
         [UserProvidedCacheLocator]

@@ -1,4 +1,4 @@
-"""What compiled code is made of: a digest of its sources, without what does not change code.
+"""Digest of the sources of compiled code, without the parts that do not change code.
 
 Code is made of the module that its function is written in, of those that its tag's classes are
 written in, and of all modules of lierb that these import. What counts of each is its syntax tree,
@@ -74,7 +74,7 @@ def parts(*modules: str) -> dict[str, str]:
 
 
 def _modules_of(name: str) -> list[str]:
-    """What is run to import something of lierb's: the module that has it, the packages around it.
+    """Modules that an import of a name runs: the module that has it, the packages around it.
 
     Not lierb/__init__.py, whose imports are all of lierb, unless the name is in no other.
     """
@@ -139,7 +139,7 @@ def _is_docstring(node: Any) -> bool:
 
 
 def _names(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
-    """What one statement imports of lierb."""
+    """Names of lierb that one statement imports."""
     prefix, is_relative = "", False
     if isinstance(node, ast.ImportFrom):
         prefix, is_relative = f"{node.module}.", node.level > 0

@@ -41,7 +41,7 @@ class TagType(types.Type):
 
 
 def _modules(described: Any) -> Iterator[str]:
-    """Where the classes are written that a tag is made of, and what its `modules` say."""
+    """Modules of the classes that a tag is made of, and those of its `modules`."""
     if isinstance(described, tuple):
         for member in described:
             yield from _modules(member)

@@ -1,4 +1,4 @@
-"""What a tolerance is to a method: how its errors compare with what it estimates them to be.
+"""Calibration of tolerances: ratio of a method's errors to its estimates of them.
 
 Each method estimates the error of another one than it steps by, so one tolerance gives errors that
 differ a hundredfold from method to method. What all bodies do is turn; so that is what tolerances
@@ -26,8 +26,9 @@ Rows = Sequence[Sequence[float]]
 
 
 def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -> float:
-    """By how much less than a tolerance the estimate of a step must be, for an error of the
-    tolerance after TURNS turns; at least LEAST, to two digits.
+    """Ratio of a tolerance to the estimate of a step that leads to it after TURNS turns.
+
+    At least LEAST, to two digits.
     """
     aim = _TOLERANCE * SAFETY ** (error_order + 1)
     low, high = 0.0, _LONGEST

@@ -285,5 +285,5 @@ class ButcherTableau:
 
     @property
     def is_fsal(self) -> bool:
-        """Whether the last stage is f at the end of the step, and so the next step's first."""
+        """True where the last stage is f at the end of the step, and so the next step's first."""
         return self.stages > 1 and self.b[-1] == 0.0 and self.A[-1] == self.b[:-1]

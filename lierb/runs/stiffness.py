@@ -91,7 +91,7 @@ def stiff_steps(
 
 
 def _is_known(kind: Element) -> bool:
-    """Whether the stiffness and damping of an element are known."""
+    """Return whether the stiffness and damping of an element are known."""
     return type(kind).tangents is not Element.tangents
 
 
@@ -188,7 +188,7 @@ class _OwnForces:
 
     @cached_property
     def _places(self) -> list[tuple[Connection, Parameters, BodyConstants]]:
-        """Of each force, the frames between which it acts."""
+        """Frames between which each force acts."""
         mechanism, found = self.mechanism, []
         for i in range(len(mechanism.forces)):
             at = mechanism.places[i]._replace(elements=(i,))

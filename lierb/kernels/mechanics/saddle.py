@@ -289,7 +289,7 @@ class _Elimination:
 
 
 def is_other_rank(dropped: Any, before: Any) -> Any:
-    """Whether another number of rows depend on others than at the start; not where that is NaN."""
+    """Return whether the number of dependent rows is another than at the start; false for NaN."""
     return absolute(dropped - before) > 0.5
 
 

@@ -53,7 +53,7 @@ class Mask(Protocol):
 
 @runtime_checkable
 class Operations(Protocol):
-    """What a class of numbers implements, as static methods or as methods of its first operand.
+    """Operations of a class of numbers, as static methods or as methods of its first operand.
 
     `lierb.kernels.numbers.arithmetic` hands each operation to the operands' class of highest rank;
     a class with less than these cannot take part. A class may also implement `minimum`, `maximum`,
