@@ -82,12 +82,12 @@ _CODES = {"i": "q", "f": "d", "V": "4q"}  # integers, floats, addresses with ext
 _PACKED = Struct("=" + "".join(_CODES[JOB[name].kind] for name in JOB.names or ()))
 _PLACES = {name: 4 * i for i, name in enumerate(ARRAYS)}  # in the content of a record
 _PLACES |= {name: i for i, name in enumerate((JOB.names or ())[len(ARRAYS) :], 4 * len(ARRAYS))}
-_EMPTY = [0] * (3 * len(ARRAYS) + len(_PLACES))
+_EMPTY: list[float] = [0] * (3 * len(ARRAYS) + len(_PLACES))
 
 
 def job_of(arrays: Mapping[str, NDArray], numbers: Mapping[str, float]) -> bytes:
     """Pack a record; what is missing is zero. The caller keeps the arrays alive."""
-    content: list[float] = _EMPTY.copy()
+    content = _EMPTY.copy()
     for name, array in arrays.items():
         at, shape = _PLACES[name], array.shape
         content[at : at + 4] = array.__array_interface__["data"][0], *shape, *_ONES[len(shape)]
