@@ -1,6 +1,6 @@
 """Errors and warnings of the public functions.
 
-Every message says what is wrong, where, what was given, what was expected, and a remedy.
+A message states the fault, its place, the actual and the expected value, and a remedy.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class UnknownNameError(LierbError):
 
 
 class InertiaError(LierbError):
-    """No rigid body has such a mass or inertia."""
+    """A mass or inertia is impossible for a rigid body."""
 
 
 class ForceError(LierbError):
-    """A force acts about an axis that its joint does not have, or no kernel can run a function."""
+    """A force acts about an axis that its joint lacks, or a kernel cannot run a function."""
 
 
 class PoseError(LierbError):
-    """A pose is no rigid motion, or does not close the joint."""
+    """A pose is not a rigid motion, or violates the joint."""
 
 
 class TwistError(LierbError):
@@ -52,7 +52,7 @@ class TwistError(LierbError):
 
 
 class StudyError(LierbError):
-    """A study cannot be run, or results are not its own."""
+    """A study cannot be run, or results belong to another study."""
 
 
 class StudyFileError(StudyError, OSError):
@@ -60,7 +60,7 @@ class StudyFileError(StudyError, OSError):
 
 
 class TimeGridError(LierbError):
-    """dt, t_end, save_every or measure_every make no grid."""
+    """dt, t_end, save_every or measure_every do not make a time grid."""
 
 
 class MemoryLimitError(LierbError):
@@ -68,28 +68,29 @@ class MemoryLimitError(LierbError):
 
 
 class InconsistentStateWarning(UserWarning):
-    """The pose or twist violates the joint; with check="warn"."""
+    """The initial pose or twist violates the joint; issued with check="warn"."""
 
 
 class FailedTrajectoryWarning(UserWarning):
-    """Trajectories ended before their time: they are `singular`, `non_finite` or `raised`."""
+    """Trajectories ended early, as `singular`, `non_finite` or `raised`."""
 
 
 class StiffStepWarning(UserWarning):
     """Fixed steps are beyond the method's stability bound for a force of `lierb.forces`.
 
-    Forces are linearised at the start: springs and dampers as they are, friction at zero velocity,
-    stops as where they act. An error that they damp grows from step to step where |R(hλ)| > 1; the
-    warning is issued where it doubles within the run. Functions of the user's are not examined.
+    Forces are linearised at the start: springs and dampers at the initial state, friction at zero
+    velocity, and stops in contact. For an eigenvalue λ of the result, an error grows from step to
+    step if |R(hλ)| > 1, though the force damps it. The warning is issued if the error doubles
+    within the run. Users' functions are not examined.
     """
 
 
 class ScalarFunctionWarning(UserWarning):
-    """A user's function runs body by body, because it cannot run for many at once."""
+    """A user's function runs body by body, because it cannot run for many bodies at once."""
 
 
 class StudyWarning(UserWarning):
-    """Results of a study may differ from what they would be elsewhere."""
+    """Results of a study may differ between machines or versions, or a file was missing."""
 
 
 class LeftOutWarning(UserWarning):
@@ -104,7 +105,7 @@ class ForkError(RuntimeError):
     """The process was forked after its threads had started; they do not exist in the child."""
 
 
-MOST_ITEMS = 10**6  # of an iterable argument, which may be infinite
+MOST_ITEMS = 10**6  # limit for an iterable argument, which may be infinite
 
 _short = Repr()
 _short.maxstring = _short.maxother = _short.maxlong = 100
@@ -115,16 +116,16 @@ def brief(given: object) -> str:
     """Return a short description of any object, on one line, for a message."""
     try:
         words = " ".join(_short.repr(given).split())
-    except Exception:  # a user's object may raise any, as do integers of more than 4300 digits
+    except Exception:  # any from a user's object; ValueError for integers above 4300 digits
         words = f"<{type(given).__name__}>"
     return words if len(words) <= 200 else f"{words[:100]} … {words[-80:]}"
 
 
 def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
-    """Return the items of an iterable; raise ArgumentError if it is none, or too long."""
+    """Return the items of an iterable, MOST_ITEMS at most; raise ArgumentError otherwise."""
     try:
         items = tuple(islice(given, MOST_ITEMS + 1))
-    except Exception as error:  # a user's object may raise any
+    except Exception as error:  # a user's object may raise any exception
         raise ArgumentError(f"{argument}={brief(given)}; expected {expected}") from error
     if len(items) > MOST_ITEMS:
         raise ArgumentError(
@@ -134,7 +135,7 @@ def items_of(argument: str, given: Any, expected: str) -> tuple[Any, ...]:
 
 
 def require_name(argument: str, got: object, known: Iterable[str]) -> None:
-    """Raise UnknownNameError for any object that is none of these strings."""
+    """Raise UnknownNameError unless `got` is one of the known strings."""
     if not (isinstance(got, str) and got in known):
         raise unknown_name(argument, got, known)
 
@@ -158,12 +159,12 @@ def two_readings(argument: str, shape: tuple[int, ...], **ways: str) -> Argument
 
 
 def body_label(argument: str, body: int, count: int) -> str:
-    """Name of a body's argument in messages: `twist0[17]`, or `twist0` if there is one body."""
+    """Label of a body's argument in messages: `twist0[17]`, or `twist0` for a single body."""
     return f"{argument}[{body}]" if count > 1 else argument
 
 
 def beyond_numbers(label: str, what: str) -> str:
-    """Message on a start whose error overflows."""
+    """Message for a start whose constraint residual overflows."""
     return (
         f"{label} has a {what} beyond all numbers: the squares of what it is made of overflow; "
         "give smaller numbers, or choose larger units"

@@ -43,8 +43,8 @@ def info() -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain values by name. "loaded" has the kernels in this process's memory, "cache" those of
-        this version on the disk.
+        Plain values by name. "loaded" is the number of kernels in this process's memory. "cache"
+        describes the disk cache: its folder, and the kernels of this version in it.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def info() -> dict[str, Any]:
 
 
 def _cache() -> dict[str, Any]:
-    """Return the folder of compiled kernels, and the number of this version's kernels in it."""
+    """Describe the disk cache: its folder, and number and size of this version's kernels."""
     if numba.config.DISABLE_JIT:
         return {"folder": None, "kernels": 0, "bytes": 0, "most_bytes": 0}
     caches: list[DiskCache] = [cache_of(integrate_blocks), cache_of(apply)]
@@ -96,7 +96,7 @@ ANY_BODY = Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
 
 @dataclass(frozen=True)
 class Kernel:
-    """Kernel that is ready, and the seconds that it took."""
+    """Compiled or loaded kernel, and the seconds that this took."""
 
     joint: str
     method: str
@@ -117,8 +117,8 @@ def warmup(
 ) -> list[Kernel]:
     """Compile the kernel of every combination, or load it from the disk cache.
 
-    A kernel serves every body, frame, gravity, step and batch size. A joint whose motions are no
-    subgroup has no "reduced" kernel: that combination is left out.
+    One kernel runs every body, frame, gravity, step and batch size. A joint whose motions are not a
+    subgroup has no "reduced" kernel; that combination is left out.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def warmup(
     Returns
     -------
     list of Kernel
-        The kernels that are ready: joint, method, cspace, update and seconds.
+        Compiled or loaded kernels: joint, method, cspace, update and seconds.
 
     Raises
     ------

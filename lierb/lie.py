@@ -5,7 +5,7 @@ part first (rad, then m); elements of the group are matrices, R (…, 3, 3) or C
 SO(3)×R³ the 4×4 matrix only holds (R, r): it composes by `so3xr3.compose`, not by matrix product.
 
 The formulas themselves, on tuples of numbers, are in `lierb.kernels.groups.so3`, `.se3` and
-`.so3xr3`, and can be called from your own @njit code.
+`.so3xr3`, and a user's @njit code can call them.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from lierb.support.memory import require_memory
 class Group:
     """A Lie group of rotations or rigid motions.
 
-    All functions broadcast their arguments' batch shapes, take SciPy's `Rotation` (so3) or
-    `RigidTransform` (the others) for group elements, and raise ArgumentError for a wrong shape, and
-    for values that are no real numbers.
+    All functions broadcast their arguments' batch shapes. They take SciPy's `Rotation` (so3) or
+    `RigidTransform` (se3, so3xr3) as group elements. They raise ArgumentError for a wrong shape and
+    for values that are not real numbers.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Group:
     def log(self, C: Any) -> Array:
         """Compute the X with exp X = C and ‖ξ‖ ≤ π.
 
-        At ‖ξ‖ = π the component of ξ largest in size is positive (the first, where several are).
+        At ‖ξ‖ = π the largest component of ξ by size is positive (the first of several equal).
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class Group:
         Returns
         -------
         ndarray, shape (…, dim) or (…, dim, dim)
-            Ad_C X, or without X the matrix Ad_C.
+            Ad_C X; the matrix Ad_C if X is omitted.
 
         Examples
         --------
@@ -173,7 +173,7 @@ class Group:
         Returns
         -------
         ndarray, shape (…, dim) or (…, dim, dim)
-            ad_X Y, or without Y the matrix ad_X.
+            ad_X Y; the matrix ad_X if Y is omitted.
 
         Examples
         --------
@@ -196,7 +196,7 @@ class Group:
         Returns
         -------
         ndarray, shape (…, dim) or (…, dim, dim)
-            dexp_X Y, or without Y the matrix dexp_X.
+            dexp_X Y; the matrix dexp_X if Y is omitted.
 
         Examples
         --------
@@ -219,7 +219,7 @@ class Group:
         Returns
         -------
         ndarray, shape (…, dim) or (…, dim, dim)
-            dexp_X⁻¹ V, or without V its matrix.
+            dexp_X⁻¹ V; the matrix dexp_X⁻¹ if V is omitted.
 
         Examples
         --------
@@ -264,7 +264,7 @@ class Group:
             for x, n, k in zip(operands, axes, kinds, strict=True)
         ]
         for row in rows:
-            row.flags.writeable = False  # one Numba type, and so one compile, for all arguments
+            row.flags.writeable = False  # one Numba type for all arguments, hence one compilation
         out = np.empty((len(rows[0]), width(self.name, result_kind)))
         tag = LieFunction(self.name, function, DEFAULT_LANES)
         arguments = (rows[0], rows[-1], out, tag.lanes)

@@ -1,1 +1,1 @@
-"""Numba and llvmlite: what turns formulas into machine code, and keeps it."""
+"""Compilation of formulas to machine code by Numba and llvmlite, and its disk cache."""

@@ -1,4 +1,4 @@
-"""Compiled code: the options that all of it has, and its compiling, once a process."""
+"""Compilation of functions, once in each process, and the options common to all of them."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from lierb.compiler.internals import ALLOCATES_NOTHING, COMPILER_LOCK, compile_l
 from lierb.compiler.tags import Tag
 from lierb.compiler.threads import begun
 
-# error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Given to every
-# function, because the options of its first caller leak into a helper that has none.
+# error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Every function
+# needs these options: Numba compiles a helper without options with those of its first caller.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 
 
 def cached(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: njit with OPTIONS and the disk cache, for a function that is no closure, and that
-    makes no array unless it is parallel.
+    """Decorate a function by njit with OPTIONS and the disk cache.
+
+    The function must not be a closure. It may allocate arrays only if it is parallel.
     """
     options = {"parallel": True} if parallel else ALLOCATES_NOTHING
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**OPTIONS, **options)(function)
-        if hasattr(dispatcher, "compile"):  # no: the JIT is off
+        if hasattr(dispatcher, "compile"):  # False with the JIT off
             set_cache(dispatcher, DiskCache(function))
         return dispatcher
 
@@ -37,14 +38,14 @@ def cached(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
 
 _ready: dict[tuple[Any, ...], Callable[..., Any]] = {}
-compiling = threading.RLock()  # which may need something else compiled
-_garbage_waits = False  # until a thread has done its work
+compiling = threading.RLock()  # reentrant: compiling one function may compile others
+_garbage_waits = False  # True while a compiling thread has disabled the collector
 
 
 def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
-    """The code of `dispatcher` for arguments of these types, and for no others.
+    """Return the code of `dispatcher` for arguments of these types only.
 
-    Compiled, or from the disk cache, once a process.
+    The first call in a process compiles it or loads it from the disk cache.
     """
     if not hasattr(dispatcher, "compile"):  # the JIT is off
         return dispatcher
@@ -55,9 +56,10 @@ def compiled(dispatcher: Any, *args: Any) -> Callable[..., Any]:
 
 
 def kinds_of(dispatcher: Any, *args: Any) -> tuple[Any, ...]:
-    """Key of compiled code: tags themselves, and what decides on the Numba type of other arguments.
+    """Return the key of compiled code: the dispatcher and the kind of each argument.
 
-    That type takes 20 times as long to find. Arguments of one type may be of several kinds.
+    A tag is its own kind. The kind of another argument determines its Numba type, but is computed
+    20 times as fast. Arguments of different kinds may have the same Numba type.
     """
     return dispatcher, *map(_kind, args)
 
@@ -78,11 +80,11 @@ def _compile(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
 
 
 def undisturbed(work: Callable[..., None], *args: Any) -> None:
-    """work(*args) to its end, even where Ctrl-C ends the wait for it.
+    """Run work(*args) to its end, even if Ctrl-C interrupts the caller.
 
-    Handlers of signals run in the main thread, between any two of its instructions: one that raises
-    amidst Numba's work leaves its registries half made, and every later call failing. Hence the
-    work is done in a thread of its own; what comes next finds it done, or waits for it.
+    Python runs signal handlers in the main thread, between any two instructions. A handler that
+    raises inside Numba leaves Numba's registries incomplete, and every later call fails. Hence the
+    work runs in a thread of its own. A later call waits until it is done.
     """
     if threading.current_thread() is threading.main_thread():
         begun(_without_collections, work, *args)()
@@ -91,13 +93,13 @@ def undisturbed(work: Callable[..., None], *args: Any) -> None:
 
 
 def _without_collections(work: Callable[..., None], *args: Any) -> None:
-    """work(*args), its garbage left until it is done.
+    """Run work(*args) with the garbage collector disabled.
 
-    A compiler allocates so much that Python would look through it hundreds of times, for a fifth of
-    the time to a kernel. So memory peaks higher, by 6 to 60 MB.
+    Compilation allocates so much that the collector would run hundreds of times, which takes a
+    fifth of the time to a kernel. Without it the memory's peak is 6 to 60 MB higher.
     """
     global _garbage_waits
-    if not gc.isenabled():  # for another thread, or the user wants none
+    if not gc.isenabled():  # disabled by another thread or by the user
         work(*args)
         return
     gc.disable()
@@ -110,7 +112,7 @@ def _without_collections(work: Callable[..., None], *args: Any) -> None:
 
 
 def collect_again() -> None:
-    """Enable the garbage collector in a forked child, which lacks the thread that would do so."""
+    """Enable the garbage collector in a forked child, which lacks the thread that disabled it."""
     if _garbage_waits:
         gc.enable()
 
@@ -121,7 +123,7 @@ def is_ready(dispatcher: Any, *args: Any) -> bool:
 
 
 def is_compiling() -> bool:
-    """Return whether another thread compiles, or one of a parent process did at the fork."""
+    """Return whether another thread is compiling, or was in the parent process at the fork."""
     for lock in (compiling, COMPILER_LOCK):
         if not lock.acquire(blocking=False):
             return True

@@ -1,7 +1,7 @@
-"""Compiled code on the disk: one file for each kernel, named after all that its code depends on.
+"""Disk cache of compiled code: one file for each kernel, named after all that its code depends on.
 
-There is no index and no lock: a file that is damaged, foreign or half there is no file at all. What
-cannot be read is compiled anew; what cannot be written is not kept, and a warning says so.
+The cache has no index and no lock. A damaged, foreign or incomplete file counts as absent, and the
+kernel is compiled again. If a file cannot be written, a warning is issued.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from lierb.compiler.internals import NullCache, as_bytes, from_bytes, machine_of
 from lierb.compiler.stamp import source_stamp
 
 SUFFIX = ".nbc"
-ABANDONED = 3600.0  # s, after which what is unfinished has been left by a process that died
-MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels: what was used last stays
+ABANDONED = 3600.0  # s; an older unfinished file was left by a process that died
+MOST_BYTES = 1 << 29  # in one folder, about 2500 kernels; the oldest by use are deleted
 
 
 class DiskCache(NullCache):
-    """Cache of a function's compiled code on the disk, in place of Numba's."""
+    """Disk cache of a function's compiled code, which replaces Numba's."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         stem = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-        self._stem = stem.replace("<", "").replace(">", "")  # not in names on Windows
+        self._stem = stem.replace("<", "").replace(">", "")  # Windows forbids them in names
         _caches.append(self)
 
     @property
@@ -41,11 +41,11 @@ class DiskCache(NullCache):
 
     @property
     def cache_path(self) -> str | None:
-        """The folder that code is written to; None if there is no such one."""
+        """Folder that code is written to; None if no folder is writable."""
         return next((str(each) for each in self.folders if _is_writable(each)), None)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled code, or None."""
+        """Load compiled code; None if there is none."""
         key = self._key(sig, target_context.codegen())
         for folder in self.folders:
             try:
@@ -54,10 +54,10 @@ class DiskCache(NullCache):
                 if content is None:
                     continue
                 found = from_bytes(content, target_context)
-            except Exception:  # there is no telling what reading nonsense raises
+            except Exception:  # a foreign file may raise any exception
                 continue
             with suppress(OSError):
-                os.utime(path)  # used last
+                os.utime(path)  # time of the last use, for `_prune`
             return found
         return None
 
@@ -78,13 +78,13 @@ class DiskCache(NullCache):
         _warn_once(refusals or ["there is no folder for it"])
 
     def files(self, folder: Path) -> Iterator[Path]:
-        """Its code in a folder, of whatever version of the sources, and its unfinished files."""
+        """Yield the function's files in a folder: of any version of the sources, and unfinished."""
         with suppress(OSError):
             yield from folder.glob(f"{self._stem}-*{SUFFIX}")
             yield from folder.glob(f".{self._stem}-*{SUFFIX}{sealed.UNFINISHED}")
 
     def entries(self) -> list[Path]:
-        """The code of this version of the sources, in all folders."""
+        """Files with code of this version of the sources, in all folders."""
         mine = self._prefix
         return [
             path
@@ -94,9 +94,9 @@ class DiskCache(NullCache):
         ]
 
     def _key(self, sig: Any, codegen: Any) -> str:
-        """All that code depends on: the function, its arguments' types, CPU, Python, the sources.
+        """Return all that code depends on: function, argument types, CPU, Python and sources.
 
-        A tag's type has the digest of the tag in its name.
+        The name of a tag's type contains the tag's digest.
         """
         code = hashlib.sha256(self._function.__code__.co_code).hexdigest()
         version = sys.implementation.cache_tag
@@ -112,7 +112,7 @@ class DiskCache(NullCache):
         return f"{self._stem}-{source_stamp(self._function.__module__)}-"
 
     def _prune(self, folder: Path) -> None:
-        """Delete what nothing asks for any more, and beyond MOST_BYTES what was used first."""
+        """Delete files of other versions, abandoned files and, beyond MOST_BYTES, the oldest."""
         mine = self._prefix
         kept = []
         for path in self.files(folder):
@@ -123,7 +123,7 @@ class DiskCache(NullCache):
                         path.unlink()
                 elif path.name.startswith(mine):
                     kept.append((status.st_mtime, status.st_size, path))
-                else:  # of sources that were edited since, or of another numba
+                else:  # of edited sources or another release of Numba
                     path.unlink()
         excess = sum(size for _, size, _ in kept) - MOST_BYTES
         for _, size, path in sorted(kept):
@@ -138,9 +138,9 @@ _caches: list[DiskCache] = []  # of this process
 
 
 def clear() -> dict[Path, int]:
-    """Delete all code of lierb on the disk, of whatever version; what there was, and its bytes.
+    """Delete all compiled code of lierb on the disk, of any version; return the files' sizes.
 
-    Raises OSError for a file that may not be deleted.
+    Raises OSError for a file that cannot be deleted.
     """
     there = dict(sized(p for each in _caches for f in each.folders for p in each.files(f)))
     for path in there:
@@ -150,14 +150,14 @@ def clear() -> dict[Path, int]:
 
 
 def sized(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
-    """Files that are there, and their bytes."""
+    """Yield the existing files and their sizes in bytes."""
     for path in paths:
-        with suppress(FileNotFoundError):  # other processes delete, too
+        with suppress(FileNotFoundError):  # another process may have deleted it
             yield path, path.stat().st_size
 
 
 def _is_writable(folder: Path) -> bool:
-    """Return whether a folder can be written to, or made."""
+    """Return whether a folder can be written to or created."""
     there = next(each for each in (folder, *folder.parents) if os.access(each, os.F_OK))
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 

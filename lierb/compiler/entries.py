@@ -1,4 +1,4 @@
-"""Compiled code called by its address, by @njit code that was compiled before it."""
+"""Calls of compiled code by its address, from @njit code that was compiled earlier."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
-_plain: list[partial[Any]] = []  # with the JIT off: entry − 1 is a place here
-_entries: dict[tuple[Any, ...], int] = {}  # by kinds of arguments
-_addresses: dict[tuple[Any, ...], int] = {}  # the same, by their types
-_callable: set[tuple[types.Type, ...]] = set()  # arguments, behind the tag, of code with an entry
+_plain: list[partial[Any]] = []  # with the JIT off; an entry is an index in it, plus 1
+_entries: dict[tuple[Any, ...], int] = {}  # by the kinds of the arguments
+_addresses: dict[tuple[Any, ...], int] = {}  # addresses by the types of the arguments
+_callable: set[tuple[types.Type, ...]] = set()  # argument types of code with an entry, but the tag
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
-    """Address of the compiled code of dispatcher(tag, *args), for `call`.
+    """Return the address of the compiled code of dispatcher(tag, *args), for `call`.
 
-    Code called by its address is compiled once; what calls it is compiled once for all tags. A
-    caller that Numba links it to would optimise and translate all of it again, and so would each of
-    a parallel loop's wrappers: five times in all.
+    Code that is called by its address is compiled once, and its caller once for all tags. If Numba
+    linked the code to its caller, LLVM would optimise and translate it again for the caller and for
+    each wrapper of a parallel loop: five times in all.
     """
     if not hasattr(dispatcher, "compile"):  # the JIT is off
         known = dispatcher, tag
@@ -65,9 +65,11 @@ def kernels_loaded() -> int:
 
 
 def call(entry: Any, *args: Any) -> int:
-    """Run the code at an entry, for @njit code; the types are those that it was compiled for.
+    """Run the code at an address from `entry_of`, in @njit code.
 
-    Returns 0, or for `raise_again` what was raised: in a parallel loop's thread nobody hears it.
+    The arguments must have the types that the code was compiled for. Returns 0, or the address of
+    the exception that the code has raised, for `raise_again`: Numba loses an exception that is
+    raised in a thread of a parallel loop.
     """
     _plain[int(entry) - 1](*args)
     return 0
@@ -82,7 +84,7 @@ def _call(entry, *args):  # no annotations: Numba compares signatures
 def _call_entry(context: Any, entry: Any, args: Any) -> Any:
     if tuple(args) not in _callable:
         raise numba.errors.TypingError(f"no code was compiled for {tuple(args)}")
-    operands = (types.voidptr, *args)  # the tag's value, which is nothing, goes first
+    operands = (types.voidptr, *args)  # the tag is the first argument, a null pointer
 
     def generate(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
         tag = context.get_constant_null(types.voidptr)
@@ -93,7 +95,7 @@ def _call_entry(context: Any, entry: Any, args: Any) -> Any:
 
 
 def raise_again(raised: int) -> None:
-    """Raise what `call` has returned, unless it is 0, in compiled code."""
+    """Raise the exception at an address that `call` has returned; do nothing for 0."""
 
 
 @overload(raise_again)
@@ -113,7 +115,7 @@ def _propagate(context: Any, raised: Any) -> Any:
 
 
 def take_turns(counter: Any, count: Any) -> Any:
-    """The number in `counter`, an int64 array, which is then raised by so many, for one thread."""
+    """Return the int64 in `counter` and add `count` to it, atomically in compiled code."""
     number = counter[0]
     counter[0] = number + count
     return number

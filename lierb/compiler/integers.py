@@ -1,9 +1,10 @@
-"""Whole numbers in functions that Numba compiles: an error where they would leave 64 bits.
+"""Checked integers in functions that Numba compiles: overflow of 64 bits raises an error.
 
-Python's integers have as many digits as they need, Numba's wrap, and have no digits of a float that
-is too large. `CheckedIntegers` compiles a function with what stands below in place of Python's
-operators on integers, and of what makes integers of floats. Floats keep theirs, but for NumPy's
-functions whose values Numba misses; an array's integers wrap, as NumPy's do.
+Python's integers have any number of digits. Numba's wrap at 64 bits, and a conversion of a larger
+float is undefined. `CheckedIntegers` compiles a function with the implementations below in place of
+Python's operators on integers and its conversions of floats to integers. Of the functions of
+floats, only NumPy's are replaced, where Numba's values differ. Integers in arrays wrap, as
+NumPy's do.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ TO_NEGATIVE = "a whole number to a negative power; make it a float, such as 2.0*
 SHIFT = "negative shift count"
 
 CHECKED: dict[tuple[Any, int], Callable[..., Any]] = {}
-"""By what Python calls, and with how many operands, a function that is compiled in its place."""
+"""Replacements by (replaced operator, function or type, number of operands)."""
 
 
 def _stands_for(*replaced: Any) -> Callable[[Any], Any]:
-    """Decorator for (types of arguments) → implementation, or None for other types."""
+    """Register a function (argument types) → implementation, or None for other types."""
 
     def decorate(typed: Any) -> Any:
         def checked(*_: Any) -> Any:
@@ -47,18 +48,18 @@ def _stands_for(*replaced: Any) -> Callable[[Any], Any]:
 
 
 def _kind(*kinds: types.Type) -> Any:
-    """np.int64 or np.uint64, as which all of these types compute; None for other types."""
+    """Return the common integer type, np.int64 or np.uint64; None if there is none."""
     if not all(isinstance(kind, (types.Integer, types.Boolean)) for kind in kinds):
         return None
     signed = [isinstance(kind, types.Boolean) or kind.signed for kind in kinds]
     return np.int64 if all(signed) else None if any(signed) else np.uint64
 
 
-# ---- integers: no annotations, for Numba compares signatures -----------------------------------
+# ---- operators on integers; no annotations: Numba compares signatures --------------------------
 
 
 def _with_overflow(operation: str) -> Any:
-    """(a ∘ b modulo 2⁶⁴, whether it is beyond), of two integers of 64 bits and of one kind."""
+    """Intrinsic (a, b) → (a ∘ b modulo 2⁶⁴, overflow flag) on 64-bit integers of one type."""
 
     @intrinsic
     def computed(context, a, b):
@@ -213,11 +214,11 @@ def total_from(members, start):
     return implementation if _are_whole(members) and _kind(start) is np.int64 else None
 
 
-# ---- integers of other numbers -------------------------------------------------------------------
+# ---- conversions to integers ---------------------------------------------------------------------
 
 
 def _whole_part(kind: types.Integer, whole: Any) -> Any:
-    """An integer of that kind, of what `whole` makes of a float."""
+    """Conversion of a float to an integer type, after rounding by `whole`."""
     lowest, beyond, convert = float(kind.minval), float(kind.maxval + 1), getattr(np, kind.name)
 
     def typed(x):
@@ -233,7 +234,7 @@ def _whole_part(kind: types.Integer, whole: Any) -> Any:
 
 
 def _of_kind(kind: types.Integer) -> Any:
-    """An integer of that kind, of any number."""
+    """Conversion of any number to an integer type."""
     of_float, convert = _whole_part(kind, np.trunc), getattr(np, kind.name)
 
     def typed(x):
@@ -252,15 +253,15 @@ _stands_for(int, math.trunc)(_whole_part(types.int64, np.trunc))
 _stands_for(math.floor)(_whole_part(types.int64, np.floor))
 _stands_for(math.ceil)(_whole_part(types.int64, np.ceil))
 _stands_for(round)(_whole_part(types.int64, np.rint))
-for _integer in types.integer_domain:  # np.int8 … np.uint64, which Numba knows by their types
+for _integer in types.integer_domain:  # np.int8 … np.uint64, as Numba types
     _stands_for(_integer)(_of_kind(_integer))
 
 
-# ---- what Numba's own gives other numbers for than NumPy does ----------------------------------
+# ---- functions of floats whose values differ between Numba and NumPy ---------------------------
 
 
 def _of_floats(computed: Any) -> Any:
-    """computed(a, b), of numbers not all of which are integers."""
+    """Implementation computed(a, b) for numbers of which at least one is a float."""
 
     def typed(a, b):
         kinds = types.Float, types.Integer, types.Boolean
@@ -276,8 +277,8 @@ def _of_floats(computed: Any) -> Any:
 _quotient = numba.njit(lambda a, b: a // b, error_model="numpy")
 _remainder = numba.njit(lambda a, b: a % b, error_model="numpy")
 _both = numba.njit(lambda a, b: (a // b, a % b), error_model="numpy")
-_stands_for(np.floor_divide)(_of_floats(_quotient))  # Numba's rounds a/b first
-_stands_for(np.remainder)(_of_floats(_remainder))  # of Numba's a zero has the sign of a
+_stands_for(np.floor_divide)(_of_floats(_quotient))  # Numba rounds a/b first
+_stands_for(np.remainder)(_of_floats(_remainder))  # Numba's zero has the sign of a
 _stands_for(np.divmod)(_of_floats(_both))
 
 CheckedIntegers = compiler_that_replaces(CHECKED)

@@ -1,9 +1,9 @@
 """Undocumented parts of Numba on which lierb relies; no other module imports any of them.
 
-tests/compiler/test_internals.py has a test for each name that is imported here and each function:
-a release of Numba that changes one fails there, by its name. The releases that pass bound numba in
-pyproject.toml. What is documented (`numba`, `numba.extending`, `llvmlite.ir`, `llvmlite.binding`)
-is imported where it is used.
+tests/compiler/test_internals.py has a test for each imported name and each function: if a release
+of Numba changes one, its test fails. The releases that pass determine the bounds of numba in
+pyproject.toml. Other modules import the documented parts (`numba`, `numba.extending`,
+`llvmlite.ir`, `llvmlite.binding`) directly.
 """
 
 from __future__ import annotations
@@ -43,32 +43,32 @@ __all__ = [
 
 BIT = ir.IntType(1)
 INT64 = ir.IntType(64)
-COMPILER_LOCK = global_compiler_lock._lock  # held by whatever thread compiles
-# An option of njit: no references are counted. Of each value of a formula, Numba takes all numbers
-# out to look for arrays among them, which is a tenth of the time to a kernel.
+COMPILER_LOCK = global_compiler_lock._lock  # held by the compiling thread
+# Option of njit that disables reference counting. Numba would unpack every value of a formula to
+# search it for arrays, which takes a tenth of the time to a kernel.
 ALLOCATES_NOTHING = {"_nrt": False}
 
 
 def tracing_context() -> Any:
-    """Context that lays out values as Numba does, without a function being compiled."""
+    """Numba's target context, for the layout of values outside of a compilation."""
     return cpu_target.target_context
 
 
-# ---- compiled code: how it is made, where it lies, what it can do without -----------------------
+# ---- compilation, addresses and memory of code --------------------------------------------------
 
 
 class _LeanLibrary(JITCodeLibrary):
-    """Code that is not optimised function by function before all of it is, together."""
+    """Library of code that skips the optimisation of single functions."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
 
 
 def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
-    """dispatcher.compile(operands), in two thirds of LLVM's time.
+    """Run dispatcher.compile(operands) in two thirds of LLVM's time.
 
-    Numba has LLVM optimise each function by itself, and then the module with all that it calls. For
-    one long function the former finds nothing that the latter would not.
+    Numba lets LLVM optimise each function alone, and then the module with all callees. The first
+    optimisation gains nothing for a single long function, and is skipped.
     """
     codegen = cpu_target.target_context.codegen()
     with global_compiler_lock:
@@ -80,15 +80,15 @@ def compile_leanly(dispatcher: Any, operands: tuple[types.Type, ...]) -> Any:
 
 
 def address_of(result: Any) -> int:
-    """Address of a compile result's code; arguments and results by Numba's convention."""
+    """Address of a compile result's code, which uses Numba's calling convention."""
     return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
 
 
 def release(library: Any) -> None:
-    """Let go of the LLVM code behind machine code that nothing will be linked with any more.
+    """Free the LLVM code of a library that no other code will be linked with.
 
-    3 of the 7 MB that a kernel takes once it is compiled, 1.1 of 1.3 where it came from the disk.
-    What is left of the former is lost in LLVM's passes, and with the process.
+    This frees 3 of a compiled kernel's 7 MB, and 1.1 of 1.3 MB for a kernel loaded from the disk.
+    LLVM's passes keep the rest of the 7 MB until the process ends.
     """
     library._codegen._engine._ee.remove_module(library._final_module)
     library._final_module = library._shared_module = library._compiled_object = None
@@ -98,7 +98,7 @@ def release(library: Any) -> None:
 
 
 def set_cache(dispatcher: Any, cache: NullCache) -> None:
-    """Have a dispatcher ask this for code before it compiles, and give it what it has compiled."""
+    """Set the cache from which a dispatcher loads code and to which it saves code."""
     dispatcher._cache = cache
 
 
@@ -107,35 +107,36 @@ def cache_of(dispatcher: Any) -> Any:
 
 
 def machine_of(codegen: Any) -> tuple[Any, ...]:
-    """The kind of processor that code is made for, and what is used of it."""
+    """CPU that code is compiled for, and its enabled features."""
     return tuple(codegen.magic_tuple())
 
 
 def as_bytes(result: Any) -> bytes | None:
-    """A compile result, for another process; None for what is good for this one only."""
+    """Serialise a compile result; None if the code is valid in this process only."""
     if any(not lifted.can_cache for lifted in result.lifted) or result.library.has_dynamic_globals:
         return None
     return bytes(dumps(result._reduce()))
 
 
 def from_bytes(content: bytes, context: Any) -> Any:
-    """The compile result again; whatever reading nonsense raises, for anything else.
+    """Restore a compile result from `as_bytes`; other bytes may raise any exception.
 
-    Without what only a compiler needs: Numba would import all its overloads first, and with them
-    scipy.linalg where SciPy is installed, two thirds of the time to a first result.
+    The function skips Numba's import of all overloads, which only compilation needs. That import
+    includes scipy.linalg where SciPy is installed, and takes two thirds of the time to a first
+    result.
     """
-    rtsys.initialize(context)  # arrays count references
+    rtsys.initialize(context)  # loaded code may count references to arrays
     return CompileResult._rebuild(context, *pickle.loads(content))
 
 
-# ---- other functions in the place of Python's own ------------------------------------------------
+# ---- replacement of operators and calls ----------------------------------------------------------
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
     """Pipeline class for njit that replaces operators and calls with integer results, and ufuncs.
 
-    functions : by operator, function, or type that is called, and by the number of operands, a
-        function with overloads, which replaces it where one of them takes their types.
+    functions : replacement by (operator, function or type, number of operands). A replacement is
+        a function with overloads, used where an overload accepts the operands' types.
     """
 
     @register_pass(mutates_CFG=False, analysis_only=False)
@@ -167,7 +168,7 @@ def _assignments(code: Any) -> Iterator[Any]:
 
 
 def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
-    """Replace what an assignment computes; whether it is."""
+    """Replace the expression of an assignment; return whether a replacement exists."""
     old = step.value
     if old.op in ("binop", "inplace_binop"):
         called, operands = old.fn, [old.lhs, old.rhs]
@@ -181,7 +182,7 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
     kinds = tuple(types.unliteral(state.typemap[operand.name]) for operand in operands)
     key = called, len(operands)
     function = functions.get(key) if isinstance(called, Hashable) else None
-    # Typing again what has no overload takes a while: most operators are those of floats.
+    # A failed search for an overload is slow, and most operators act on floats: skip these.
     is_worth_it = isinstance(called, np.ufunc) or _is_of_integers(state.calltypes[old].return_type)
     if function is None or not is_worth_it:
         return False
@@ -204,13 +205,13 @@ def _is_of_integers(ty: types.Type) -> bool:
     return isinstance(getattr(ty, "dtype", ty), types.Integer)
 
 
-# ---- calls from code that is being emitted -----------------------------------------------------
+# ---- calls in emitted code ---------------------------------------------------------------------
 
 
 def call_address(
     context: Any, builder: ir.IRBuilder, address: ir.Value, operands: Sequence[Any], values: Any
 ) -> ir.Value:
-    """Call code that returns nothing; 0, or the address of the exception that it has raised."""
+    """Emit a call of code at an address; return 0, or the address of the raised exception."""
     pointer = context.call_conv.get_function_type(types.none, operands).as_pointer()
     code = builder.inttoptr(address, pointer)
     status, _ = context.call_conv.call_function(builder, code, types.none, operands, values)
@@ -219,7 +220,7 @@ def call_address(
 
 
 def raise_address(context: Any, builder: ir.IRBuilder, address: ir.Value) -> None:
-    """Leave the function that is being emitted with the exception at an address."""
+    """Emit a raise of the exception at an address."""
     status = Status(
         code=RETCODE_USEREXC, is_ok=BIT(0), is_none=BIT(0), is_error=BIT(1),
         is_stop_iteration=BIT(0), is_python_exc=BIT(0), is_user_exc=BIT(1),
@@ -229,32 +230,32 @@ def raise_address(context: Any, builder: ir.IRBuilder, address: ir.Value) -> Non
 
 
 def link(context: Any, result: Any) -> None:
-    """Have the code that is being emitted call that of a compile result."""
+    """Link the code of a compile result to the emitted code, for `call_linked`."""
     context.add_linking_libs((result.library,))
 
 
 def call_linked(context: Any, builder: ir.IRBuilder, result: Any, arguments: Any) -> Any:
-    """(is_error, is_user_exc and excinfoptr of a status, what it returns) of such a call."""
+    """Emit a call of linked code; return (status, result)."""
     return context.call_internal_no_propagate(builder, result.fndesc, result.signature, arguments)
 
 
-# ---- what compiled code names ------------------------------------------------------------------
+# ---- names in compiled code --------------------------------------------------------------------
 
 
 def runs_python(result: Any) -> bool:
-    """Return whether compiled code runs Python code of its own (objmode)."""
+    """Return whether compiled code runs Python code (objmode)."""
     return bool(getattr(result, "lifted", ()))
 
 
 def names_in(result: Any) -> Iterator[tuple[Any, types.Type, int | None]]:
-    """Referents of the variables of compiled code: (function or module, type, line) each.
+    """Yield (function or module, type, line) for each variable of compiled code.
 
-    The first is None for what is neither; a result that came from the disk knows of none.
+    The first is None for a variable of another type. A result loaded from the disk yields nothing.
     """
     annotation = result.type_annotation
     lines: dict[str | None, int] = {}
     for block in getattr(annotation, "blocks", {}).values():
-        for step in block.body:  # of Numba's intermediate code
+        for step in block.body:  # instruction of Numba's intermediate code
             target = getattr(step, "target", None)
             lines.setdefault(getattr(target, "name", None), step.loc.line)
     for variable, ty in getattr(annotation, "typemap", {}).items():

@@ -1,4 +1,4 @@
-"""Helpers of @njit loops: functions of their own, and memory by its address."""
+"""Helpers of @njit loops: functions that run compiled or not, and memory at an address."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def shared(function: F) -> F:
-    """Decorator: a function of numbers for Python and for @njit code alike."""
+    """Decorate a function of numbers that both Python and @njit code can call."""
     registered: F = register_jitable(**OPTIONS)(function)
     return registered
 
 
 def _number_at(address: int) -> float:
-    """The float64 at an address, which need not be aligned."""
+    """Return the float64 at an address, which need not be aligned."""
     return c_double.from_address(int(address)).value
 
 
@@ -39,9 +39,10 @@ def _load(context: Any, address: Any) -> Any:
 
 
 def _array_at(axes: int, item: types.Type) -> Any:
-    """A function of an address and extents, int64 in this order: the C-contiguous array there.
+    """Make a function that returns the C-contiguous array at an address.
 
-    Whoever asks keeps its memory.
+    The function takes the address and the extents, as one array of int64 in this order. Its caller
+    keeps the memory alive.
     """
     dtype = np.dtype(item.name)
 

@@ -1,7 +1,7 @@
-"""Files of the disk cache: each says what it is and that it is whole, or counts for none.
+"""Files of the disk cache, verified by a key and a digest.
 
-A file holds the digest of the rest, a key in full, and the content. It is written aside and
-renamed.
+A file holds the digest of the rest, the whole key, and the content. It is written under a temporary
+name and renamed. A file with another key or digest counts as absent.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DIGEST_SIZE = hashlib.sha256().digest_size
 
 
 def folders_of(function: Callable[..., Any]) -> list[Path]:
-    """Folders in which a function's files may be, in the order of search: Numba's own choice."""
+    """Folders in which a function's files may be, in the order of search, as chosen by Numba."""
     source = inspect.getfile(function)
     chosen = (
         [UserProvidedCacheLocator]
@@ -39,8 +39,8 @@ def folders_of(function: Callable[..., Any]) -> list[Path]:
 
 
 def read(path: Path, key: str) -> bytes | None:
-    """The content of a file, if it is the one asked for and as it was written."""
-    if not path.is_file():  # a pipe would be waited for
+    """Return the content of a file; None if the key differs or the digest is wrong."""
+    if not path.is_file():  # a pipe would block
         return None
     stored = path.read_bytes()
     digest, content = stored[:DIGEST_SIZE], stored[DIGEST_SIZE:]
@@ -51,7 +51,7 @@ def read(path: Path, key: str) -> bytes | None:
 
 
 def write(path: Path, key: str, content: bytes) -> None:
-    """A file with that content, or none."""
+    """Write a file with that content; leave no partial file behind."""
     sealed = key.encode() + b"\0" + content
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.stem}.{uuid4().hex[:8]}{path.suffix}{UNFINISHED}")

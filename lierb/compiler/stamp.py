@@ -1,9 +1,9 @@
 """Digest of the sources of compiled code, without the parts that do not change code.
 
-Code is made of the module that its function is written in, of those that its tag's classes are
-written in, and of all modules of lierb that these import. What counts of each is its syntax tree,
-without comments, docstrings and places: an edit of any of them is never missed, and a new docstring
-or another file's edit compiles nothing anew.
+A kernel's code depends on the module of its function, the modules of its tag's classes, and all
+modules of lierb that these import. The digest covers their syntax trees, without comments,
+docstrings and line numbers. Hence every edit of code in these modules recompiles the kernel; an
+edit of a docstring or of another module does not.
 """
 
 from __future__ import annotations
@@ -27,39 +27,39 @@ import numpy as np
 from lierb.compiler import sealed
 
 PACKAGE = "lierb"
-ANYTHING = "*"  # imported by what may import whatever there is
-IMPORTERS = {"importlib", "pkgutil"}  # by names that are made at run time
+ANYTHING = "*"  # imports of a module that may import any module
+IMPORTERS = {"importlib", "pkgutil"}  # they import by names computed at run time
 
-_parsing = Lock()  # of two threads that parse at once, Python 3.11 fails one (gh-106905)
+_parsing = Lock()  # concurrent parsing fails in Python 3.11 (gh-106905)
 
 
 def _read(folder: str, package: str) -> Iterator[tuple[str, bytes]]:
-    """The sources in a folder and below, by their modules' names."""
+    """Yield (module, source) for the files in a folder and its subfolders."""
     with os.scandir(folder) as entries:
         for entry in entries:
             module = entry.name.removesuffix(".py")
             if module != entry.name:
                 name = package if module == "__init__" else f"{package}.{module}"
                 with suppress(OSError), open(entry.path, "rb", buffering=0) as file:  # noqa: PTH123
-                    yield name, file.read()  # in half the time that a Path takes
+                    yield name, file.read()  # takes half the time of a Path
             elif module != "__pycache__" and entry.is_dir():
                 yield from _read(entry.path, f"{package}.{module}")
 
 
-# Now: later, a file may differ from what this process has imported.
+# Read at import: a file may change after this process has imported it.
 SOURCES = dict(_read(str(Path(__file__).parents[1]), PACKAGE))
 
 
 @cache
 def source_stamp(*modules: str) -> str:
-    """Digest of all that code from these modules is made of, and of what compiles it."""
-    versions = numba.__version__, llvmlite.__version__, np.__version__  # it computes constants
+    """Digest of the sources of these modules' code and of the compiler's versions."""
+    versions = numba.__version__, llvmlite.__version__, np.__version__  # NumPy computes constants
     described = repr((versions, sorted(parts(*modules).items())))
     return hashlib.sha256(described.encode()).hexdigest()[:16]
 
 
 def parts(*modules: str) -> dict[str, str]:
-    """The modules that code from these is made of, and the digests of their syntax trees."""
+    """Return digests of the syntax trees of these modules and all that they import, by name."""
     _recall()
     known, found, ahead = len(_trees), {}, list(modules)
     while ahead:
@@ -74,9 +74,9 @@ def parts(*modules: str) -> dict[str, str]:
 
 
 def _modules_of(name: str) -> list[str]:
-    """Modules that an import of a name runs: the module that has it, the packages around it.
+    """Modules that an import of a name runs: the name's module and its parent packages.
 
-    Not lierb/__init__.py, whose imports are all of lierb, unless the name is in no other.
+    lierb/__init__.py, which imports all of lierb, counts only if no other module has the name.
     """
     words = name.split(".")
     found = [".".join(words[:n]) for n in range(1, len(words) + 1)]
@@ -86,13 +86,13 @@ def _modules_of(name: str) -> list[str]:
 
 # ---- syntax trees ------------------------------------------------------------------------------
 
-Tree = tuple[str, list[str]]  # its digest, and the names that the module imports of lierb
+Tree = tuple[str, list[str]]  # digest of a syntax tree, names that it imports from lierb
 
 
 @cache
 def _tree_of(module: str) -> Tree:
     source = SOURCES.get(module)
-    if source is None:  # not lierb's
+    if source is None:  # not a module of lierb
         try:
             source = Path(str(sys.modules[module].__file__)).read_bytes()
         except (KeyError, AttributeError, OSError):  # typed at a prompt
@@ -104,7 +104,7 @@ def _tree_of(module: str) -> Tree:
 
 
 def described(source: bytes) -> Tree:
-    """The syntax tree of a module's source."""
+    """Return the digest of a source's syntax tree, and the names that it imports from lierb."""
     imports: list[ast.Import | ast.ImportFrom] = []
     with _parsing:
         tree = ast.parse(source)
@@ -114,10 +114,10 @@ def described(source: bytes) -> Tree:
 
 
 def _plain(node: Any, imports: list[Any]) -> Any:
-    """A syntax tree as nested lists, the same by every version of Python; fills `imports`.
+    """Convert a syntax tree to nested lists, equal in all versions of Python; fill `imports`.
 
-    Left out are docstrings (strings that stand for themselves), what is empty, which older versions
-    may not know, and contexts, which follow from the rest.
+    The lists omit docstrings (strings as statements), empty fields, which older versions may lack,
+    and contexts, which follow from the rest.
     """
     if isinstance(node, list):
         return [_plain(x, imports) for x in node if not _is_docstring(x)]
@@ -139,7 +139,7 @@ def _is_docstring(node: Any) -> bool:
 
 
 def _names(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
-    """Names of lierb that one statement imports."""
+    """Yield the names that a statement imports from lierb."""
     prefix, is_relative = "", False
     if isinstance(node, ast.ImportFrom):
         prefix, is_relative = f"{node.module}.", node.level > 0
@@ -152,19 +152,19 @@ def _names(node: ast.Import | ast.ImportFrom) -> Iterator[str]:
             yield name
 
 
-# ---- trees known before, by the digests of their sources ---------------------------------------
+# ---- syntax trees on the disk, by the digests of their sources ---------------------------------
 
 MOST_TREES = 256
 SUFFIX = ".trees"
 FILE = f"{sys.implementation.cache_tag}{SUFFIX}"
-# And of what has made them.
+# The key changes with this module, whose functions digest the trees.
 KEY = hashlib.sha256(SOURCES.get(__name__, b"")).hexdigest()
 _trees: dict[str, Tree] = {}
 
 
 @cache
 def _recall() -> None:
-    """Have those that some process has made before: they take half a second for all of lierb."""
+    """Load stored syntax trees; to parse all of lierb takes half a second."""
     for folder in sealed.folders_of(described):
         with suppress(OSError, ValueError):
             _trees.update(json.loads(sealed.read(folder / FILE, KEY) or "{}"))
@@ -179,7 +179,7 @@ def _remember() -> None:
 
 
 def forget() -> None:
-    """Delete them."""
+    """Delete the stored syntax trees."""
     for folder in sealed.folders_of(described):
         for path in folder.glob(f"*{SUFFIX}*"):
             path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Tags: values whose Numba type says everything."""
+"""Tags: arguments that are compile-time constants, each with a Numba type of its own."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from lierb.compiler.stamp import source_stamp
 
 
 class Tag:
-    """A hashable description that compiled code is specialised on.
+    """Hashable description for which code is specialised.
 
-    Its `repr` and the stamp of the package's sources make up the name of its Numba type, and so the
-    key of the disk cache: an edited source, another number of lanes or another tableau can never
-    find each other's machine code. (Module globals, by contrast, are not in Numba's key.)
+    The name of a tag's Numba type contains digests of its `repr` and of the package's sources, and
+    is part of the key of the disk cache. Hence an edited source, another number of lanes or another
+    tableau has another key. (Numba's own key does not cover globals of modules.)
     """
 
 
 class TagType(types.Type):
-    """The type of a tag: a name, which is all of it that goes to the disk.
+    """Numba type of a tag, stored on the disk by its name alone.
 
-    A tag may hold functions of the user's, whose modules no other process need have.
+    A tag may contain a user's functions, whose modules another process may lack.
     """
 
     def __init__(self, tag: Tag) -> None:
@@ -41,7 +41,7 @@ class TagType(types.Type):
 
 
 def _modules(described: Any) -> Iterator[str]:
-    """Modules of the classes that a tag is made of, and those of its `modules`."""
+    """Yield the modules of the classes in a tag, and those that its `modules` list."""
     if isinstance(described, tuple):
         for member in described:
             yield from _modules(member)
@@ -53,7 +53,7 @@ def _modules(described: Any) -> Iterator[str]:
                 yield from _modules(getattr(described, field.name))
 
 
-_tags: dict[str, Tag] = {}  # of this process, by their types' names
+_tags: dict[str, Tag] = {}  # tags of this process, by the names of their types
 
 
 register_model(TagType)(models.OpaqueModel)

@@ -1,4 +1,4 @@
-"""One piece of work in a thread of its own."""
+"""Start of a function call in a new thread."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Any
 
 
 def begun(work: Callable[..., Any], *args: Any) -> Callable[[], Any]:
-    """work(*args) in a thread of its own, with the context of this one; what waits for it, and
-    returns or raises what it does.
+    """Start work(*args) in a new thread, with a copy of the context of the calling one.
 
-    Where no thread is to be had, because there are too many or Python ends, it is done here.
+    Returns a function that waits for the result, and returns it or raises the exception. If no
+    thread can be started (too many threads, or at exit), the calling thread does the work.
     """
     pool = ThreadPoolExecutor(1, "lierb")
     with suppress(RuntimeError):

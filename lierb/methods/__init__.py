@@ -1,4 +1,4 @@
-"""The methods: explicit Runge–Kutta methods as data. Each is one entry in one of these files."""
+"""Catalogue of explicit Runge–Kutta methods, each one entry of a module as data."""
 
 from lierb.errors import require_name
 from lierb.methods import classical, commutator_free, dop853, pairs, verner
@@ -14,7 +14,7 @@ TABLEAUS: dict[str, ButcherTableau] = {
 
 
 def tableau_of(method: str | ButcherTableau) -> ButcherTableau:
-    """The tableau of a method's name, or the given one."""
+    """Return the tableau of a method's name; a tableau itself."""
     if isinstance(method, ButcherTableau):
         return method
     require_name("method", method, TABLEAUS)

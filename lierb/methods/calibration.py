@@ -1,8 +1,8 @@
-"""Calibration of tolerances: ratio of a method's errors to its estimates of them.
+"""Calibration of tolerances: ratio of a method's global errors to its error estimates.
 
-Each method estimates the error of another one than it steps by, so one tolerance gives errors that
-differ a hundredfold from method to method. What all bodies do is turn; so that is what tolerances
-are calibrated by: ẏ = iy, by steps that each are estimated to be off by a tolerance.
+A pair estimates the error of one method and steps by the other. Hence one tolerance gives errors
+that differ a hundredfold from pair to pair. The calibration problem is a uniform rotation, ẏ = iy,
+as rotation is common to all bodies. Its steps have an estimated error of one tolerance each.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from collections.abc import Sequence
 
 from lierb.kernels.stepping.step_size import DOP853_MIX, SAFETY
 
-TURNS = 30.0  # after so many, the error is the tolerance: 30 times less after one, more after 900
-# Long steps of high orders may be far worse than they seem: those of Verner's 8(7) on a universal
-# joint by a factor of 100, which a uniform rotation does not show.
+TURNS = 30.0  # at which the error equals the tolerance; 1/30 of it after 1, 30 times after 900
+# The error of long steps of a high order may be far above its estimate: 100 times for Verner's 8(7)
+# on a universal joint. A uniform rotation does not show this.
 LEAST = 10.0
-_TOLERANCE = 1e-8  # where errors are as their leading terms, and rounding is not seen
-_LONGEST = 3.0  # rad, in a step
+_TOLERANCE = 1e-8  # leading terms dominate the errors; rounding is negligible
+_LONGEST = 3.0  # rad, longest step
 _HALVINGS = 60
 _LARGEST = 1e4
 
@@ -26,9 +26,9 @@ Rows = Sequence[Sequence[float]]
 
 
 def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -> float:
-    """Ratio of a tolerance to the estimate of a step that leads to it after TURNS turns.
+    """Ratio of the error after TURNS turns to the tolerance of each step's estimated error.
 
-    At least LEAST, to two digits.
+    The ratio is rounded to two digits and is at least LEAST.
     """
     aim = _TOLERANCE * SAFETY ** (error_order + 1)
     low, high = 0.0, _LONGEST
@@ -41,7 +41,7 @@ def calibration_of(A: Rows, b: Sequence[float], error: Rows, error_order: int) -
 
 
 def _turned(A: Rows, b: Sequence[float], error: Rows, h: float) -> tuple[float, float]:
-    """A step's error, and what it is estimated to be."""
+    """Return the error of a step h on ẏ = iy, and the estimate of it."""
     rates: list[complex] = []
     for row in A:
         rates.append(1j * (1.0 + h * _weighted(row, rates)))

@@ -1,4 +1,4 @@
-"""Methods without an embedded one: for fixed steps."""
+"""Methods without an error estimate, for fixed steps."""
 
 from lierb.methods.tableau import ButcherTableau
 

@@ -1,7 +1,7 @@
-"""Methods that step on the group by several exponentials, and need no dexp⁻¹.
+"""Methods that update the pose by several exponentials in a step, without dexp⁻¹.
 
-The exponentials of a stage multiply from the right in the order in which they stand: twists are
-body-fixed, Ċ = C V.
+A stage multiplies the pose by its exponentials from the right, in the order of their rows, because
+twists are body-fixed: Ċ = C V.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from lierb.methods.tableau import ButcherTableau
 def _crouch_grossman(
     A: Sequence[Sequence[float]], b: Sequence[float], **more: Any
 ) -> ButcherTableau:
-    """One exponential for each weight, first that of the first stage."""
+    """Return rows with one exponential for each weight, in the order of the stages."""
     exponentials = [
         [[0.0] * j + [weight] + [0.0] * (len(row) - j - 1) for j, weight in enumerate(row)]
         for row in (*A, b)

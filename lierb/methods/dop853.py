@@ -1,8 +1,9 @@
 """DOP853, the pair of order 8 with two error estimators of Hairer, Nørsett and Wanner.
 
-Its step's error is e₅²/√(e₅² + 0.01 e₃²), e₅ and e₃ from the rows of `error`: it falls with h⁸, as
-of an embedded method of order 7. The continuous extension takes f at the end, which is the next
-step's first stage, and three stages more. All numbers are the nearest doubles to those of dop853.f.
+The estimated error of a step is e₅²/√(e₅² + 0.01 e₃²), with e₅ and e₃ by the rows of `error`. It
+is proportional to h⁸, like that of an embedded method of order 7. The continuous extension needs f
+at the end of the step, which is the next step's first stage, and three further stages. All numbers
+are the doubles nearest to those of dop853.f.
 """
 
 from lierb.methods.tableau import ButcherTableau

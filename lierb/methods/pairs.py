@@ -1,4 +1,4 @@
-"""Pairs of low and middle order with continuous extensions of their own stages."""
+"""Pairs of low and middle order, with continuous extensions that need no further stages."""
 
 from lierb.methods.tableau import ButcherTableau
 
@@ -18,7 +18,7 @@ METHODS = (
         order=3,
         error=((-5 / 72, 1 / 12, 1 / 9, -1 / 8),),
         error_order=2,
-        dense=(  # Hermite's cubic
+        dense=(  # cubic Hermite interpolation
             (1, -4 / 3, 5 / 9),
             (0, 1, -2 / 3),
             (0, 4 / 3, -8 / 9),
@@ -42,7 +42,7 @@ METHODS = (
         order=5,
         error=((71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40),),
         error_order=4,
-        dense=(  # Shampine's, as in dopri5.f
+        dense=(  # by Shampine, as in dopri5.f
             (1, -8048581381 / 2820520608, 8663915743 / 2820520608, -12715105075 / 11282082432),
             (0,),
             (0, 131558114200 / 32700410799, -68118460800 / 10900136933, 87487479700 / 32700410799),

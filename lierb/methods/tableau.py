@@ -1,4 +1,4 @@
-"""A Butcher tableau: what a method is made of, as data that checks itself."""
+"""Butcher tableaus: coefficients of Runge–Kutta methods, checked when a tableau is made."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lierb.errors import ArgumentError, brief, items_of
 from lierb.methods.calibration import calibration_of
 from lierb.support.arrays import are_finite, as_floats, is_whole
 
-# Coefficients are printed with 15 to 20 digits; their sums are that good.
+# Published coefficients have 15 to 20 digits, which limits the accuracy of their sums.
 _TOLERANCE = 1e-13
 MOST_STAGES = 64  # a step is compiled stage by stage; methods of order 14 have 35
 MOST_ERROR_ROWS = 2
@@ -33,7 +33,7 @@ def _numbers(argument: str, given: Any) -> Row:
 
 
 def _rows(argument: str, given: Any) -> tuple[Row, ...]:
-    """Rows of numbers, of any lengths."""
+    """Convert to rows of numbers, of any lengths."""
     items = items_of(argument, given, "rows of numbers")
     if len(items) > MOST_STAGES:
         raise ArgumentError(f"{argument} has {len(items)} rows; expected {MOST_STAGES} at most")
@@ -41,7 +41,7 @@ def _rows(argument: str, given: Any) -> tuple[Row, ...]:
 
 
 def _explicit(row: Row, known: int, what: str) -> Row:
-    """The weights of the stages that are known by then; what follows them must be zeros."""
+    """Return the weights of the first `known` stages; raise if a later weight is not zero."""
     if len(row) < known or any(x != 0.0 for x in row[known:]):
         raise ArgumentError(
             f"{what} is {brief(row)}; an explicit method has {known} numbers there, "
@@ -58,7 +58,7 @@ def _require_length(row: Row, length: int, what: str) -> None:
 
 
 def _require_sum(numbers: Iterable[float], expected: float, what: str, told_expected: str) -> None:
-    """Raise unless the numbers add up to what is expected, to rounding of their size."""
+    """Raise unless the numbers add up to `expected`, up to rounding."""
     summed = tuple(numbers)
     total = sum(summed)
     if not abs(total - expected) <= _TOLERANCE * max(1.0, *map(abs, (*summed, 0.0))):
@@ -74,7 +74,7 @@ def _require_order(name: str, order: Any, most: int) -> None:
 
 
 def _require_both(name: str, order: Any, of: str, given: Any) -> None:
-    """Raise for the order of something that is not given."""
+    """Raise if an order is set without the coefficients that it describes."""
     if order is not None and given is None:
         raise ArgumentError(f"{name}={order} is given without {of}; give {of}= too")
 
@@ -105,17 +105,17 @@ class ButcherTableau:
         Order q of the embedded method: the error falls with h^(q+1).
     dense : sequence of rows, optional
         Coefficients of the continuous extension, y(t + θh) = y + h Σ b_i(θ) k_i with b_i(θ) = Σ_k
-        dense[i][k] θ^(k+1), for output between steps: a row for each stage, and then for each of
-        those of `dense_A`.
+        dense[i][k] θ^(k+1), for output between steps: a row for each stage, then a row for each
+        stage of `dense_A`.
     dense_A : sequence of rows, optional
-        Rows of s, s + 1, … numbers: further stages that `dense` needs and steps do not.
+        Rows of s, s + 1, … numbers: weights of further stages, evaluated for `dense` only.
     dense_order : int, optional
         Order of the continuous extension.
     exponentials : sequence of sequences of rows, optional
-        Weights of Crouch–Grossman and commutator-free methods: for each stage, and then for the end
-        of the step, rows w with which a pose C, Ċ = C V, becomes C exp(h Σ_j w_1j V_j) exp(h Σ_j
-        w_2j V_j) …. They add up to the stage's row of A, and to b. Everything except the pose is
-        stepped by A and b.
+        Weights of Crouch–Grossman and commutator-free methods: an item for each stage and one for
+        the end of the step. The rows w_1, w_2, … of an item update a pose C, Ċ = C V, to C exp(h
+        Σ_j w_1j V_j) exp(h Σ_j w_2j V_j) …. The rows of an item add up to the stage's row of A, or
+        to b. A and b step everything except the pose.
 
     Raises
     ------
@@ -225,7 +225,7 @@ class ButcherTableau:
         self._set("dense", rows)
 
     def _check_continuity(self, rows: tuple[Row, ...]) -> None:
-        """That the extension starts at y in the direction k₁, and ends where the step does."""
+        """Raise unless the extension starts at y in the direction k₁ and ends at the step's end."""
         for i, row in enumerate(rows):
             slope = float(i == 0)
             if abs(row[0] - slope) > _TOLERANCE:
@@ -276,8 +276,8 @@ class ButcherTableau:
     def calibration(self) -> float:
         """Ratio of the tolerance to the largest estimated error of a step.
 
-        It is such that the motion is off by the tolerance after thirty turns of a uniform rotation.
-        It is at least 10, and 1 without `error`.
+        With this ratio, the error of a uniform rotation equals the tolerance after thirty turns.
+        The ratio is at least 10; without `error` it is 1.
         """
         if self.error is None or self.error_order is None:
             return 1.0
@@ -285,5 +285,5 @@ class ButcherTableau:
 
     @property
     def is_fsal(self) -> bool:
-        """True where the last stage is f at the end of the step, and so the next step's first."""
+        """True if the last stage is f at the end of the step, hence the next step's first stage."""
         return self.stages > 1 and self.b[-1] == 0.0 and self.A[-1] == self.b[:-1]

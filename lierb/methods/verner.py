@@ -1,8 +1,8 @@
-"""Verner's pairs, the most efficient ones: Vern6, Vern8 and Vern9 of OrdinaryDiffEq.jl.
+"""Verner's most efficient pairs: Vern6, Vern8 and Vern9 of OrdinaryDiffEq.jl.
 
-Fractions where the published ones are short, else the nearest double. Their published interpolants
-need 3, 8 and 10 stages more and are left out. That of the pair of orders 6 and 5 has coefficients
-of up to 1.2e5, by which its weights are off by 2e-11 in doubles.
+Coefficients are fractions where the published fractions are short, and the nearest doubles
+otherwise. The published interpolants need 3, 8 and 10 further stages and are left out. The
+interpolant of the pair 6(5) has coefficients of up to 1.2e5, and errors of 2e-11 in its weights.
 """
 
 from fractions import Fraction
@@ -13,11 +13,11 @@ Row = tuple[float, ...]
 
 
 def _balanced(row: Row, total: float) -> Row:
-    """The row, its smallest number changed by what rounding of the others leaves of their sum.
+    """Change the smallest number of a row so that the rounded numbers add up to `total`.
 
     Rows have numbers of ±200, whose rounding moves a node by 3e-14, and weights of ±180 on two
-    nodes that are 5e-4 apart. Without this Verner65 errs by 4e-12 on half a revolution of a
-    satellite in 128 steps, as a method of first order; with it by 3e-13.
+    nodes that are 5e-4 apart. Without the change Verner65 has an error of 4e-12, of first order, on
+    half a revolution of a satellite in 128 steps; with it 3e-13.
     """
     if not any(row):
         return row
