@@ -1,4 +1,4 @@
-"""Copies of users' functions for traces and for Numba, with all that they refer to copied too."""
+"""Copies of users' functions and of all that they refer to, for traces and for Numba."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ Replace = Callable[[Any], Any]
 
 
 def traceable(function: UserFunction) -> UserFunction:
-    """Copy a function and its callees, with `math` and NumPy replaced by those for traced numbers.
+    """Copy a function and its callees, with `math` and NumPy replaced for traced numbers.
 
-    Objects that it refers to are copied: later changes of them do not matter.
+    Objects that the function refers to are copied, so that later changes have no effect.
     """
     return _Copier(lambda helper: helper, _for_traces, _frozen).function(function)
 
@@ -50,7 +50,7 @@ def _for_traces(value: Any) -> Any:
 
 
 class _Copier:
-    """Copies functions, with replacements of all that they refer to.
+    """Copier of functions that replaces the objects that they refer to.
 
     helper : replaces users' functions.   known : replaces objects of known packages.
     container : replaces lists, dictionaries and sets, from (name, copy of the container).
@@ -119,7 +119,7 @@ class _Module(types.ModuleType):
 
 
 def _constant(name: str, value: Any) -> Any:
-    """Constant for Numba, which compiles tuples and no lists."""
+    """Convert a constant for Numba, which compiles tuples but not lists."""
     return tuple(value) if type(value) is list else value
 
 
@@ -150,7 +150,7 @@ class _FrozenDict(dict):
 
 
 class _Set:
-    """Set without an order, which may differ between processes: only `in` and `len`."""
+    """Set with `in` and `len` only: its order may differ between processes."""
 
     def __init__(self, members: frozenset[Any]) -> None:
         self.__contains, self.__count = members.__contains__, len(members)

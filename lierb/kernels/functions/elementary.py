@@ -34,7 +34,7 @@ HUGE = 2.0**1000  # sums of two larger numbers may overflow
 def smooth(
     name: str, of: Callable[[Any], Any], slope: Callable[[Any, Any], Any]
 ) -> Callable[[Any], Any]:
-    """Make the function `name` of its value at x and its slope at (x, value)."""
+    """Make the function `name` from of(x), its value, and slope(x, value), its derivative."""
 
     def function(x: Any) -> Any:
         if isinstance(x, Condition):
@@ -78,7 +78,7 @@ def _sine_or_cosine(name: str, x: Any) -> Any:
         lambda: sincos(x)[which],
         lambda: select(near, sincos(x)[which], _library(name, x)),
     )
-    return select(x == 0.0, x, value) if name == "sin" else value  # sin −0 is −0
+    return select(x == 0.0, x, value) if name == "sin" else value  # sin(−0) is −0
 
 
 sin: Callable[[Any], Any] = smooth("sin", partial(_sine_or_cosine, "sin"), lambda x, y: cos(x))
@@ -143,7 +143,7 @@ def power(base: Any, exponent: Any) -> Any:
     ):
         return _whole_power(base, int(exponent))
     if isinstance(exponent, float) and abs(exponent) == 0.5:
-        root_of = choice(raw(base) == -math.inf, math.inf, sqrt(base + 0.0))  # +0 of −0
+        root_of = choice(raw(base) == -math.inf, math.inf, sqrt(base + 0.0))  # −0 becomes +0
         return root_of if exponent > 0.0 else 1.0 / root_of
     if not (isinstance(base, Dual) or isinstance(exponent, Dual)):
         return _library("pow", base, exponent)
@@ -173,7 +173,7 @@ def reciprocal(x: Any) -> Any:
 
 
 def hypot(*numbers: Any) -> Any:
-    """Root of the sum of squares, scaled by a power of two where squares overflow or underflow."""
+    """Root of the sum of squares, scaled by a power of two if squares overflow or underflow."""
     sizes = [absolute(raw(x)) for x in numbers]
     largest = reduce(lambda a, b: select(b > a, b, a), sizes)
     down, up = largest > 2.0**500, largest < 2.0**-500

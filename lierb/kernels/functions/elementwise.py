@@ -36,6 +36,6 @@ BY_NAME: dict[str, Callable[..., Any]] = {
     "logical_not": lambda a: as_condition(a) ^ True, "invert": lambda a: as_condition(a) ^ True,
     "less": operator.lt, "less_equal": operator.le, "greater": operator.gt,
     "greater_equal": operator.ge, "equal": operator.eq, "not_equal": operator.ne,
-    # Without public names: those of np.clip and, from NumPy 2.5 on, of x.real and x.imag.
+    # These ufuncs have no public names: of np.clip and, since NumPy 2.5, of x.real and x.imag.
     "clip": steps.clipped, "real": lambda x: x, "imag": lambda x: 0.0 * x,
 }  # fmt: skip

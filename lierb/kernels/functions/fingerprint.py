@@ -1,8 +1,8 @@
 """Fingerprints of users' functions, equal for functions that compute the same.
 
-The name of a kernel in the disk cache contains the fingerprints of its users' functions, so that an
-edited function, helper or constant is compiled anew. A function of more than its arguments has no
-fingerprint: it is refused before anything runs.
+The name of a kernel in the disk cache contains the fingerprints of its users' functions. Hence an
+edit of a function, a helper or a constant recompiles the kernel. A function that depends on more
+than its arguments has no fingerprint: it is refused before any user's code runs.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ def fingerprint(function: UserFunction) -> str:
 
 
 def items_of(value: Any) -> list[Any]:
-    """Items of a list or tuple, values of a dictionary; none of anything else."""
+    """Return the items of a list or tuple, or the values of a dictionary; () otherwise."""
     if isinstance(value, dict):
         return list(value.values())
     return list(value) if isinstance(value, (list, tuple)) else []
 
 
 def _described(value: Any, name: str, path: list[Any]) -> Any:
-    """Describe a value by nested tuples of text and numbers."""
+    """Describe a value as nested tuples of strings and numbers."""
     value = undecorated(value)
     if isinstance(value, LITERALS):
         return repr(value)
@@ -89,9 +89,9 @@ def _described_code(code: types.CodeType, path: list[Any]) -> Any:
 
 
 def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[str]]]) -> set[str]:
-    """Modules of lierb whose members a value, or an object that it refers to, uses.
+    """Names of the modules of lierb that a value uses, itself or by an object that it refers to.
 
-    attributes : names of attributes where the value is used.   seen : values visited before.
+    attributes : attribute names in the code that uses the value.   seen : values visited before.
     """
     value = undecorated(value)
     within = items_of(value)
@@ -114,7 +114,7 @@ def modules_named(value: Any, attributes: set[str], seen: list[tuple[Any, set[st
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Object that a function refers to: its owner there, and its content when it was compiled."""
+    """Object that a function refers to, its owner, and its content at compilation."""
 
     name: str
     owner: Any
@@ -124,7 +124,7 @@ class Reference:
     is_mutable: bool
 
     def has_changed(self) -> bool:
-        """Return whether another object, or another content, is there now."""
+        """Return whether the object or its content has changed since."""
         now = (
             self.owner.get(self.key) if type(self.owner) is dict
             else getattr(self.owner, self.key, None)
@@ -138,7 +138,7 @@ class Reference:
 
 
 def watched(function: Any) -> tuple[Reference, ...]:
-    """Objects that a function and its callees were compiled with."""
+    """References to all objects that a function and its callees were compiled with."""
     return tuple(_watched(function, []))
 
 

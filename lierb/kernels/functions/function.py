@@ -1,7 +1,8 @@
 """Users' functions inside kernels: plain Python, traced like lierb's own formulas.
 
 A function runs once, on dual numbers over lane packs, while a kernel is compiled. A function that
-cannot, because it branches on numbers, say, is compiled by Numba and called body by body.
+cannot be traced, for example because it branches on numbers, is compiled by Numba and called body
+by body.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.lanes import Lane
 
 BODY: Shapes = (("mass", ()), ("inertia", (3, 3)), ("com", (3,)))
-# Only functions that run body by body can read past an array's end.
+# boundscheck: compiled indices may exceed an array; a trace checks them in Python.
 COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 
 
@@ -41,14 +42,15 @@ COMPILED = OPTIONS | {"boundscheck": True, "pipeline_class": CheckedIntegers}
 class Function:
     """User's function, as a part of a kernel's tag.
 
-    form : names of its arguments in its own order: those of `arguments`, "params", "body",
-        "states", "controls", "memory".
-    arguments : names and shapes of the arguments.   shapes : of the parameters.
+    form : names of its arguments in the order of its signature: those of `arguments`, "params",
+        "body", "states", "controls", "memory".
+    arguments : names and shapes of the arguments.   shapes : shapes of the parameters.
     results : shapes of the results.
     is_traced : True if traced, False if compiled by Numba for one body at a time.
     references : objects that it refers to.   modules : modules of lierb that it uses.
-    states, controls : names and shapes of those of its problem.   memory : of its own memory.
-    outputs : of the dictionaries that it returns in place of `results`.
+    states, controls : names and shapes of the problem's states and controls.
+    memory : names and shapes of the function's own memory.
+    outputs : names and shapes of the dictionaries that it returns in place of `results`.
     draws : True if it may draw random numbers.
     """
 
@@ -75,11 +77,11 @@ class Function:
         signals: Signals = NO_SIGNALS,
         noise: Noise | None = None,
     ) -> Any:
-        """Evaluate the function: numbers, vectors, and matrices row by row.
+        """Evaluate the function; return numbers, vectors, and matrices row by row.
 
-        The numbers of a dictionary are side by side, in the order of its names in `outputs`.
+        A dictionary is returned as its numbers, in the order of its names in `outputs`.
 
-        parameters : its own, followed by those of `BODY` if it takes the body.
+        parameters : the function's parameters, followed by `BODY`'s if it takes the body.
         noise : source of random numbers.
         """
         if not self.is_traced:
@@ -93,7 +95,7 @@ class Function:
         signals: Signals,
         noise: Noise | None,
     ) -> Any:
-        """Value that the traced function returns, unchecked."""
+        """Run the traced function; return its value unchecked."""
         inputs = self._numbers(parameters, arguments, signals)
         duals = (x if isinstance(x, UserNumber) else UserNumber(x) for x in inputs)
         with drawing(noise):
@@ -102,7 +104,7 @@ class Function:
     def _numbers(
         self, parameters: tuple[Any, ...], arguments: tuple[Any, ...], signals: Signals
     ) -> list[Any]:
-        """All numbers that the function takes, in the order of `input_shapes`."""
+        """Inputs of the function as a list, in the order of `input_shapes`."""
         own = parameters if self.takes_body else parameters[: len(self.shapes)]
         taken = tuple(getattr(signals, name) for name, _ in self.namespaces)
         for (name, shapes), values in zip(self.namespaces, taken, strict=True):
@@ -123,7 +125,7 @@ class Function:
 
     @property
     def namespaces(self) -> tuple[tuple[str, Shapes], ...]:
-        """Signals that the function takes, by name, with the names and shapes in each."""
+        """Names of the signals that the function takes, each with its names and shapes."""
         return tuple((name, getattr(self, name)) for name in NAMES if name in self.form)
 
     @property
@@ -134,11 +136,11 @@ class Function:
         return tuple(shape for _, shape in (*self.arguments, *self.shapes, *body, *signals))
 
     def samples(self) -> list[Any]:
-        """Zero arguments in the function's own order."""
+        """Zero arguments in the order of the function's signature."""
         return self._bundled(repeat(0.0), np.array)
 
     def _bundled(self, flat: Iterable[Any], array: Callable[[Any], Any]) -> list[Any]:
-        """Arguments in the function's own order, made of numbers in that of `input_shapes`."""
+        """Group numbers in the order of `input_shapes` to arguments in that of the signature."""
         rest = iter(flat)
 
         def values(shapes: Shapes) -> Iterator[Any]:
@@ -181,7 +183,7 @@ class Function:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
     def dictionaries(self, result: Any) -> tuple[dict[str, Any], ...]:
-        """Dictionaries that the function returned, one for each of `outputs`."""
+        """Returned dictionaries as a tuple, one for each item of `outputs`."""
         are_two = len(self.outputs) == 2
         parts = result if are_two else (result,)
         if (
@@ -209,7 +211,7 @@ class Function:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
 
-class _Elements(tuple):  # elements of an array, row by row, for any shape
+class _Elements(tuple):  # array given by its elements, row by row; `reshape` is a no-op
     def reshape(self, _: Shape) -> _Elements:
         return self
 
@@ -233,13 +235,13 @@ def _miss_attribute(self: Any, name: str) -> Any:
 
 
 def size_of(shapes: Shapes) -> int:
-    """Count the numbers of some shapes."""
+    """Count the numbers in arrays of these shapes."""
     return sum(math.prod(shape) for _, shape in shapes)
 
 
 @cache
 def dispatcher_of(function: Function) -> Any:
-    """Compile f((argument, …)) → (double, …): all results, for one body at a time."""
+    """Compile f((argument, …)) → (double, …) with all results of one body."""
     compiled = numba.njit(function.python, **COMPILED)
     double = numba.njit(_double, **COMPILED)
 
@@ -255,4 +257,4 @@ def dispatcher_of(function: Function) -> Any:
 
 
 def _double(x):  # no annotations: Numba compares signatures
-    return np.float64(float(x))  # Numba's float of a float32 is a float32
+    return np.float64(float(x))  # in Numba, float() of a float32 is a float32

@@ -1,4 +1,4 @@
-"""Replacements of Python's `math` and built-in functions while users' functions are traced."""
+"""Replacements of Python's `math` and built-in functions in traces of users' functions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _smallest(*numbers: Any) -> Any:
 
 
 def _folded(numbers: tuple[Any, ...], either: Callable[[Any, Any], Any]) -> Any:
-    """Apply `either` to several numbers, or to one sequence of them, as Python's max does."""
+    """Fold numbers, or one sequence of numbers, by `either`, as Python's max does."""
     return reduce(either, numbers[0] if len(numbers) == 1 else numbers)
 
 
@@ -54,7 +54,7 @@ ON_TRACED: dict[Any, Callable[..., Any]] = {
 
 
 def _where_traced(function: Any) -> Any:
-    """Wrap a function so that its replacement runs where an argument is traced."""
+    """Wrap a function so that its replacement runs if an argument is traced."""
     replacement = ON_TRACED.get(function)
 
     def either(*arguments: Any, **options: Any) -> Any:
@@ -84,7 +84,7 @@ _MATH = types.SimpleNamespace(
 
 
 def for_traces_of(value: Any) -> Any:
-    """Replacement of `math`, or of one of its or Python's own functions; anything else itself."""
+    """Return the replacement of `math`, of its functions or of built-ins; other values as is."""
     if value is math:
         return _MATH
     is_function = isinstance(value, (types.BuiltinFunctionType, types.FunctionType, type))

@@ -1,10 +1,10 @@
-"""Random numbers of controllers, each a function of its address in a stream.
+"""Random numbers of controllers, each a function of its position in a stream.
 
 A draw is a function of (seed, trajectory, name, tick, component) by a counter-based generator,
-Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"): it
-depends neither on the order of draws nor on other draws. From whole numbers to the normal
-distribution all operations are + − × ÷ √, none of them fused: the same bits on every CPU, in
-compiled code, with NumPy and in plain Python.
+Philox-4x32-10 (Salmon, Moraes, Dror, Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3"). It
+depends neither on the order of draws nor on other draws. The conversion of integers to normal
+numbers uses + − × ÷ √ only, none of them fused. Hence a draw has the same bits on every CPU, in
+compiled code, in NumPy and in plain Python.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from lierb.kernels.functions.user_number import UserNumber
 from lierb.kernels.numbers.arithmetic import any_lanes, branch, minimum, sqrt, where
 from lierb.kernels.tracing.words import LOW, real_of, words_of
 
-MOST = 4096  # numbers of one draw, limited by the counter
-BLOCK_BITS = 11  # bits of the number of a block of two
+MOST = 4096  # most numbers of one draw; the counter limits it
+BLOCK_BITS = 11  # bits of the index of a pair of numbers
 MULTIPLIERS = 0xD2511F53, 0xCD9E8D57
 WEYL = 0x9E3779B9, 0xBB67AE85
 ROUNDS = 10
@@ -34,7 +34,7 @@ ROUNDS = 10
 
 
 class _Draws:
-    """Source of one controller's call, and the names that it has drawn."""
+    """Noise of one call of a controller, and the names that the call has drawn."""
 
     def __init__(self, noise: Noise) -> None:
         self.noise = noise
@@ -46,7 +46,7 @@ _drawing: ContextVar[_Draws | None] = ContextVar("lierb_noise", default=None)
 
 @contextmanager
 def drawing(noise: Noise | None) -> Iterator[None]:
-    """Let `normal` draw from `noise` in the block; None forbids it."""
+    """Let `normal` draw from `noise` within the context; None forbids draws."""
     token = _drawing.set(None if noise is None else _Draws(noise))
     try:
         yield
@@ -57,15 +57,15 @@ def drawing(noise: Noise | None) -> Iterator[None]:
 def normal(name: str, size: int | tuple[()] = ()) -> Any:
     """Draw standard normal numbers at a controller's tick: independent, mean 0, variance 1.
 
-    They depend on the run's `seed`, the trajectory's number, the name, the tick and the component
-    alone, and have the same bits on every machine. They are drawn inside functions of
-    `@lierb.controller` only: what is integrated between ticks must be smooth.
+    The numbers depend on the run's `seed`, the trajectory's number, the name, the tick and the
+    component only, and have the same bits on every machine. Only functions of `@lierb.controller`
+    can draw: functions that are integrated between ticks must be smooth.
 
     Parameters
     ----------
     name : str
-        Name of the noise. Each has a stream of its own; one name gives the same numbers to all
-        controllers that draw it at the same tick number.
+        Name of the noise. Each name has a stream of its own. Controllers that draw one name at the
+        same tick number get the same numbers.
     size : int or (), optional
         Number of components; () for a single number.
 
@@ -123,7 +123,7 @@ def _checked(name: Any, size: Any) -> int:
     )
 
 
-# ---- the numbers themselves ----------------------------------------------------------------------
+# ---- generator and normal distribution -----------------------------------------------------------
 
 
 def normals(noise: Noise, name: str, count: int) -> list[Any]:
@@ -142,7 +142,7 @@ def normals(noise: Noise, name: str, count: int) -> list[Any]:
 
 @cache
 def digest(name: str) -> tuple[int, int]:
-    """Digest of a noise's name: two words of 32 bits."""
+    """Digest of a noise's name, as two words of 32 bits."""
     words = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
     return words & LOW, words >> 32
 
@@ -215,21 +215,21 @@ def _ratio(polynomials: tuple[Sequence[float], Sequence[float]], x: Any) -> Any:
 
 
 def _polynomial(terms: Sequence[float], x: Any) -> Any:
-    """Polynomial Σ terms[k] xᵏ, every operation rounded: `horner` fuses where the CPU can."""
+    """Polynomial Σ terms[k] xᵏ without fused operations; `horner` fuses on CPUs that can."""
     total: Any = terms[-1]
     for term in terms[-2::-1]:
         total = total * x + term
     return total
 
 
-LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first ends in zeros
+LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # high and low part
 ODD = (6.666666666666735130e-01, 2.857142874366239149e-01, 1.818357216161805012e-01,
        1.479819860511658591e-01)  # fmt: skip
 EVEN = 3.999999999940941908e-01, 2.222219843214978396e-01, 1.531383769920937332e-01
 
 
 def logarithm(x: Any) -> Any:
-    """Logarithm for 2⁻⁶³ < x < √2 by fdlibm's series, as bits of C libraries differ."""
+    """Logarithm for 2⁻⁶³ < x < √2 by fdlibm's series; C libraries differ in the last bits."""
     mantissa, exponent = x, 0.0 * x
     for shift in (32, 16, 8, 4, 2, 1):
         small = mantissa < 2.0 ** (0.5 - shift)

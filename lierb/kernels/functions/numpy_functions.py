@@ -1,4 +1,4 @@
-"""Functions of NumPy's written out for traced numbers: choices, norms, small matrices."""
+"""NumPy functions written out for traced numbers: choices, norms, small matrices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.kernels.functions.object_arrays import UntraceableError, filled, numb
 from lierb.kernels.functions.references import UnfitFunctionError
 from lierb.kernels.functions.user_number import choice, raw
 
-MOST_ROWS = 4  # of an inverted matrix: the n! terms of its determinant are written out
+MOST_ROWS = 4  # largest matrix to invert: its determinant is written out as n! terms
 
 
 def _each(function: Callable[..., Any], *arrays: Any) -> Any:
@@ -107,8 +107,8 @@ def _inv(values: Any) -> Any:
 def _cross(
     a: Any, b: Any, axisa: int = -1, axisb: int = -1, axisc: int = -1, axis: int | None = None
 ) -> Any:
-    # NumPy's own function on rows: of a single product of constants, releases before 2.3 make a
-    # buffer of floats, into which they then write numbers.
+    # np.cross on rows: for single vectors, releases before 2.3 allocate the result as floats if the
+    # first product is of constants, and cannot write traced numbers into it.
     if axis is not None:
         axisa = axisb = axisc = axis
     a, b = (np.moveaxis(np.asarray(objects(x)), i, -1)[None] for x, i in ((a, axisa), (b, axisb)))
@@ -181,7 +181,7 @@ SPELLED_OUT: dict[Any, Callable[..., Any]] = {
     np.allclose: lambda a, b, *given, **options: np.all(_isclose(a, b, *given, **options)),
     np.linspace: _linspace, np.nan_to_num: _nan_to_num,
     np.zeros_like: _filled_like(0.0), np.ones_like: _filled_like(1.0),
-    np.empty_like: _filled_like(None),  # called by NumPy's functions, as is np.full_like
+    np.empty_like: _filled_like(None),  # NumPy's own functions call it and np.full_like
     np.full_like: lambda x, value, *_, **__: filled(np.shape(x), value),
     np.real: lambda x: x, np.imag: lambda x: 0.0 * x,
     np.dot: lambda a, b, out=None: np.dot(np.asarray(objects(a)), np.asarray(objects(b))),

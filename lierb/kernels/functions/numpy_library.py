@@ -1,4 +1,4 @@
-"""NumPy's modules, constructors and functions for users' functions while they are traced."""
+"""Replacements of NumPy's modules, constructors and functions in traces."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SPELLED_OUT.update(numpy_functions.SPELLED_OUT)
 
 
 def _made(of: Callable[..., Any]) -> Callable[..., Any]:
-    """Replace a constructor: an array of floats holds objects."""
+    """Replace a constructor by one whose arrays of floats hold objects."""
 
     def made(shape: Any, dtype: Any = None, **_: Any) -> Any:
         if dtype is not None and not is_real(dtype):
@@ -52,13 +52,13 @@ _FLOATS: dict[type, type] = {np.float64: Float}
 
 
 class Spoken:
-    """Function of NumPy's that takes lists of traced numbers, too."""
+    """NumPy function that also takes lists of traced numbers."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
 
     def __call__(self, *given: Any, **options: Any) -> Any:
-        if self.function in UNINITIALISED:  # not named in the code: a default, say
+        if self.function in UNINITIALISED:  # not by name: a default argument, say
             raise UnfitFunctionError(refusal(self.function, f"np.{self.function.__name__}"))
         if self.function in MADE:
             return MADE[self.function](*given, **options)
@@ -71,7 +71,7 @@ class Spoken:
 
 
 def _gathered(x: Any) -> Any:
-    """Make an array of a list with traced numbers, unless it is ragged."""
+    """Convert a list with traced numbers to an array; leave ragged lists."""
     if not isinstance(x, (list, tuple)) or not has_traced(x):
         return x
     shapes = {np.shape(boxed(y)) for y in x}
@@ -79,7 +79,7 @@ def _gathered(x: Any) -> Any:
 
 
 class Library:
-    """Module of NumPy's whose functions take traced numbers."""
+    """NumPy module whose functions take traced numbers."""
 
     def __init__(self, module: types.ModuleType) -> None:
         self.__dict__["module"] = module
@@ -96,7 +96,7 @@ class Library:
 
 
 def for_traces(value: Any) -> Any:
-    """Replacement of a module, a type or a function of NumPy's for traced numbers."""
+    """Return the replacement of a NumPy module, type or function for traced numbers."""
     if isinstance(value, types.ModuleType):
         return Library(value)
     if isinstance(value, type):
@@ -105,7 +105,7 @@ def for_traces(value: Any) -> Any:
 
 
 def is_numpy(value: Any) -> bool:
-    """Return whether an object is a module or a function of NumPy's."""
+    """Return whether an object is a NumPy module or function."""
     if isinstance(value, types.ModuleType):
         return value.__name__.split(".")[0] == "numpy"
     if isinstance(value, np.ufunc):

@@ -1,8 +1,8 @@
-"""Arrays of traced numbers in users' functions, and NumPy's functions of them.
+"""Arrays of traced numbers in users' functions, and NumPy functions of these arrays.
 
-NumPy delegates its functions to the arrays' class. Elementwise functions then run on the numbers
-one by one, comparisons return conditions, and linear algebra of small matrices is written out.
-Constants alone are left to NumPy.
+NumPy delegates its functions to the class of the arrays. Elementwise functions then run number by
+number, comparisons return conditions, and linear algebra of small matrices is written out. NumPy
+itself computes functions of constants.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TRACED = (UserNumber, Condition)
 
 
 class UntraceableError(TypeError):
-    """Error for a function of NumPy's that packs of numbers cannot pass."""
+    """Error for a NumPy function that does not take lane packs."""
 
 
 class Numbers(np.ndarray):
@@ -47,7 +47,7 @@ class Numbers(np.ndarray):
 
 
 def _constant(index: Any) -> Any:
-    """Return an index; raise UntraceableError for one with traced numbers."""
+    """Return an index; raise UntraceableError if it contains traced numbers."""
     for part in index if isinstance(index, tuple) else (index,):
         if isinstance(part, (*TRACED, Numbers)):
             raise UntraceableError(
@@ -70,14 +70,14 @@ def has_traced(x: Any) -> bool:
 
 
 def _bare(x: Any) -> Any:
-    """Arrays as plain ones, so that NumPy does not delegate."""
+    """Convert arrays to plain ones, for which NumPy does not delegate."""
     if isinstance(x, (list, tuple)):
         return list(map(_bare, x))
     return x.view(np.ndarray) if isinstance(x, Numbers) else x
 
 
 def boxed(x: Any) -> Any:
-    """Arrays as plain ones, and a number as an array without axes, which does not delegate."""
+    """Convert as `_bare` does, and a number to an array without axes."""
     x = _bare(x)
     if isinstance(x, TRACED):
         box = np.empty((), dtype=object)
@@ -87,7 +87,7 @@ def boxed(x: Any) -> Any:
 
 
 def _dressed(result: Any) -> Any:
-    """NumPy's result with its arrays of objects as `Numbers`."""
+    """Convert arrays of objects in a NumPy result to `Numbers`."""
     if isinstance(result, (tuple, list)):
         return (tuple if isinstance(result, tuple) else list)(map(_dressed, result))
     if isinstance(result, np.ndarray) and result.dtype == object:
@@ -95,7 +95,7 @@ def _dressed(result: Any) -> Any:
     return result
 
 
-# Operators, which objects implement.
+# Ufuncs of operators, which the objects implement.
 OPERATORS = (
     np.add, np.subtract, np.multiply, np.true_divide, np.negative, np.matmul, np.bitwise_and,
     np.bitwise_or, np.bitwise_xor,
@@ -104,7 +104,7 @@ OPERATORS = (
 
 
 def _apply(ufunc: Any, method: str, inputs: Any, options: dict[str, Any]) -> Any:
-    """Apply a universal function of NumPy's, or one of its methods such as `reduce`."""
+    """Apply a NumPy ufunc, or one of its methods such as `reduce`."""
     options = {k: v for k, v in options.items() if not _is_default(k, v)}
     out = options.pop("out", (None,))
     if ufunc in OPERATORS:
@@ -170,7 +170,7 @@ SPELLED_OUT: dict[Any, Callable[..., Any]] = {}  # filled by `numpy_library`
 
 
 def call(function: Any, *arguments: Any, **options: Any) -> Any:
-    """Call a function of NumPy's with traced numbers anywhere among its arguments."""
+    """Call a NumPy function with traced numbers anywhere in its arguments."""
     if isinstance(function, np.ufunc):
         return _apply(function, "__call__", arguments, options)
     if not _has_numbers(arguments) and not _has_numbers(tuple(options.values())):
@@ -193,7 +193,7 @@ def call(function: Any, *arguments: Any, **options: Any) -> Any:
 
 
 def _has_numbers(x: Any) -> bool:
-    """Return whether nested sequences and arrays, which may be of floats, have a traced element."""
+    """Return whether nested sequences and arrays contain a traced number."""
     if isinstance(x, (list, tuple)):
         return any(map(_has_numbers, x))
     if isinstance(x, Numbers):
@@ -225,13 +225,13 @@ def filled(shape: Any, value: Any) -> Any:
     return array.view(Numbers)
 
 
-for _class in TRACED:  # to numbers, too, NumPy delegates its functions
+for _class in TRACED:  # NumPy also delegates functions of single numbers
     for _name in ("__array_ufunc__", "__array_function__"):
         setattr(_class, _name, vars(Numbers)[_name])
 
 
 def array_of(values: Any, dtype: Any = None, **_: Any) -> Any:
-    """Make an array; one of floats holds objects, so that traced numbers can be written into it."""
+    """Make an array; an array of floats holds objects, so that traced numbers fit into it."""
     if has_traced(values):
         if dtype is not None and not is_real(dtype):
             raise UntraceableError(f"numbers of many bodies do not become {dtype}; use np.floor")

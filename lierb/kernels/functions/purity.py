@@ -1,8 +1,8 @@
 """Refusal of users' functions that depend on more than their arguments, while they are traced.
 
-A function's code is checked before it runs (`lierb.kernels.functions.refusals`). Here it runs
-twice: both runs must do the same, leave the random generators alone, and call nothing that reads a
-clock, a file or the system, under any name.
+`lierb.kernels.functions.refusals` checks a function's code before it runs. Here the function runs
+twice. Both runs must give the same trace, must not draw from random generators, and must not call a
+function that reads a clock, a file or the system, under any name.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from lierb.kernels.functions.references import UnfitFunctionError, attributes_of
 from lierb.kernels.functions.refusals import ALONE, CLOCKS, RANDOM, TEXT, refusal, refusal_of_call
 from lierb.kernels.functions.source_lines import MARK, at
 
-# Attempts at a trace without a draw of random numbers: other threads may draw meanwhile.
+# Attempts at a trace without random draws: draws of other threads are seen, too.
 TRIES = 20
-# Modules that may do anything for a user, such as read a warning's line from its file.
+# Modules whose calls are not checked; a warning reads its line from a file, for example.
 TRUSTED = ("lierb", "llvmlite", "numba", "warnings", "linecache", "traceback", "importlib")
 
 
 def require_repeatable(run: Callable[[], str]) -> None:
-    """Raise UnfitFunctionError unless `run`, which returns a trace's text, does so twice alike."""
+    """Raise UnfitFunctionError unless two calls of `run` return the same text of a trace."""
     for tried in range(1, TRIES + 1):
         try:
             with _other_states(tried), _watching():
@@ -46,7 +46,7 @@ def require_repeatable(run: Callable[[], str]) -> None:
 
 @contextmanager
 def _other_states(tried: int) -> Iterator[None]:
-    """Set other states of the random generators, from the second attempt on."""
+    """Change the states of the random generators, from the second attempt on."""
     if tried == 1:
         yield
         return
@@ -64,14 +64,14 @@ def _other_states(tried: int) -> Iterator[None]:
 
 
 class _DrawingError(UnfitFunctionError):
-    """Error for random numbers that were drawn during a trace, by any thread."""
+    """Error for random numbers that any thread drew during a trace."""
 
 
 @contextmanager
 def _watching() -> Iterator[None]:
     """Refuse forbidden calls and random draws of a traced function.
 
-    Calls are not checked while another profiler is at work.
+    Calls are not checked while another profiler is active.
     """
     before, calls = _random_states(), _Calls()
     profiled = sys.getprofile() is not None
@@ -101,7 +101,7 @@ def _random_states() -> tuple[Any, ...]:
 
 
 class _Calls:
-    """Profiler that refuses a user's function calls that reach beyond its arguments."""
+    """Profiler that refuses calls by which a user's function depends on more than its arguments."""
 
     refused: str | None = None
 
@@ -177,7 +177,7 @@ def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
             if hasattr(ty, "dispatcher"):
                 require_pure_code(ty.dispatcher, seen)
                 continue
-            # Numba compiles np.array by np.empty, which the code does not name then.
+            # Numba compiles np.array by np.empty; then the user's code does not name np.empty.
             why = TEXT if _is_text_of_numbers(ty) else None
             if value is not None:
                 is_named = getattr(value, "__name__", "") in names

@@ -1,4 +1,4 @@
-"""Names in the code of users' functions, and the values that they refer to."""
+"""Names in the code of users' functions, and the values of these names."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class UnfitFunctionError(TypeError):
 
 
 def references(function: Any) -> Iterator[tuple[str, Any]]:
-    """Yield globals and built-ins in a function's code and in that of its inner functions."""
+    """Yield the globals and built-ins in the code of a function and its inner functions."""
     names = sorted(
         {
             instruction.argval
@@ -51,7 +51,7 @@ def cells(function: Any) -> Iterator[tuple[str, Any]]:
 
 
 def codes(code: types.CodeType) -> Iterator[types.CodeType]:
-    """Yield a function's code and that of its inner functions."""
+    """Yield the code of a function and of its inner functions."""
     yield code
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
@@ -64,9 +64,9 @@ def attributes_of(function: Any) -> set[str]:
 
 
 def members(name: str, module: types.ModuleType, attributes: set[str]) -> Iterator[Any]:
-    """Yield the members of a user's module that a function may use, and those of its submodules.
+    """Yield members of a user's module and its submodules that a function may use.
 
-    Each is (dotted name, module, attribute, value).
+    A member is (dotted name, module, attribute, value).
     """
     if is_known(module):
         return
@@ -93,7 +93,7 @@ def is_users(value: Any) -> bool:
 
 
 def surroundings(function: Any) -> Iterator[tuple[str, Any, Any, Any]]:
-    """Yield all that a function refers to: (name, owner, key, value) with owner[key] the value."""
+    """Yield (name, owner, key, value) for each object a function refers to; value = owner[key]."""
     yield "a default", function, "__defaults__", function.__defaults__
     yield "a default", function, "__kwdefaults__", function.__kwdefaults__
     named = [(n, function.__globals__, n, value) for n, value in references(function)]
@@ -107,7 +107,7 @@ def surroundings(function: Any) -> Iterator[tuple[str, Any, Any, Any]]:
 
 
 def is_foreign(value: Any) -> bool:
-    """Return whether a known package has this very object under its name."""
+    """Return whether a known package has this object, not an equal one, under its name."""
     if isinstance(value, np.ufunc):
         return getattr(np, value.__name__, None) is value
     package, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)

@@ -1,4 +1,4 @@
-"""Refusal of users' functions that depend on more than their arguments, by their code."""
+"""Refusal of users' functions whose code depends on more than their arguments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lierb.kernels.functions.references import (
 )
 from lierb.kernels.functions.source_lines import at
 
-# Modules of the standard library that only compute.
+# Modules of the standard library without side effects.
 COMPUTING = {
     "builtins", "math", "cmath", "operator", "_operator", "functools", "_functools", "itertools",
     "numbers", "fractions", "collections", "_collections", "_collections_abc", "typing", "types",
@@ -54,8 +54,8 @@ NO_CHANGE = (
 
 
 def refusal(value: Any, name: str) -> str | None:
-    """Reason why a function may not name an object, called `name` there; None if it may."""
-    if any(value is known for known in UNINITIALISED):  # NumPy's own functions may call these
+    """Return why a function's code may not refer to an object by `name`; None if it may."""
+    if any(value is known for known in UNINITIALISED):  # allowed as callees of NumPy functions
         return (
             f"it uses {name}, whose numbers are whatever was in memory before; write "
             f"{name.replace('empty', 'zeros')}"
@@ -66,7 +66,7 @@ def refusal(value: Any, name: str) -> str | None:
 
 
 def refusal_of_call(value: Any, name: str) -> str | None:
-    """Reason why neither a function nor its callees may use an object; None if they may."""
+    """Return why neither a function nor its callees may use an object; None if they may."""
     if is_users(value):
         return None
     module = _origin(value)
@@ -77,7 +77,7 @@ def refusal_of_call(value: Any, name: str) -> str | None:
             f"in every step; {ALONE}: sample a parameter instead, or draw "
             "lierb.noise.normal in a controller"
         )
-    if top in CLOCKS or value is np.datetime64:  # by "now"
+    if top in CLOCKS or value is np.datetime64:  # it reads the clock for "now"
         return f"it reads a clock, {name}; {ALONE}: time in s is the argument t"
     bare = getattr(value, "__name__", "")
     is_builtin = top == "builtins" and value is getattr(builtins, bare, None)
@@ -97,7 +97,7 @@ def refusal_of_call(value: Any, name: str) -> str | None:
 
 
 def _origin(value: Any) -> str:
-    """Name of the module of an object; of a method, that of its owner."""
+    """Name of an object's module; for a method, the module of its owner."""
     if isinstance(value, types.ModuleType):
         return value.__name__
     owner = getattr(value, "__self__", None)
@@ -110,7 +110,7 @@ def _origin(value: Any) -> str:
 
 
 def require_pure(function: Any, seen: list[Any]) -> None:
-    """Raise UnfitFunctionError for the first object or instruction that code may not have."""
+    """Raise UnfitFunctionError for the first forbidden object or instruction."""
     if function in seen:
         return
     seen.append(function)
@@ -133,11 +133,11 @@ def require_pure(function: Any, seen: list[Any]) -> None:
 
 
 _CHANGES_GLOBAL = ("STORE_GLOBAL", "DELETE_GLOBAL")
-_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # attributes that may be set
+_OF_ARRAYS = ("shape", "dtype", "strides", "real", "imag", "flat")  # they can be assigned
 
 
 def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -> str | None:
-    """Reason why code may not have an instruction between two others; None if it may."""
+    """Return why an instruction, between two others, is forbidden; None if it is allowed."""
     if step.opname == "IMPORT_NAME":
         return "it imports something itself; import that outside"
     if _makes_set(step) and getattr(after, "opname", "") != "CONTAINS_OP":
@@ -153,7 +153,7 @@ def _refusal_of_step(before: Any, step: Any, after: Any, free: frozenset[str]) -
 
 
 def _is_outside(step: Any, free: frozenset[str]) -> bool:
-    """Return whether an instruction reads a variable from outside of the function."""
+    """Return whether an instruction reads a variable of an outer scope."""
     name = getattr(step, "opname", "")
     return name == "LOAD_GLOBAL" or (name == "LOAD_DEREF" and step.argval in free)
 
@@ -165,7 +165,7 @@ def _makes_set(step: Any) -> bool:
 
 
 def _scopes(code: types.CodeType, free: frozenset[str]) -> Iterator[tuple[Any, frozenset[str]]]:
-    """Yield code and inner code, each with its variables from outside of the function."""
+    """Yield code and inner code, each with its variables of outer scopes."""
     yield code, free
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
@@ -176,7 +176,7 @@ Chain = list[tuple[str, Any, int | None]]
 
 
 def _chains(code: types.CodeType, known: dict[str, Any]) -> Iterator[Chain]:
-    """Yield each name with the attributes that follow it: (dotted name, value, line)."""
+    """Yield (dotted name, value, line) for each name and the attributes that follow it."""
     chain: Chain = []
     for step in dis.get_instructions(code):
         line = step.positions.lineno if step.positions else None

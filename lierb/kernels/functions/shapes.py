@@ -7,6 +7,6 @@ from typing import Any
 
 Shape = tuple[int, ...]
 Shapes = tuple[tuple[str, Shape], ...]
-ANY: Shape = (-1,)  # a vector of as many components as there are
+ANY: Shape = (-1,)  # a vector of any length
 
 UserFunction = Callable[..., Any]

@@ -1,4 +1,4 @@
-"""Inputs of users' functions beside the motion: extra states, held outputs, memory, noise."""
+"""Inputs of users' functions besides the motion: states, control outputs, memory, noise."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 
 class Signals(NamedTuple):
-    """Signals at one time: numbers side by side, in the order of the problem's elements.
+    """Signals at one time, as flat sequences in the order of the problem's elements.
 
-    states : all extra states.   controls : the held outputs of all controllers.
-    memory : memory of all controllers; of one alone where a controller is called.
+    states : all extra states.   controls : outputs of all controllers, constant between ticks.
+    memory : memory of all controllers; in a controller's call, its own memory only.
     """
 
     states: tuple[Any, ...] = ()
@@ -22,7 +22,7 @@ NAMES = Signals._fields
 
 
 class Noise(NamedTuple):
-    """Three whole numbers that, beside a name, determine a controller's random numbers."""
+    """Three whole numbers that, with a name, determine a controller's random numbers."""
 
     seed: Any
     trajectory: Any

@@ -1,4 +1,4 @@
-"""Lines of users' source, for messages."""
+"""Descriptions of lines of users' source, for messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def at(code: types.CodeType, line: int | None) -> str:
 
 
 def where_it_was(error: BaseException) -> str | None:
-    """Describe the innermost line of users' functions that an exception passed; None for none."""
+    """Describe the innermost line of users' functions in an exception's traceback, if any."""
     frames = walk_tb(error.__traceback__)
     lines = [at(frame.f_code, line) for frame, line in frames if MARK in frame.f_globals]
     return lines[-1] if lines else None
@@ -28,7 +28,7 @@ def where_it_was(error: BaseException) -> str | None:
 def line_that_raised(error: Exception, functions: Iterable[UserFunction]) -> str | None:
     """Describe the line of users' functions at which compiled code raised, if Numba reports it.
 
-    Numba adds a frame with the file and the line of the function, and nothing else of it.
+    Numba adds a frame with no other data of the function than its file and line.
     """
     *_, (frame, line) = walk_tb(error.__traceback__)
     files = {function.__code__.co_filename for function in functions}

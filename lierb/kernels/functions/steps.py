@@ -1,4 +1,4 @@
-"""Functions of users' numbers that choose or jump: rounding, remainders, extremes, tables."""
+"""Piecewise functions of users' numbers: rounding, remainders, extremes, tables."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from lierb.kernels.numbers.dual import Dual, parts_of
 from lierb.kernels.tracing import lane_by_lane
 from lierb.kernels.tracing.lanes import Lane, call_intrinsic
 
-FEW_LINES = 32  # of a table; from there on a bisection of 8 lanes is less work
-WHOLE = 2.0**52  # quotients below it have a floor that is exact
+FEW_LINES = 32  # of a table; above it a bisection of 8 lanes is faster
+WHOLE = 2.0**52  # the floor of smaller quotients is exact
 
 
 def _steps(name: str, of: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Make a function with steps, whose slope is zero."""
+    """Make a step function, whose derivative is zero."""
 
     def function(x: Any) -> Any:
         return UserNumber(of(raw(x))) if isinstance(x, (UserNumber, Condition)) else of(x)
@@ -62,7 +62,7 @@ def rounded(x: Any, digits: int = 0) -> Any:
 def _of_two(
     of: Callable[[Any, Any], Any], slopes: Callable[[Any, Any], tuple[Any, Any]]
 ) -> Callable[[Any, Any], Any]:
-    """Make a function of two numbers of its value and its piecewise constant slopes."""
+    """Make a function of two numbers from its value and its piecewise constant slopes."""
 
     def function(x: Any, y: Any) -> Any:
         if not any(isinstance(n, (Dual, Condition)) for n in (x, y)):
@@ -76,7 +76,7 @@ def _of_two(
 
 
 def _exact_quotient(x: Any, y: Any, q: Callable[[Any], Any], name: str) -> Any:
-    """Compute x − q(x/y) y of lanes, by the C library where the whole quotient is not exact."""
+    """Compute x − q(x/y) y of lanes, by the C library if q(x/y) is inexact."""
     quotient = plain(x) / plain(y)
     fits = (absolute(quotient) < WHOLE) & (absolute(y) < math.inf)
     return branch(
@@ -89,7 +89,7 @@ def _exact_quotient(x: Any, y: Any, q: Callable[[Any], Any], name: str) -> Any:
 def _remainder(x: Any, y: Any) -> Any:
     if not (isinstance(x, Lane) or isinstance(y, Lane)):
         return np.remainder(plain(x), plain(y))
-    # The quotient, rounded, may have reached a whole number: then the rest is one y too small.
+    # Rounding may raise the quotient to a whole number; the remainder is then too small by y.
     rest = _exact_quotient(x, y, whole, "fmod")
     other_side = ((rest < 0.0) & (y > 0.0)) | ((rest > 0.0) & (y < 0.0))
     rest = select(other_side, rest + y, rest)
@@ -107,7 +107,7 @@ def _fmod(x: Any, y: Any) -> Any:
 def _floor_divide(x: Any, y: Any) -> Any:
     if not (isinstance(x, Lane) or isinstance(y, Lane)):
         return np.floor_divide(plain(x), plain(y))
-    # The algorithm of NumPy and Python, to the bit.
+    # Algorithm of NumPy and Python, with the same bits.
     rest = _fmod(x, y)
     quotient = (x - rest) / y
     other_side = ((rest < 0.0) & (y > 0.0)) | ((rest > 0.0) & (y < 0.0))
@@ -195,8 +195,8 @@ def heaviside(x: Any, at_zero: Any) -> Any:
 def interpolated(x: Any, xs: Any, ys: Any, left: Any = None, right: Any = None) -> Any:
     """Interpolate linearly between the points (xs, ys); constant, `left` or `right` beyond them.
 
-    A few lines are tried one after the other, at a comparison and three choices each; many constant
-    ones are searched.
+    A short table evaluates every line, at a comparison and three choices each. A table of more than
+    FEW_LINES constant points is searched by bisection.
     """
     points = list(zip(xs, ys, strict=True))
     lines: list[Any] = [(x0, y0, (y1 - y0) / (x1 - x0)) for (x0, y0), (x1, y1) in pairwise(points)]

@@ -1,4 +1,4 @@
-"""Trials of users' functions before a kernel calls them: traced twice, or compiled by Numba."""
+"""Trials of users' functions, by two traces or by Numba, before a kernel calls them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.tracing import trace
 
 
-@lru_cache(256)  # by the fingerprint: a sweep makes one force a thousand times
+@lru_cache(256)  # keys are fingerprints: a sweep makes one force a thousand times
 def trial(function: Function) -> int:
     """Trace the function twice; return how many numbers it returns.
 
-    Raises any exception of the user's function when its arguments are packs of numbers, and
-    UnfitFunctionError if it depends on more than its arguments.
+    Raises any exception that the user's function raises on lane packs, and UnfitFunctionError if it
+    depends on more than its arguments.
     """
 
     def call(own: Any, arguments: Any, signals: Signals, noise: Noise | None) -> Any:
@@ -39,7 +39,7 @@ def trial(function: Function) -> int:
 
 @lru_cache(256)
 def outputs_of(function: Function) -> Shapes:
-    """Names and shapes of the first dictionary that the function returns, found by a trial."""
+    """Names and shapes of the function's first returned dictionary, determined by a trial."""
 
     def call(*inputs: Any) -> Any:
         first = function.dictionaries(function.returned(*inputs))[0]
@@ -60,10 +60,10 @@ def returns_condition(function: Function) -> bool:
 
 
 def _traced_twice(function: Function, call: Callable[..., tuple[Any, Any]]) -> Any:
-    """Trace `call` twice on packs of numbers such as the function takes.
+    """Trace `call` twice on lane packs in the shapes of the function's inputs.
 
-    call : (parameters, arguments, signals, noise) → (traced results, information); the last
-    information is returned.
+    call : (parameters, arguments, signals, noise) → (traced results, information). The information
+    of the last trace is returned.
     """
     size = sum(math.prod(shape) for shape in function.input_shapes)
     draws = len(Noise._fields) if function.draws else 0
@@ -89,7 +89,7 @@ def _traced_twice(function: Function, call: Callable[..., tuple[Any, Any]]) -> A
 
 
 def compile_alone(function: Function) -> None:
-    """Compile the function for one body at a time; raises any error of Numba's."""
+    """Compile the function for one body at a time. Raises any error of Numba."""
     compiled, samples = dispatcher_of(function), tuple(function.samples())
     if hasattr(compiled, "compile"):
         undisturbed(compiled.compile, (numba.typeof(samples),))

@@ -1,7 +1,8 @@
 """Numbers of users' functions: dual numbers with all operators, methods and comparisons.
 
-Comparisons return conditions, one truth value for each body. Without parts a number is plain. The
-modules `elementary` and `steps` add the operators that need their functions, such as ** and %.
+Comparisons return conditions, one truth value for each body. A number without parts has no
+derivatives. The modules `elementary` and `steps` add the operators that need their functions, such
+as ** and %.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ NO_PLAIN_NUMBER = (
 class UserNumber(Dual):
     """Dual number of a user's function.
 
-    factors : the two factors of a product, () otherwise: a sum with a product is fused.
+    factors : the two factors if the number is a product, () otherwise; a sum fuses them.
     """
 
     __slots__ = ("factors",)
@@ -172,7 +173,7 @@ class Condition:
 
 
 def define(**methods: Callable[..., Any]) -> None:
-    """Add methods to users' numbers, by modules above this one."""
+    """Add methods to the class of users' numbers, from modules that import this one."""
     for name, method in methods.items():
         setattr(UserNumber, name, method)
 
@@ -224,7 +225,7 @@ def combined(a: Any, b: Any, operation: Callable[[Any, Any], Any], left: Any, ri
 
 
 def kind_of(*numbers: Any) -> type[Dual]:
-    """Class of a result: the values of users' numbers may be other dual numbers."""
+    """Class of a result: UserNumber if an operand is one, Dual in the values of such numbers."""
     return UserNumber if any(isinstance(x, UserNumber) for x in numbers) else Dual
 
 
@@ -237,11 +238,11 @@ def _sum(a: Any, b: Any) -> Any:
 
 
 def _difference(a: Any, b: Any) -> Any:
-    return value_of(a) - value_of(b)  # not fused: x·x − x·x shall be zero
+    return value_of(a) - value_of(b)  # not fused: x·x − x·x must be zero
 
 
 def _total(left: Any, p: Any, right: Any, q: Any) -> Any:
-    """Compute left·p + right·q, without a product for slopes of ±1."""
+    """Compute left·p + right·q, without products by slopes of ±1."""
     if _is_sign(left):
         return _scaled(left, p) + _scaled(right, q)
     return fma(left, p, _scaled(right, q))
@@ -273,7 +274,7 @@ def _quotient(a: Any, b: Any) -> Any:
 def where(condition: Any, a: Any, b: Any) -> Any:
     """Choose `a` where the condition holds, `b` elsewhere, in functions given to lierb.
 
-    It replaces `if` there. Both values are computed.
+    The function replaces `if`. Both values are computed.
 
     Parameters
     ----------
@@ -313,7 +314,7 @@ def choice(condition: Any, a: Any, b: Any) -> Any:
 
 def selected(condition: Any, a: Any, b: Any) -> Any:
     mask = condition.mask if isinstance(condition, Condition) else condition
-    if isinstance(mask, (UserNumber, Lane)):  # any number but 0 is true, as in NumPy
+    if isinstance(mask, (UserNumber, Lane)):  # a nonzero number is true, as in NumPy
         mask = inverted(raw(mask) == 0.0)
     a, b = (x.number() if isinstance(x, Condition) else x for x in (a, b))
     return select(mask, a, b)

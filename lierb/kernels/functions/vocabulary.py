@@ -1,7 +1,7 @@
-"""Functions of lierb's for users' functions: rotations, bounds, tables.
+"""Functions that lierb provides for users' functions: rotations, bounds, tables.
 
-Each takes traced numbers and plain NumPy arrays of any batch shape, and is compiled by Numba in
-functions that run body by body.
+Each function takes traced numbers and NumPy arrays of any batch shape. In users' functions that run
+body by body, Numba compiles it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from lierb.kernels.numbers.dual import parts_of
 from lierb.kernels.numbers.vec import Mat, Vec, cross, dot, mat_t_mat, norm, scale
 from lierb.kernels.tracing.trace import kernel
 
-SMALL = 0.25  # tan² of half an angle, up to which the series is as accurate as atan2
-TERMS = 30  # of the series: the first omitted is below 1e-18, as in two derivatives
+SMALL = 0.25  # tan²(θ/2) up to which the series is as accurate as atan2
+TERMS = 30  # of the series; the first omitted is below 1e-18, also of two derivatives
 
 
 class UnfitArgumentError(UnfitFunctionError, ValueError):
-    """Error for an argument without a value, inside and outside of users' functions."""
+    """Error for an invalid argument of these functions; a ValueError outside of kernels, too."""
 
 
 def clip(x: Any, lower: Any, upper: Any) -> Any:
@@ -62,8 +62,8 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
 def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
     """Interpolate linearly between the points (xs, ys); constant beyond the first and the last.
 
-    In a kernel each point costs a comparison and three choices; of more than 32 constant points the
-    right interval is searched.
+    In a kernel each point costs a comparison and three choices. The interval among more than 32
+    constant points is found by bisection.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def table(x: Any, xs: ArrayLike, ys: ArrayLike) -> Any:
     Raises
     ------
     ValueError
-        The points make no table.
+        The points do not make a table.
 
     Examples
     --------
@@ -157,7 +157,7 @@ def _of_rotation(R: Any, formula: Any) -> Any:
     if matrices.dtype == object:
         return numbers(formula(tuple(matrices.ravel())))
     flat = matrices.reshape(*matrices.shape[:-2], 9)
-    with np.errstate(all="ignore"):  # of no rotation, as in compiled functions
+    with np.errstate(all="ignore"):  # compiled functions do not warn
         return np.stack(formula(tuple(flat[..., i] for i in range(9))), axis=-1)
 
 
@@ -204,7 +204,7 @@ def rotation_vector(r: Mat) -> Vec:
         return _as_traced(r, so3.log(tuple(map(raw, r))))
     w, *v = unit_quaternion(r)
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    # ξ = v · 2 atan2(‖v‖, w)/‖v‖, which near ‖v‖ = 0 is a series in (‖v‖/w)²
+    # ξ = v · 2 atan2(‖v‖, w)/‖v‖; near ‖v‖ = 0 the factor is a series in (‖v‖/w)²
     near = raw(square) <= SMALL * raw(w) * raw(w)
     ratio = choice(near, square, 0.0) / choice(near, w * w, 1.0)
     series: Any = 0.0
@@ -220,7 +220,7 @@ def _has_parts(members: Sequence[Any]) -> bool:
 
 
 def _along_each(members: Sequence[Any]) -> list[Vec]:
-    """Derivatives of several numbers, direction by direction."""
+    """Derivatives of several numbers, as a list over the directions."""
     count = max(len(parts_of(x)) for x in members)
     parts = [parts_of(x) or (0.0,) * count for x in members]
     return [tuple(map(plain, direction)) for direction in zip(*parts, strict=True)]
