@@ -1,7 +1,7 @@
 """Checks of users' numbers, and conversion between arrays and tuples of components.
 
-Formulas take one array a component, of any batch: componentwise arithmetic gives a body the same
-bits alone and in any batch; `matmul` need not.
+Formulas take one array for each component, of any batch shape. Componentwise arithmetic gives a
+body the same bits alone and in any batch; `matmul` may not.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from lierb.support.memory import require_memory
 Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
-SLICE = 16384  # bodies checked together: bounds the memory of checks
+SLICE = 16384  # bodies checked at a time; this bounds the memory of checks
 MOST_AXES = 16  # of an argument; NumPy's limit is 64
 PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers without further checks
 NO_NUMBERS = (bool, str, bytes, bytearray)
 FEWER = "give fewer bodies at a time"
-ROTATION_TOLERANCE = 1e-9  # ‖RᵀR − I‖ that counts as rounding
+ROTATION_TOLERANCE = 1e-9  # largest ‖RᵀR − I‖ of a rotation with rounding errors
 
 
 def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
-    """Convert a user's numbers to float64, in their shape; copy=None keeps an array of float64.
+    """Convert a user's numbers to float64 in the same shape; copy=None keeps an array of float64.
 
-    All users' numbers pass here. Raises ArgumentError for text, bytes, dates, flags, complex
-    numbers, masked entries, units, collections without an order and numbers beyond float64;
-    MemoryLimitError for a copy larger than the memory.
+    All users' numbers are converted here. Raises ArgumentError for text, bytes, dates, flags,
+    complex numbers, masked entries, units, unordered collections and numbers beyond float64.
+    Raises MemoryLimitError for a copy larger than the memory.
     """
     try:
         is_plain = type(value) is np.ndarray and value.dtype == np.float64
@@ -53,7 +53,7 @@ def as_floats(argument: str, value: Any, copy: bool | None = None) -> Array:
         raise
     except MemoryError as error:
         raise MemoryLimitError(f"{argument}: {brief(str(error))}; {FEWER}") from error
-    except Exception as error:  # a user's class may raise any in __array__
+    except Exception as error:  # __array__ of a user's class may raise any
         raise _no_numbers(argument, value) from error
 
 
@@ -78,7 +78,7 @@ def _read(argument: str, value: Any) -> NDArray:
 
 
 def _stacked(argument: str, array: NDArray) -> NDArray:
-    """Stack an array of arrays or lists, such as a column of lists of Arrow or pandas."""
+    """Stack an array of arrays or lists, such as a column of lists in Arrow or pandas."""
     depth = 0
     lists = {np.ndarray, list, tuple}
     while array.dtype.kind == "O" and array.size and set(map(type, array.ravel())) <= lists:
@@ -91,7 +91,7 @@ def _stacked(argument: str, array: NDArray) -> NDArray:
 
 
 def _is_real(kind: type) -> bool:
-    """Return whether objects of a class are real numbers, other packages' included."""
+    """Return whether instances of a class are real numbers, also of other packages."""
     if issubclass(kind, (np.generic, Complex)):
         is_time_or_flag = issubclass(kind, (bool, np.timedelta64))
         return issubclass(kind, (np.floating, np.integer, Real)) and not is_time_or_flag
@@ -99,19 +99,19 @@ def _is_real(kind: type) -> bool:
 
 
 def is_whole(value: object) -> bool:
-    """Return whether a value is an integer; neither a flag nor a NumPy time is one."""
+    """Return whether a value is an integer; flags and NumPy times are not."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.timedelta64))
 
 
 def _refuse(argument: str, value: Any, depth: int = 0) -> None:
-    """Raise ArgumentError for flags, masked entries and units, which NumPy would take.
+    """Raise ArgumentError for flags, masked entries and units, which NumPy converts to numbers.
 
-    Items of sequences are checked, too: NumPy would read their bare numbers.
+    Items of sequences are checked, too, as NumPy drops their units.
     """
     kind = type(value)
     if kind in PLAIN:
         return
-    is_list = kind is list or kind is tuple  # most values, and items of long lists
+    is_list = kind is list or kind is tuple  # fast path for most values and for items of long lists
     if not is_list:
         _refuse_one(argument, value)
     if is_list or (isinstance(value, Sequence) and not isinstance(value, memoryview)):
@@ -139,7 +139,7 @@ def _refuse_one(argument: str, value: Any) -> None:
 
 
 def _has_units(value: Any) -> bool:
-    """Return whether a value has units, as quantities of pint, unyt and Astropy."""
+    """Return whether a value is a quantity with units, of pint, unyt or Astropy."""
     return any(getattr(value, name, None) is not None for name in ("units", "unit"))
 
 
@@ -153,10 +153,10 @@ def _no_numbers(argument: str, value: Any) -> ArgumentError:
 def as_numbers(
     argument: str, value: ArrayLike, *tails: tuple[int, ...], copy: bool | None = True
 ) -> Array:
-    """Convert to finite float64 of a shape that ends in one of `tails`, after at most a batch axis.
+    """Convert to finite float64 with a shape of `tails`, or a batch axis followed by such a shape.
 
-    The copy is read-only, so that checked values stay; copy=None returns a view of the caller's
-    array if it is float64, for use within a call.
+    The copy is read-only, so that checked values cannot change. For use within a call, copy=None
+    returns a view of the caller's array if it is float64.
     """
     array = as_floats(argument, value, copy).view()
     array.setflags(write=False)
@@ -178,7 +178,7 @@ def as_numbers(
 
 
 def as_number(argument: str, value: Any) -> np.float64:
-    """Convert to one finite number, which divides by zero as arrays do."""
+    """Convert to one finite float64, whose division by zero is inf or NaN as for arrays."""
     array = as_floats(argument, value)
     if array.shape or not np.isfinite(array):
         raise ArgumentError(f"{argument} is {brief(value)}; expected one finite number")
@@ -186,7 +186,7 @@ def as_number(argument: str, value: Any) -> np.float64:
 
 
 def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Array:
-    """Convert to positive numbers of that shape for each body."""
+    """Convert to positive numbers, with items of `shape` for one or several bodies."""
     array = as_numbers(argument, value, shape)
     items = array.reshape(-1, *shape)
     bad = np.flatnonzero((items <= 0.0).reshape(len(items), -1).any(axis=1))
@@ -197,7 +197,7 @@ def as_positive(argument: str, value: ArrayLike, unit: str, *shape: int) -> Arra
 
 
 def finite(what: str, array: Array) -> Array:
-    """Return an array computed from finite numbers; raise ArgumentError if it has overflowed."""
+    """Return an array; raise ArgumentError if its computation has overflowed."""
     if not are_finite(array):
         raise ArgumentError(
             f"{what} is beyond all numbers: its computation overflows; give smaller numbers, or "
@@ -211,7 +211,7 @@ def are_finite(array: Array) -> bool:
 
 
 def _unequal(array: Array) -> Array:
-    """Array, or the one item of an array that is broadcast along its first axis."""
+    """Return an array; if it is broadcast along its first axis, its single item."""
     return array[:1] if array.ndim and array.strides[0] == 0 else array
 
 
@@ -228,7 +228,7 @@ def _shape(sizes: tuple[Any, ...]) -> str:
 
 
 def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
-    """Common length of the batch axes; None for none. Values: (array, number of item axes)."""
+    """Common length of the batch axes, or None. A tuple is (array, number of item axes)."""
     lengths: dict[str, int] = {}
     for name, entry in arguments.items():
         array, item_axes = entry if isinstance(entry, tuple) else (entry, 0)
@@ -245,7 +245,7 @@ Which = int | slice | NDArray[np.int64]  # one body of a batch, or some of them
 
 
 def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
-    """Item of one body or of a part of the batch; the shared item of all bodies."""
+    """Items of one or several bodies of a batch; a shared item as is."""
     if array.ndim == item_axes:
         return array
     if len(array) > 1:
@@ -254,7 +254,7 @@ def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
 
 
 def member_of(body: Any, size: int | None) -> int:
-    """Check the number of a body of a batch."""
+    """Check the index of a body in a batch; return it as an int."""
     count = size or 1
     if not (is_whole(body) and 0 <= body < count):
         raise ArgumentError(f"body={brief(body)}; expected a whole number, 0 … {count - 1}")
@@ -268,7 +268,7 @@ def components(array: Array, axes: int = 1) -> Vec:
 
 
 def assembled(parts: Vec, *shape: int) -> Array:
-    """Array of components along the last axis, or axes of `shape`: inverse of `components`."""
+    """Array from components, along a last axis or axes of `shape`; inverse of `components`."""
     columns = np.broadcast_arrays(*(np.asarray(p, dtype=np.float64) for p in map(_number, parts)))
     stacked = np.stack(columns, axis=-1)
     return stacked.reshape(*stacked.shape[:-1], *shape) if shape else stacked
@@ -323,10 +323,10 @@ def as_rotations(argument: str, value: Any) -> Array:
 
 
 def as_matrix(argument: str, value: Any) -> Any:
-    """Result of the method `as_matrix` if a value has it, the value itself otherwise."""
+    """Return value.as_matrix() if a value has this method, the value otherwise."""
     try:
         return value.as_matrix() if hasattr(value, "as_matrix") else value
-    except Exception as error:  # a user's class may raise any
+    except Exception as error:  # a user's class may raise any exception
         raise ArgumentError(
             f"{argument} is {brief(value)}, whose as_matrix() raised {type(error).__name__}: "
             f"{brief(str(error))}"
@@ -337,7 +337,7 @@ def check_rotations(argument: str, matrices: Array) -> None:
     """Raise PoseError unless all matrices are orthogonal and right-handed."""
     first = 0
     for part in slices(_unequal(matrices.reshape(-1, 3, 3))):
-        with np.errstate(all="ignore"):  # large entries overflow
+        with np.errstate(all="ignore"):  # large entries may overflow
             r = components(part, 2)
             excess = tuple(g - float(i % 4 == 0) for i, g in enumerate(mat_t_mat(r, r)))
             errors = np.sqrt(dot(excess, excess))

@@ -1,4 +1,4 @@
-"""Warnings that a caller of many runs collects, to issue one for all of them."""
+"""Collection of the warnings of many runs, for which a caller issues a single one."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# A context variable, not `warnings.catch_warnings`, which threads share.
+# A context variable: threads share the state of `warnings.catch_warnings`.
 _are_collected: ContextVar[bool] = ContextVar("are_warnings_collected", default=False)
 
 
 @contextmanager
 def warnings_collected() -> Iterator[None]:
-    """Suppress warnings of failures and stiff steps: the caller issues one for all runs."""
+    """Suppress warnings of failures and stiff steps; the caller issues one for all runs."""
     token = _are_collected.set(True)
     try:
         yield

@@ -22,7 +22,7 @@ EXTRAS = {
     "report": ("Writing reports", ("jinja2", "plotly", "matplotlib", "pydantic")),
     "cluster": ("Running studies on a cluster", ("distributed",)),
 }
-DIRECT = "direct_url.json"  # origin of a distribution that is not from an index: PEP 610
+DIRECT = "direct_url.json"  # origin of a distribution that is not from an index (PEP 610)
 
 
 class MissingExtraError(ImportError):
@@ -41,23 +41,23 @@ def require(extra: str) -> None:
     Raises
     ------
     MissingExtraError
-        A package is not installed; the message has the command that installs it.
+        A package is not installed. The message contains the command that installs it.
     """
     purpose, packages = EXTRAS[extra]
     for package in packages:
         try:
             import_module(package)
         except ModuleNotFoundError as error:
-            # An installed package that lacks a dependency of its own reports that one instead.
+            # The missing module may be a dependency of an installed package.
             message = f"{purpose} needs {error.name}, which is not installed: {remedy(extra)}"
             raise MissingExtraError(message) from error
 
 
 def remedy(extra: str) -> str:
-    """Command that adds an optional part to lierb as it is installed here.
+    """Command that adds an optional part to the installed lierb.
 
-    A checkout is named by its path, a wheel or a repository by its URL: an index need not have
-    lierb. If its origin no longer exists, the command installs the packages themselves.
+    The command names a checkout by its path, a wheel or a repository by its URL, as lierb may not
+    be in an index. If that origin no longer exists, the command installs the packages themselves.
     """
     packages = " ".join(EXTRAS[extra][1])
     try:
@@ -74,7 +74,7 @@ def remedy(extra: str) -> str:
 
 
 def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
-    """Requirement of lierb with an extra from its origin, quoted for a shell."""
+    """Requirement for lierb with an extra, from its origin, quoted for a shell."""
     if "dir_info" in origin:
         folder = _path(url)
         here = "." if folder == Path.cwd() else str(folder)
@@ -91,11 +91,11 @@ def _requirement(extra: str, url: str, origin: dict[str, Any]) -> str:
 def _path(url: str) -> Path:
     """Path of a file:// URL."""
     from urllib.parse import urlsplit
-    from urllib.request import url2pathname  # 30 ms, too long for importing lierb
+    from urllib.request import url2pathname  # imported here: it takes 30 ms
 
     return Path(url2pathname(urlsplit(url).path))
 
 
 def _quoted(text: str) -> str:
-    """Quote brackets, which are patterns to a shell; Windows has double quotes only."""
+    """Quote a requirement, as shells expand brackets; Windows needs double quotes."""
     return f'"{text}"' if os.name == "nt" else shlex.quote(text)

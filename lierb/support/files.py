@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and errors of the system with remedies."""
+"""Atomic writing of files, and errors of the file system with remedies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uuid import uuid4
 from lierb.errors import ArgumentError, StudyError, StudyFileError
 
 TEMPORARY = ".unfinished"
-URL = re.compile(r"[A-Za-z][\w+.-]+:/")  # of two letters or more: one is a drive
+URL = re.compile(r"[A-Za-z][\w+.-]+:/")  # two letters or more: a single letter is a drive
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 HTML = re.compile(rb"(\xef\xbb\xbf)?\s*<(!doctype\s+html|html)\b", re.IGNORECASE)
 RESUME = "--resume (resume=True) does"
@@ -24,7 +24,7 @@ READABLE = f"make it readable, or delete it, and {RESUME} it again"
 
 
 def folder_of(given: str | os.PathLike[str]) -> Path:
-    """Path of a folder for results, `~` being the user's own.
+    """Path of a folder for results, with `~` expanded.
 
     Raises StudyError for a URL, and for a name that Arrow cannot open.
     """
@@ -53,9 +53,9 @@ def folder_of(given: str | os.PathLike[str]) -> Path:
 
 
 def write_whole(path: Path, content: Any) -> None:
-    """Write a file with that content, or leave it as it was. Raises StudyFileError.
+    """Write a file with that content, or leave it unchanged. Raises StudyFileError.
 
-    A link, a pipe or a device such as /dev/stdout is written to in place.
+    Links, pipes and devices such as /dev/stdout are written in place.
     """
     if path.is_symlink() or (path.exists() and not path.is_file()):
         with naming(path, "written", KEPT):
@@ -65,7 +65,7 @@ def write_whole(path: Path, content: Any) -> None:
 
 
 def require_page(path: Path) -> None:
-    """Raise StudyFileError if a page would overwrite a file that is no HTML page.
+    """Raise StudyFileError if a page would overwrite a file that is not an HTML page.
 
     Such a file may be a study's manifest or a part of its results.
     """
@@ -80,7 +80,7 @@ def require_page(path: Path) -> None:
 
 
 def write_aside(path: Path, content: Any) -> Path:
-    """Write a temporary file beside `path`; return its path, which readers of the folder skip."""
+    """Write a temporary file beside `path`; return its path. Readers of the folder skip it."""
     aside = path.with_name(f".{path.name}.{uuid4().hex[:8]}{TEMPORARY}")
     with naming(path.parent, "made", KEPT):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -98,7 +98,7 @@ def write_aside(path: Path, content: Any) -> Path:
 
 
 def rename(aside: Path, path: Path) -> None:
-    """Rename a temporary file durably, or delete it."""
+    """Rename a temporary file durably; delete it if that fails."""
     with naming(path, "written", KEPT):
         try:
             aside.replace(path)
@@ -116,7 +116,7 @@ def _sync(folder: Path) -> None:
         try:
             os.fsync(handle)
         except OSError as error:
-            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # of network file systems
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # raised by network file systems
                 raise
         finally:
             os.close(handle)
@@ -124,7 +124,7 @@ def _sync(folder: Path) -> None:
 
 @contextmanager
 def naming(path: Path, deed: str, remedy: str) -> Iterator[None]:
-    """Turn errors of the system in the block into StudyFileError with the file and a remedy."""
+    """Convert system errors in the context to StudyFileError with the file and a remedy."""
     try:
         yield
     except StudyFileError:
@@ -140,7 +140,7 @@ def reason(error: Exception) -> str:
 
 
 def as_it_is(path: Path) -> tuple[int, ...]:
-    """Inode, size and time of a file, which differ after a change; () without the file."""
+    """Inode, size and time of a file, to detect changes; () without the file."""
     with naming(path, "read", READABLE), suppress(FileNotFoundError):
         if path.is_file():
             status = path.stat()

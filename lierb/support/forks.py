@@ -1,4 +1,4 @@
-"""Forked processes, which lack the threads of their parents."""
+"""Checks in forked processes, which lack the threads of their parents."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _lacks_threads = _lacks_compiler = False
 
 
 def check_threads() -> None:
-    """Raise ForkError if no parallel loop can run.
+    """Raise ForkError if parallel loops cannot run.
 
-    It must precede the use of locks, which a forked child may have inherited locked.
+    Call this before using locks: a forked child may have inherited them locked.
     """
     if _lacks_threads:
         raise ForkError(
@@ -29,7 +29,7 @@ def check_threads() -> None:
 
 
 def check_compiler(is_needed: bool) -> None:
-    """Raise ForkError if compilation is needed and impossible."""
+    """Raise ForkError if compilation is needed but impossible."""
     if _lacks_compiler and is_needed:
         raise ForkError(
             "this process was forked while a thread of its parent was compiling, which it lacks; "
@@ -38,7 +38,7 @@ def check_compiler(is_needed: bool) -> None:
 
 
 def _after_fork() -> None:
-    """Note in a forked child that the parent had started threads or was compiling."""
+    """Record in a forked child whether the parent had started threads or was compiling."""
     global _lacks_threads, _lacks_compiler
     _lacks_compiler |= is_compiling()
     collect_again()

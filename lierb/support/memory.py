@@ -1,7 +1,7 @@
 """Memory for results: its allocation, and the size of the free memory.
 
-Linux grants memory that it does not have, and kills the process that uses it: runs that do not fit
-must be refused beforehand.
+Linux grants more memory than it has, and kills the process that uses it. Hence a run that does not
+fit must be refused before it starts.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 
 from lierb.errors import MemoryLimitError
 
-ALWAYS = 1 << 26  # bytes granted without reading files: enough for a run of one body
+ALWAYS = 1 << 26  # bytes that need no check; enough for a run of one body
 MEMINFO = Path("/proc/meminfo")
 CGROUP = Path("/proc/self/cgroup")
 CGROUPS = Path("/sys/fs/cgroup")
-POOLED = range(1 << 16, 1 << 25)  # bytes of allocations from Arrow's pool
+POOLED = range(1 << 16, 1 << 25)  # sizes in bytes of allocations from Arrow's pool
 
 
 def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Allocate an array as `numpy.empty` does, from Arrow's pool if that is mimalloc, the default.
+    """Allocate an array like `numpy.empty`, from Arrow's pool if that is mimalloc, the default.
 
     The pool keeps freed memory for the next run. The C library returns it to the system, in some
-    processes after every call; the page faults of the next allocation then last as long as two
+    processes after every call. The page faults of the next allocation then take as long as two
     steps of each trajectory.
     """
     size = 8 * math.prod(shape)
@@ -53,14 +53,14 @@ def is_free(size: int) -> bool:
 
 
 def too_large(what: str, size: int, free: int, remedy: str) -> MemoryLimitError:
-    """Error for a request of more memory than is free."""
+    """Return the error for a request that exceeds the free memory."""
     return MemoryLimitError(
         f"{what} takes {in_words(size)}, and {in_words(free)} are free; {remedy}"
     )
 
 
 def available() -> int:
-    """Bytes that the process may take without swapping; the physical memory if unknown."""
+    """Bytes that the process can allocate without swapping; the physical memory if unknown."""
     limits = [sys.maxsize, *_left_of_groups()]
     with suppress(OSError, KeyError, ValueError):
         limits.append(1024 * int(_table(MEMINFO)["MemAvailable:"]))
@@ -71,9 +71,9 @@ def available() -> int:
 
 
 def _left_of_groups() -> list[int]:
-    """Bytes left by the limit of each control group (version 2) of the process.
+    """Free bytes within the limit of each control group (version 2) of the process.
 
-    Pages of files count as free: the system returns them when needed.
+    Cached pages of files count as free, because the system releases them when needed.
     """
     left = []
     with suppress(OSError, StopIteration):
@@ -82,7 +82,7 @@ def _left_of_groups() -> list[int]:
         for group in (own, *own.parents):
             if not group.is_relative_to(CGROUPS):
                 break
-            with suppress(OSError, KeyError, ValueError):  # the root has none; "max" is no number
+            with suppress(OSError, KeyError, ValueError):  # no limit: root group, "max"
                 limit = int((group / "memory.max").read_text())
                 used = int((group / "memory.current").read_text())
                 statistics = _table(group / "memory.stat")
@@ -92,12 +92,12 @@ def _left_of_groups() -> list[int]:
 
 
 def _table(path: Path) -> dict[str, str]:
-    """Second word of each line by the first."""
+    """Read a file as a dictionary from the first to the second word of each line."""
     return {name: value for name, value, *_ in map(str.split, path.read_text().splitlines())}
 
 
 def in_words(size: int) -> str:
-    """Write a size in words, such as `1.5 GB`."""
+    """Format a size in bytes, such as `1.5 GB`."""
     units = ("bytes", "kB", "MB", "GB", "TB")
     power = min((len(str(size)) - 1) // 3, len(units) - 1)
     return f"{size / 1000**power:.3g} {units[power]}"

@@ -14,8 +14,8 @@ from lierb.support.extras import remedy
 Progress = bool | Callable[[int, int], None] | None
 
 BODY_STEPS = "body-steps"
-QUIET_SECONDS = 2.0  # before a bar that is not requested
-NOTEBOOK_SECONDS = 0.2  # between two messages
+QUIET_SECONDS = 2.0  # delay of a bar that was not requested
+NOTEBOOK_SECONDS = 0.2  # between two updates
 
 
 class Bar(Protocol):
@@ -26,7 +26,7 @@ class Bar(Protocol):
 
 
 def check_progress(progress: Any) -> None:
-    """Raise ArgumentError for a value that `reporter` does not take."""
+    """Raise ArgumentError for a value that `reporter` does not accept."""
     if not (progress is None or isinstance(progress, bool) or callable(progress)):
         raise ArgumentError(f"progress={brief(progress)}; expected True, False, None or a function")
 
@@ -35,7 +35,7 @@ def check_progress(progress: Any) -> None:
 def reporter(
     progress: Progress, total: int, of: str = BODY_STEPS
 ) -> Iterator[Callable[[int], None]]:
-    """Yield a function that reports the work done so far, of `total`.
+    """Yield a function that reports the amount of work done, out of `total`.
 
     progress : True for a bar at once, None for a bar after two seconds on a terminal or in a
         notebook, False for none, or a function of (done, total).
@@ -75,17 +75,17 @@ def _bar(total: int, of: str, required: bool) -> Bar | None:
 
 
 def _on_terminal() -> bool:
-    return sys.stderr is not None and sys.stderr.isatty()  # None: started without a console
+    return sys.stderr is not None and sys.stderr.isatty()  # None in a process without a console
 
 
 def _in_notebook() -> bool:
-    """Return whether a Jupyter kernel runs the process; a prompt in a terminal is none."""
+    """Return whether a Jupyter kernel runs the process, not an IPython prompt in a terminal."""
     shell_of = getattr(sys.modules.get("IPython"), "get_ipython", None)
     return getattr(shell_of and shell_of(), "kernel", None) is not None
 
 
 class TerminalBar:
-    """Progress bar of rich on standard error. Raises ImportError without rich."""
+    """Progress bar on standard error, by rich. Raises ImportError without rich."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         from rich.console import Console
@@ -117,7 +117,7 @@ class TerminalBar:
 
 
 class NotebookBar:
-    """Progress bar below a notebook's cell, by IPython alone: rich would need ipywidgets."""
+    """Progress bar below a notebook's cell, by IPython, as rich needs ipywidgets there."""
 
     def __init__(self, total: int, of: str = BODY_STEPS) -> None:
         self._total, self._of = total, of

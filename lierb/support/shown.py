@@ -1,4 +1,4 @@
-"""Descriptions of objects, as text at a prompt and as a table in a notebook."""
+"""Descriptions of objects: text at a prompt, a table in a notebook."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from lierb.support.arrays import Array
 
-Lines = Sequence[tuple[str, str]]  # label, text
+Lines = Sequence[tuple[str, str]]  # (label, text)
 
 FAILED = "failed"  # label of a highlighted row
 CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
@@ -18,7 +18,7 @@ LOUD = "color: #b00020; font-weight: bold"
 
 
 class Shown:
-    """Object with a description: a title and labelled lines, returned by `_shown`."""
+    """Object with a description: `_shown` returns a title and labelled lines."""
 
     def _shown(self) -> tuple[str, Lines]:
         raise NotImplementedError
@@ -31,7 +31,7 @@ class Shown:
 
 
 def as_text(title: str, rows: Lines) -> str:
-    """Write a description as text: `<title>`, or the title and a line for each row."""
+    """Format a description as text: `<title>`, or the title and a line for each row."""
     if not rows:
         return f"<{title}>"
     width = max(len(label) for label, _ in rows)
@@ -41,7 +41,7 @@ def as_text(title: str, rows: Lines) -> str:
 
 
 def as_html(title: str, rows: Lines) -> str:
-    """Write a description as an HTML table, with all texts escaped."""
+    """Format a description as an HTML table, with all texts escaped."""
     lines = ""
     for label, text in rows:
         style = f"{CELL}; {LOUD}" if label == FAILED else CELL
@@ -57,24 +57,24 @@ def as_html(title: str, rows: Lines) -> str:
 
 
 def counted(count: int, what: str, several: str = "") -> str:
-    """Write a count with its noun: `1 body`, `3 bodies`."""
+    """Format a count with its noun: `1 body`, `3 bodies`."""
     return f"{count} {what if count == 1 else several or f'{what}s'}"
 
 
 def steps_told(options: Mapping[str, Any]) -> str:
-    """Write the tolerance or the step size of a run, from the options in its metadata."""
+    """Format the tolerance or the step size of a run, from the options in its metadata."""
     return f"rtol = {options['rtol']:g}" if options.get("rtol") else f"dt = {options['dt']:g} s"
 
 
 def rounded(error: float) -> str:
-    """Write an error with two digits, NaN as a dash."""
+    """Format an error with two digits, NaN as a dash."""
     if np.isnan(error):
         return "–"
     return f"{error:.1e}" if error else "0"
 
 
 def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:
-    """Write an argument's value, or the range of a batch of numbers."""
+    """Format an argument's value, or the range of values in a batch."""
     tail = f" {unit}" if unit else ""
     if array.ndim > item_axes and len(array) > 1:
         if item_axes:
@@ -85,5 +85,5 @@ def quantity(array: Array, unit: str = "", item_axes: int = 0) -> str:
 
 def _item(array: Array) -> str:
     if np.ndim(array) == 0:
-        return f"{float(array) + 0.0:.6g}"  # + 0: no −0
+        return f"{float(array) + 0.0:.6g}"  # + 0 turns −0 into 0
     return f"({', '.join(_item(each) for each in array)})"

@@ -1,13 +1,18 @@
-"""Scalar functions of θ², θ = ‖ξ‖, on which exp, dexp and dexp⁻¹ are built.
+"""Scalar functions of θ², θ = ‖ξ‖, in the formulas of exp, dexp and dexp⁻¹.
 
     sinc = sin θ/θ     a = (1 − cos θ)/θ²      b = (θ − sin θ)/θ³
     a₁ = a′/θ          b₁ = b′/θ
     c₀ = (1 − (θ/2) cot(θ/2))/θ²               c₁ = c₀′/θ
 
-Each form is used where it loses no digits: five Taylor terms below 0.1 rad and eight below 0.75 rad
-(angles of RK4's steps, and of DOP853's or a spinning top's); up to π the entire alternating series
-with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a); closed forms above. A cut-over at a tiny ε fails:
-at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of 150 and 1900.
+Each form is used where it loses no digits:
+
+    θ < 0.1 rad     five Taylor terms (angles in a step of RK4)
+    θ < 0.75 rad    eight Taylor terms (angles in a step of DOP853 or of a spinning top)
+    θ ≤ π           entire alternating series, with 2a = sinc²(θ/2), c₀ = −a₁/(2a), c₁ = e/(2a)
+    θ > π           closed forms
+
+A cut-over at a tiny angle fails: at θ = 1e-4 the closed forms of b₁ and c₁ are off by factors of
+150 and 1900.
 `tests/kernels/test_coefficients.py` measures the errors.
 """
 
@@ -35,10 +40,10 @@ from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.trigonometry import SINCOS_RANGE, sincos
 from lierb.kernels.numbers.vec import Vec
 
-TINY = 0.0215**2  # θ² up to which a time step needs three terms, and four of sinc
+TINY = 0.0215**2  # θ² up to which a time step needs three terms, four for sinc
 TINY_TERMS = 3
-SMALL = 0.1**2  # θ² below which five terms are exact to 2⁻⁵³
-MEDIUM = 0.75**2  # and eight; of c₀ and c₁, which have a pole, nine and ten
+SMALL = 0.1**2  # θ² below which five terms suffice to 2⁻⁵³
+MEDIUM = 0.75**2  # eight terms; nine and ten for c₀ and c₁, which have a pole
 MEDIUM_TERMS = 8
 SERIES = PI**2  # θ² up to which the entire series is used
 NAN = float("nan")
@@ -87,13 +92,13 @@ DOUBLE_ANGLE_TERMS = tuple(
 def coefficients(z: Number) -> Coefficients:
     """Coefficient functions at z = θ²; c₀ and c₁ have a pole at θ = 2π.
 
-    A compiled formula evaluates those that it uses.
+    A compiled formula evaluates only the functions that it uses.
     """
     return Coefficients(*_anywhere(z, 1.0, _taylor, _long))
 
 
 class HalfAngleCoefficients(NamedTuple):
-    """Functions of φ = θ/2, on which formulas in ξ/2 are built."""
+    """Coefficient functions of φ = θ/2, for formulas in ξ/2."""
 
     cos_minus_1: Number  # cos φ − 1
     sinc: Number  # sinc φ
@@ -107,8 +112,8 @@ class HalfAngleCoefficients(NamedTuple):
 def half_angle_coefficients(z: Number) -> HalfAngleCoefficients:
     """Coefficient functions at z = φ², for a time step.
 
-    Up to θ = 0.0215 rad three terms, and four of sinc θ, leave out less than 2⁻⁵⁴ of exp X and
-    dexp⁻¹ V, though a coefficient itself may be off by 3e-15: it multiplies a small angle. Beyond
+    Up to θ = 0.0215 rad, three terms (four for sinc θ) truncate exp X and dexp⁻¹ V by less than
+    2⁻⁵⁴. A coefficient itself may have an error of 3e-15, but it multiplies a small angle. Beyond
     SINCOS_RANGE the functions are NaN, so that a run reports such a step as a failure.
     """
     tiny = z <= 0.25 * TINY
@@ -126,7 +131,7 @@ def half_angle_coefficients(z: Number) -> HalfAngleCoefficients:
     return HalfAngleCoefficients(*values)
 
 
-Taylor = Callable[[Number, int, Cuts], Vec]  # at z, with so many terms or, where cut, fewer
+Taylor = Callable[[Number, int, Cuts], Vec]  # (z, number of terms, cuts) → values
 Beyond = Callable[[Number], Vec]
 
 
@@ -163,7 +168,7 @@ def _half_taylor(z: Number, terms: int, cuts: Cuts) -> Vec:
 
 
 def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
-    """Series of sinc θ, for tiny angles with one term more than the others."""
+    """Series of sinc θ, with one term more than the others for tiny angles."""
 
     def taken(terms: int) -> int:
         return terms + (terms == TINY_TERMS)
@@ -172,12 +177,12 @@ def _sinc_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -
 
 
 def _pole_series(z: Number, series: tuple[float, ...], terms: int, cuts: Cuts) -> Number:
-    """Series of c₀ or c₁, for medium angles with all its terms."""
+    """Series of c₀ or c₁, with all its terms for medium angles."""
     return horner(z, series if terms == MEDIUM_TERMS else series[:terms], cuts)
 
 
 def _long(z: Number) -> Vec:
-    # Each form gets arguments inside its range; its other lanes are dropped. NaN stays NaN.
+    # Arguments outside a form's range are replaced, and its lanes dropped. NaN stays NaN.
     below = z < SERIES
     return where(below, _entire(minimum(z, SERIES)), _closed(where(below, SERIES, z)))
 

@@ -1,4 +1,4 @@
-"""Lie-group functions over arrays: row i of the output is that of row i of the inputs."""
+"""Lie-group functions on arrays, row by row."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def _packed(tag: LieFunction, kind: str, result: Any) -> tuple[Any, ...]:
 
 for _group in GROUPS.values():
     for _name in SIGNATURES:
-        kernel(getattr(_group, _name), numbers_only=True)  # for the user's own @njit code
+        kernel(getattr(_group, _name), numbers_only=True)  # for users' @njit code
 kernel(apply_block)
 
 
 @cached()
 def apply(tag, a, b, out, lanes):
-    """Evaluate out[i] = f(a[i], b[i]); `b` is not read where f takes one operand."""
+    """Evaluate out[i] = f(a[i], b[i]); `b` is not read if f takes one operand."""
     for first in range(0, out.shape[0], lanes):
         apply_block(tag, a, b, out, first)

@@ -1,8 +1,8 @@
-"""SE(3) with a unit quaternion for the rotation: the formulas of `se3` that a step evaluates.
+"""SE(3) with a unit quaternion for the rotation: formulas of `se3` that a step evaluates.
 
-C = (p, r) with p = (w, v) of unit length; p and −p are one rotation, R(p). A vector X = (ξ, η) of
-the algebra is held as its half, Y = (υ, ν): exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2. A step
-so takes fewer operations than with matrices and X.
+C = (p, r) with p = (w, v) of unit length; p and −p are the same rotation, R(p). A vector X = (ξ, η)
+of the algebra is stored as Y = (υ, ν) = X/2: exp ξ = R(cos φ, sinc φ υ) with φ = ‖υ‖ = θ/2. Hence a
+step takes fewer operations than with matrices and X.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def pose(c: Chart) -> Pose:
 
 
 def matrix(p: Quaternion) -> Mat:
-    """Matrix R(p), a rotation also where p's length is off by rounding."""
+    """Matrix R(p), a rotation even if p is not of unit length due to rounding."""
     _, x, y, z = p
     w2, x2, y2, z2 = scale(fma(-2.0, dot(p, p), 4.0), p)  # 2p/‖p‖²
     yy, zz = y2 * y, z2 * z
@@ -47,10 +47,10 @@ def matrix(p: Quaternion) -> Mat:
 
 
 def normalised(p: Quaternion) -> Quaternion:
-    """Unit quaternion nearest to a p that is off by rounding, as `so3.orthonormalised` for R.
+    """Unit quaternion nearest to a p with rounding errors, as `so3.orthonormalised` for R.
 
-    The correction is added to p. A product with a factor near 1 would round all of p once more, and
-    its axis with it, in the same direction each time.
+    The correction is added to p. A product with a factor near 1 would round p, and hence its axis,
+    once more, in the same direction in each step.
     """
     return axpy(0.5 - 0.5 * dot(p, p), p, p)
 
@@ -74,7 +74,7 @@ def rotated_back(p: Quaternion, x: Vec) -> Vec:
 
 
 def angle_coefficients(y: Vec) -> HalfAngleCoefficients:
-    """Coefficient functions at φ = ‖υ‖, to share between the functions below."""
+    """Coefficient functions at φ = ‖υ‖, shared by the functions below."""
     return half_angle_coefficients(dot(y[:3], y[:3]))
 
 
@@ -87,7 +87,7 @@ def rotate(y: Vec, x: Vec, k: HalfAngleCoefficients) -> Vec:
 def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Chart:
     """Update C exp 2Y, the product `se3.compose` with `se3.exp` at X = 2Y.
 
-    The quaternion is p + p (exp υ − 1), so that rounding is small where υ is.
+    The quaternion is computed as p + p (exp υ − 1), so that its rounding is small if υ is.
     """
     k = k or angle_coefficients(y)
     (p, r), upsilon, nu = c, y[:3], y[3:]
@@ -110,7 +110,7 @@ def dexpinv_so3(upsilon: Vec, omega: Vec, k: HalfAngleCoefficients) -> Vec:
 def dexpinv(y: Vec, v: Vec, k: HalfAngleCoefficients) -> Vec:
     """Evaluate `se3.dexpinv` at X = 2Y.
 
-    The terms of −½ and c₀ share their last cross product, which saves a sum.
+    The terms with −½ and c₀ share their last cross product, which saves a sum.
     """
     upsilon, nu, omega, slide = y[:3], y[3:], v[:3], v[3:]
     swung, bracket = cross(upsilon, omega), cross_add(nu, omega, cross(upsilon, slide))

@@ -1,4 +1,4 @@
-"""The rigid motions SE(3). C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first.
+"""Rigid motions SE(3). C = (R, r), r in m; X = (ξ, η) and V = (ω, v), angular part first.
 
 These are the paper's formulas. A step evaluates them on unit quaternions and X/2, in `quaternion`.
 """
@@ -26,7 +26,7 @@ identity: Pose = (so3.identity, ZERO3)
 
 
 def angle_coefficients(x: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return _angle_coefficients(x[:3])
 
 
@@ -48,8 +48,8 @@ def inverse(c: Pose) -> Pose:
 def exp(x: Vec, k: Coefficients | None = None) -> Pose:
     """Exponential (exp ξ, dexp_ξ η)  (Müller, eq. expX).
 
-    A step evaluates C exp X as `quaternion.compose_exp`, and as `turns.compose_exp` where the node
-    of a mechanism turns about one axis.
+    A step evaluates C exp X by `quaternion.compose_exp`, and by `turns.compose_exp` if the node of
+    a mechanism turns about one axis.
     """
     k = k or angle_coefficients(x)
     return so3.exp(x[:3], k), so3.dexp(x[:3], x[3:], k)
@@ -64,7 +64,7 @@ def log(c: Pose) -> Vec:
 def Ad(c: Pose, x: Vec) -> Vec:
     """Return Ad_C X = (Rξ, r × Rξ + Rη), a body-fixed twist in the other frame.
 
-    A mechanism evaluates Ad of the inverse, `spatial.twist_at`.
+    A mechanism evaluates Ad of the inverse of C, by `spatial.twist_at`.
     """
     xi = mat_vec(c[0], x[:3])
     return xi + cross_add(c[1], xi, mat_vec(c[0], x[3:]))

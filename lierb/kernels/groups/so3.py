@@ -31,7 +31,7 @@ identity: Mat = IDENTITY
 
 
 def angle_coefficients(xi: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return coefficients(dot(xi, xi))
 
 
@@ -48,7 +48,7 @@ def inverse(r: Mat) -> Mat:
 def exp(xi: Vec, k: Coefficients | None = None) -> Mat:
     """Rotation by ‖ξ‖ about ξ: I + sinc ξ̂ + a ξ̂² (Rodrigues).
 
-    A step evaluates R exp ξ as `quaternion.turned`.
+    A step evaluates R exp ξ by `quaternion.turned`.
     """
     return add(IDENTITY, _exp_minus_identity(xi, k or angle_coefficients(xi)))
 
@@ -67,9 +67,9 @@ def _exp_minus_identity(xi: Vec, k: Coefficients) -> Mat:
 
 
 def orthonormalised(q: Mat) -> Mat:
-    """Rotation nearest to a Q that is off by rounding: Q (3 I − QᵀQ)/2.
+    """Rotation nearest to a Q with rounding errors: Q (3 I − QᵀQ)/2.
 
-    A run applies `quaternion.normalised` to the quaternion in place of it.
+    A run applies `quaternion.normalised` to the quaternion instead.
     """
     gram = mat_t_mat(q, q)
     return mat_mat(q, tuple(1.5 - 0.5 * g if i % 4 == 0 else -0.5 * g for i, g in enumerate(gram)))
@@ -78,7 +78,7 @@ def orthonormalised(q: Mat) -> Mat:
 def quaternion(r: Mat) -> tuple[Any, ...]:
     """Quaternion (w, x, y, z) of a rotation with w ≥ 0, of any length.
 
-    Its largest component is formed first, so that nothing cancels at any angle.
+    The largest component is computed first, so that no digits cancel at any angle.
     """
     # 4 q² for each component; the largest is at least 1
     w2, x2 = 1.0 + r[0] + r[4] + r[8], 1.0 + r[0] - r[4] - r[8]
@@ -94,8 +94,8 @@ def quaternion(r: Mat) -> tuple[Any, ...]:
 def log(r: Mat) -> Vec:
     """Return the ξ with exp ξ = R and ‖ξ‖ ≤ π.
 
-    At ‖ξ‖ = π, where ξ and −ξ give the same R, the component of ξ largest in size is positive; of
-    several that are largest, the first.
+    At ‖ξ‖ = π, where ξ and −ξ give the same R, the largest component of ξ by size is positive (the
+    first of several equal ones).
     """
     q = quaternion(r)
     n = norm(q[1:])

@@ -1,7 +1,7 @@
-"""The direct product SO(3)×R³. C = (R, r); X = (ξ, η) and V = (ω, ṙ), angular part first.
+"""Direct product SO(3)×R³. C = (R, r); X = (ξ, η) and V = (ω, ṙ), angular part first.
 
-Rotation and translation are independent: this is the c-space that rotation parameters and a
-position vector imply. A step evaluates these formulas on unit quaternions, in `quaternionxr3`.
+Rotation and translation are independent, as with rotation parameters and a position vector. A step
+evaluates these formulas on unit quaternions, in `quaternionxr3`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ identity: Pose = (so3.identity, ZERO3)
 
 
 def angle_coefficients(x: Vec) -> Coefficients:
-    """Coefficient functions at θ = ‖ξ‖, to share between the functions below."""
+    """Coefficient functions at θ = ‖ξ‖, shared by the functions below."""
     return _angle_coefficients(x[:3])
 
 
@@ -36,7 +36,7 @@ def inverse(c: Pose) -> Pose:
 def exp(x: Vec, k: Coefficients | None = None) -> Pose:
     """Exponential (exp ξ, η)  (Müller, eq. expSO3xR3).
 
-    A step evaluates C exp X as `quaternionxr3.compose_exp`.
+    A step evaluates C exp X by `quaternionxr3.compose_exp`.
     """
     return so3.exp(x[:3], k), x[3:]
 

@@ -1,6 +1,6 @@
-"""Turns about one axis in SE(3), with cosine and sine: (c, s e) in place of a quaternion (w, v).
+"""Rotations about one axis in SE(3), with cosine and sine, (c, s e), for a quaternion (w, v).
 
-The functions are those of `quaternion`, with Y = X/2 for X, in half the operations.
+The functions are those of `quaternion`, with Y = X/2 for X, at half the operations.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["axis_of", "compose_exp", "dexpinv", "from_pose", "matrix", "pose"]
 
 
 def axis_of(p: Vec) -> int:
-    """Return the index of e, the one component of s e that is no structural zero."""
+    """Return the index of the axis e, the only component of s e that is not a structural zero."""
     (axis,) = (i for i in range(3) if not is_zero(p[1 + i]))
     return axis
 
@@ -34,7 +34,7 @@ def pose(c: Chart) -> Pose:
 
 
 def from_pose(c: Pose, axis: int = 2) -> Chart:
-    """Chart (c, s e) of a pose whose rotation is a turn about `axis`, up to rounding."""
+    """Chart (c, s e) of a pose whose rotation is about `axis`, up to rounding."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn = c[0][4 * i], c[0][3 * j + i]
     cosine, sine = scale(1.0 / norm(turn), turn)
@@ -42,7 +42,7 @@ def from_pose(c: Pose, axis: int = 2) -> Chart:
 
 
 def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Chart:
-    """Update C exp 2Y, with `se3.exp` at X = 2Y a turn about the same axis."""
+    """Update C exp 2Y; the rotation of `se3.exp` at X = 2Y is about the same axis."""
     k = k or angle_coefficients(y)
     (cosine, *rest), place = c
     axis = axis_of(c[0])

@@ -1,9 +1,9 @@
-"""Operations that a formula uses besides + − * /, on every kind of number.
+"""Operations of formulas besides + − * /, on every kind of number.
 
-A formula that keeps to these functions runs unchanged as plain Python, over whole arrays, as SIMD
-code, and with derivatives (`lierb.kernels.numbers.number`). Each class of numbers implements its
-own operations; the functions here dispatch to the class of highest `rank` among the operands, and
-to `Plain` for operands without a `rank`.
+A formula that uses only these functions runs unchanged in plain Python, on arrays, as SIMD code,
+and with derivatives (`lierb.kernels.numbers.number`). Each class of numbers implements its own
+operations. The functions here dispatch to the class of highest `rank` among the operands; operands
+without a `rank` belong to `Plain`.
 """
 
 from __future__ import annotations
@@ -85,11 +85,11 @@ def _class_of(*kinds: Any) -> Any:
     return max(ranked, key=lambda kind: kind.rank, default=Plain)
 
 
-class_of: Callable[..., Any] = cache(_class_of)  # that implements operations on these types
+class_of: Callable[..., Any] = cache(_class_of)  # class that implements operations on these types
 
 
 def overridable(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Decorate a formula that a class of numbers replaces by an operation of the same name."""
+    """Decorate a formula that a class of numbers may replace by an operation of its name."""
 
     @wraps(formula)
     def dispatched(*numbers: Any) -> Any:
@@ -99,7 +99,7 @@ def overridable(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def fma(a: Number, b: Number, c: Number) -> Any:
-    """Return a·b + c, rounded once in traced code on a CPU that can, twice in plain Python."""
+    """Return a·b + c, rounded once in traced code on CPUs with FMA, twice in plain Python."""
     # A formula in plain Python spends most of its time here.
     return class_of(type(a), type(b), type(c)).fma(a, b, c)
 
@@ -122,13 +122,13 @@ def floor(x: Number) -> Any:
 
 
 def minimum(a: Number, b: Number) -> Any:
-    """Return the smaller number; of a number and NaN the number."""
+    """Return the smaller number; if one is NaN, the other."""
     a, b = plain(a), plain(b)
     return class_of(type(a), type(b)).minimum(a, b)
 
 
 def maximum(a: Number, b: Number) -> Any:
-    """Return the larger number; of a number and NaN the number."""
+    """Return the larger number; if one is NaN, the other."""
     if is_zero(a, b):
         return a
     a, b = plain(a), plain(b)
@@ -140,11 +140,11 @@ def plain(x: Number) -> Any:
     return 0.0 if is_zero(x) else x
 
 
-Cuts = tuple[tuple[Mask, int], ...]  # masks, and the number of terms taken where each holds
+Cuts = tuple[tuple[Mask, int], ...]  # (mask, number of terms where the mask holds)
 
 
 def horner(z: Number, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
-    """Return Σ terms[k] zᵏ; where a cut's mask holds, with the bits of the shorter series."""
+    """Return Σ terms[k] zᵏ; where a cut's mask holds, the bits are those of its shorter series."""
     total: Any = terms[-1]
     for k in range(len(terms) - 2, -1, -1):
         for mask, count in cuts:
@@ -165,7 +165,7 @@ def where(mask: Mask, a: Any, b: Any) -> Any:
 def joined(a: Any, b: Any, join: Callable[[Any, Any], Any]) -> Any:
     """Join two tuples of one shape number by number, duals value by value and part by part.
 
-    Constants on which both agree stay constants.
+    A constant that is equal in both tuples remains a constant.
     """
     if isinstance(a, tuple):
         return alike(a, (joined(x, y, join) for x, y in zip(a, b, strict=True)))
@@ -177,7 +177,7 @@ def joined(a: Any, b: Any, join: Callable[[Any, Any], Any]) -> Any:
 
 
 def alike(a: tuple[Any, ...], members: Iterable[Any]) -> Any:
-    """Return a tuple of the same class, with other members."""
+    """Return a tuple of the class of `a` with these members."""
     return tuple(members) if type(a) is tuple else type(a)(*members)
 
 
@@ -194,47 +194,47 @@ def any_lanes(mask: Mask) -> Any:
 def branch(
     predicate: Any, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
 ) -> Any:
-    """Return `then()` or `otherwise()`, of which one is computed; both give tuples of one shape.
+    """Compute and return either `then()` or `otherwise()`, tuples of one shape.
 
-    A branch serves speed alone: both sides must give a lane the same bits, or these would depend on
-    the neighbours that share its pack.
+    A branch only saves time. Both sides must give a lane the same bits; otherwise a lane's bits
+    would depend on the other lanes of its pack.
 
-    likely : True where `then` is the side that nearly always runs.
+    likely : True if `then` runs nearly always.
     """
     return class_of(type(predicate)).branch(predicate, then, otherwise, likely)
 
 
-Turn = Callable[[Any], tuple[Any, Any]]  # of a nested tuple: the next one, and a mask
+Turn = Callable[[Any], tuple[Any, Any]]  # nested tuple → (next tuple, mask of unfinished lanes)
 
 
 @overridable
 def repeat(start: Any, turn: Turn, most: int, like: Number) -> tuple[Any, Any, Any]:
-    """Repeat `turn` on numbers until it is finished, each lane for as many turns as it needs.
+    """Repeat `turn` on numbers until each lane is finished, each with its own number of turns.
 
-    A lane that is finished keeps its numbers while others go on, so that its bits do not depend on
-    them. An ordered comparison, such as `error > tolerance`, is false with NaN: a lane whose error
-    is NaN stops, and holds up no other.
+    A finished lane keeps its numbers while others continue, so that its bits do not depend on them.
+    An ordered comparison, such as `error > tolerance`, is false with NaN: a lane whose error is NaN
+    stops, and the others do not wait for it.
 
     Parameters
     ----------
     start : tuple
-        Numbers, also in nested tuples.
+        Numbers or nested tuples of numbers.
     turn : function
-        Takes such a tuple; returns the next one, of the same shape, and a mask of the lanes that
-        are not finished with it. Its results for finished lanes are dropped.
+        Function of such a tuple. It returns the next tuple, of the same shape, and a mask of the
+        unfinished lanes. Results for finished lanes are dropped.
     most : int
         Largest number of turns, at least 1.
     like : number
-        Every number of the tuple becomes one of this kind: a float, an array, a `Lane` of as many
-        lanes as there are, a `Dual` over one of these in as many directions. Only a float's and an
-        array's constants and structural zeros remain what they are.
+        Sets the kind of all numbers of the tuple: a float, an array, a `Lane` with the number of
+        lanes, or a `Dual` of these with the number of directions. Constants and structural zeros
+        are converted, too, except for floats and arrays.
 
     Returns
     -------
     numbers : tuple
         The last tuple of each lane.
     unfinished : mask
-        Lanes that took `most` turns and are not finished.
+        Lanes that are not finished after `most` turns.
     turns : number
         Number of turns of each lane.
 
@@ -261,11 +261,11 @@ def repeat(start: Any, turn: Turn, most: int, like: Number) -> tuple[Any, Any, A
 
 
 def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a formula that traced code calls as a function, in place of inlining it.
+    """Decorate a formula that traced code calls as a function instead of inlining it.
 
-    A long formula that nearly never runs is so compiled once, not in every stage.
+    A long formula that rarely runs is thus compiled once, not in every stage.
 
-    count : number of results, which the formula returns in a tuple.
+    count : number of results; the formula returns a tuple of them.
     """
 
     def decorator(formula: Callable[..., Any]) -> Callable[..., Any]:
@@ -284,9 +284,9 @@ def apart(count: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
 
 @contextmanager
 def rounded_as_numpy(number: Number) -> Iterator[None]:
-    """Context in which `fma` rounds twice, so that a formula has the bits that it has on arrays.
+    """Context in which `fma` rounds twice, so that a formula has the same bits as on arrays.
 
-    number : one of the formula's numbers, whose trace is set.
+    number : one of the formula's numbers; the setting applies to its trace.
     """
     trace = class_of(type(number)).trace_of(number)
     if trace is None:
@@ -301,7 +301,7 @@ def rounded_as_numpy(number: Number) -> Iterator[None]:
 def assumptions(number: Number) -> Iterator[list[Mask]]:
     """Context in which masks that formulas pass to `taken_for_granted` are assumed to hold.
 
-    Yields the list of these masks, which the caller checks; where all hold, the bits are those of
+    Yields the list of these masks, which the caller checks. Where all hold, the bits are those of
     the formula without assumptions.   number : as in `rounded_as_numpy`.
     """
     masks: list[Any] = []
@@ -333,7 +333,7 @@ def flatten(numbers: Any) -> list[Any]:
 
 
 def refilled(shape: Any, numbers: Iterator[Number]) -> Any:
-    """Return nested tuples of the same shape, with other members, taken in order."""
+    """Return nested tuples of the same shape, with the given numbers in order."""
     if isinstance(shape, tuple):
         return alike(shape, (refilled(part, numbers) for part in shape))
     return next(numbers)
@@ -345,27 +345,27 @@ def real(index: Any) -> Any:
 
 
 def load(array: Any, place: Place, width: int) -> Any:
-    """Return the pack of `width` consecutive elements from `place` on; one in plain Python."""
+    """Return the pack of `width` elements from index `place` on; one element in plain Python."""
     return class_of(type(array)).load(array, place, width)
 
 
 def store(array: Any, place: Place, number: Number, width: int) -> None:
-    """Write a pack to `width` consecutive elements from `place` on."""
+    """Write a pack to `width` consecutive elements from index `place` on."""
     class_of(type(array)).store(array, place, plain(number), width)
 
 
 def prefetch(array: Any, place: Place, count: int) -> None:
-    """Fetch the memory of `count` consecutive elements from `place` on, for writing."""
+    """Prefetch `count` consecutive elements from index `place` on, for writing."""
     class_of(type(array)).prefetch(array, place, count)
 
 
 def gather(array: Any, axis: int, place: Place, width: int) -> Any:
-    """Return lane i from `place` moved by i along `axis`, at most to the array's last element."""
+    """Load lane i from index `place` + i along `axis`, limited to the last element."""
     return class_of(type(array)).gather(array, axis, place, width)
 
 
 def scatter(
     array: Any, axis: int, places: Sequence[Place], numbers: Sequence[Number], width: int
 ) -> None:
-    """Write lane i of each pack to its place moved by i along `axis`, where in the array."""
+    """Write lane i of each pack to its index + i along `axis`; skip lanes beyond the array."""
     class_of(type(array)).scatter(array, axis, places, [plain(x) for x in numbers], width)

@@ -1,7 +1,7 @@
-"""Dual numbers x + Σ xᵢ εᵢ with εᵢ εⱼ = 0: a formula evaluated on them is differentiated exactly.
+"""Dual numbers x + Σ xᵢ εᵢ with εᵢ εⱼ = 0, which differentiate a formula exactly.
 
-Values and parts are numbers of any kind: floats, arrays, traced lanes, or dual numbers again, for
-second derivatives. A value has the bits that it has without derivatives.
+Values and parts are numbers of any kind: floats, arrays, traced lanes, or, for second derivatives,
+dual numbers. Values have the same bits as without derivatives.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 
 
 class Dual:
-    """Value and parts, its derivatives along some directions; () without any direction."""
+    """Number with its derivatives, `parts`, along some directions; () without directions."""
 
     __slots__ = ("parts", "value")
     __array_ufunc__: Any = None
@@ -99,7 +99,7 @@ class Dual:
         return raw(self) == raw(other)
 
     def along(self, slope: Number, value: Number) -> Any:
-        """Return f(self), given f(value) and f′(value)."""
+        """Return f(self), for `value` and `slope` of f and f′ at the number's value."""
         return type(self)(value, tuple(slope * part for part in self.parts))
 
     @classmethod
@@ -115,7 +115,7 @@ class Dual:
 
     @staticmethod
     def repeat(start: Any, turn: Turn, most: int, like: Dual) -> tuple[Any, Any, Any]:
-        """Repeat on values and parts side by side; values alone decide when a lane is finished."""
+        """Repeat `turn` on values and parts; the values alone decide when a lane is finished."""
         count = len(like.parts)
 
         def spread(numbers: Any) -> tuple[Any, ...]:
@@ -137,7 +137,7 @@ class Dual:
     @staticmethod
     def sqrt(x: Dual) -> Any:
         root = sqrt(x.value)
-        # slope 0 at zero: the norm in ‖v‖v then has a derivative, which is right for the product
+        # Slope 0 at zero: then ‖v‖ is finite there, and the derivative of ‖v‖v is right.
         is_zero_there = raw(root) == 0.0
         return x.along(where(is_zero_there, 0.0, 0.5 / where(is_zero_there, 1.0, root)), root)
 
@@ -188,14 +188,14 @@ def parts_of(x: Number) -> tuple[Any, ...]:
 
 
 def side_by_side(*numbers: Number) -> Iterator[tuple[Any, ...]]:
-    """Parts of some numbers, direction by direction; zeros for a number without parts."""
+    """Parts of several numbers, grouped by direction; zeros for a number without parts."""
     parts = [parts_of(x) for x in numbers]
     nothing = (ZERO,) * max(map(len, parts))
     return zip(*(p or nothing for p in parts), strict=True)
 
 
 def raw(x: Number) -> Any:
-    """Return the value, also of nested dual numbers, without any derivative."""
+    """Return the value of a number, also of nested dual numbers."""
     while isinstance(x, Dual):
         x = x.value
     return plain(x)

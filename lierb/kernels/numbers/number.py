@@ -1,4 +1,4 @@
-"""Protocols of numbers: what formulas compute with, and what a class of numbers implements.
+"""Protocols of numbers: operands of formulas, and operations that a class implements.
 
 | numbers                     | used for                                  | class     | `rank` |
 |-----------------------------|-------------------------------------------|-----------|--------|
@@ -6,10 +6,10 @@
 | lane pack                   | L bodies in compiled code                 | `Lane`    | 1      |
 | dual number                 | exact derivatives                         | `Dual`    | 3      |
 | number of a user's function | the same, with all of Python's operators  | `UserNumber` | 4   |
-| structural zero             | components that vanish for every body     | `Zero`    | 9      |
+| structural zero             | components that are zero for every body   | `Zero`    | 9      |
 
-A formula uses the operators of `Number` and the functions of `lierb.kernels.numbers.arithmetic`. It
-then runs unchanged on every row of the table. Lengths and angles are in SI units throughout.
+A formula uses the operators of `Number` and the functions of `lierb.kernels.numbers.arithmetic`.
+Hence it runs unchanged on every kind of number in the table. All quantities are in SI units.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any, Protocol, runtime_checkable
 
 @runtime_checkable
 class Number(Protocol):
-    """A real number of each of some bodies, () or (bodies,): operators give a number again.
+    """Real number of one or several bodies, of shape () or (bodies,). Operators return a number.
 
-    Comparisons give a mask of the same shape, which is false where an operand is NaN. Operands may
-    be of different kinds; the result is of the kind of higher rank.
+    Comparisons return a mask of the same shape, which is false where an operand is NaN. If operands
+    are of different kinds, the result has the kind of higher rank.
     """
 
     def __add__(self, other: Any, /) -> Any: ...
@@ -42,9 +42,9 @@ class Number(Protocol):
 
 @runtime_checkable
 class Mask(Protocol):
-    """A truth value of each of some bodies: bool, an array of bool, or traced.
+    """Truth value of one or several bodies: bool, an array of bool, or traced.
 
-    Masks are combined by & and |; `and`, `or` and `not` would ask for one truth value of all.
+    Combine masks by & and |: `and`, `or` and `not` need a single truth value.
     """
 
     def __and__(self, other: Any, /) -> Any: ...
@@ -55,10 +55,10 @@ class Mask(Protocol):
 class Operations(Protocol):
     """Operations of a class of numbers, as static methods or as methods of its first operand.
 
-    `lierb.kernels.numbers.arithmetic` hands each operation to the operands' class of highest rank;
-    a class with less than these cannot take part. A class may also implement `minimum`, `maximum`,
-    `sincos`, `atan2`, `repeat`, `joined` and `call`, in place of the general formulas, and
-    `trace_of`, the trace that its numbers belong to.
+    `lierb.kernels.numbers.arithmetic` dispatches each operation to the operands' class of highest
+    rank. Every class must implement the operations below. It may also implement `minimum`,
+    `maximum`, `sincos`, `atan2`, `repeat`, `joined` and `call`, in place of the general formulas,
+    and `trace_of`, which returns the trace of a number.
     """
 
     rank: int

@@ -19,7 +19,7 @@ from lierb.kernels.numbers.arithmetic import (
 )
 from lierb.kernels.numbers.number import Number
 
-SINCOS_RANGE = 1e5  # rad; beyond, reducing an angle to [−π/4, π/4] loses digits, at 1e16 rad all
+SINCOS_RANGE = 1e5  # rad; above it the reduction to [−π/4, π/4] loses digits, all at 1e16 rad
 _SIN = (
     -1.66666666666666324348e-01,
     8.33333333332248946124e-03,

@@ -1,8 +1,8 @@
-"""`ZERO`: a component that is zero by structure, not by value.
+"""`ZERO`, a component that is zero by structure, not by value.
 
-ZERO·x = ZERO and ZERO + x = x are resolved when a formula is traced or run. A general SE(3) formula
-with structural zeros among its operands so reduces to the subgroup's own formula, and no code is
-written for any subgroup.
+ZERO·x = ZERO and ZERO + x = x are resolved when a formula is traced or run. Hence a general SE(3)
+formula with structural zeros among its operands reduces to the formula of the subgroup, without
+code for the subgroup.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class Zero:
         return "ZERO"
 
     def __reduce__(self) -> str:
-        return "ZERO"  # unpickled as this module's
+        return "ZERO"  # pickle restores this module's ZERO
 
 
 ZERO = Zero()
 
 
 def is_zero(number: Any, *others: Any) -> bool:
-    """Return whether every one of these numbers is a structural zero."""
+    """Return whether all of these numbers are structural zeros."""
     return number is ZERO and all(x is ZERO for x in others)

@@ -49,14 +49,14 @@ class ArrayRef(Traced):
         return self.builder.gep(self.data, [offset])
 
     def load(self, index: Sequence[Any], lanes: int) -> Lane:
-        """`lanes` consecutive doubles from `index` on."""
+        """Load `lanes` consecutive doubles from `index` on."""
         pointer = self._pointer(index)
         if lanes > 1:
             pointer = self.builder.bitcast(pointer, ir.VectorType(DOUBLE, lanes).as_pointer())
         return Lane(self.trace, self.builder.load(pointer, align=8))
 
     def store(self, index: Sequence[Any], number: Any, lanes: int) -> None:
-        """Write a pack to `lanes` consecutive places from `index` on."""
+        """Write a pack to `lanes` consecutive elements from `index` on."""
         ty = ir.VectorType(DOUBLE, lanes) if lanes > 1 else DOUBLE
         value = number.widened(lanes).value if isinstance(number, Lane) else constant_of(ty, number)
         pointer = self._pointer(index)
@@ -65,7 +65,7 @@ class ArrayRef(Traced):
         self.builder.store(value, pointer, align=8)
 
     def prefetch(self, index: Sequence[Any], count: int) -> None:
-        """Have the cache lines of `count` consecutive doubles from `index` on at hand."""
+        """Prefetch the cache lines of `count` consecutive doubles from `index` on."""
         builder, byte = self.builder, ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
         fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
@@ -76,7 +76,7 @@ class ArrayRef(Traced):
             builder.call(fetch, [builder.bitcast(line, byte), to_write, everywhere, data])
 
     def gather(self, axis: int, place: Sequence[Any], lanes: int) -> Lane:
-        """Return lane i from `place` moved by i along `axis`, at most to the last element."""
+        """Load lane i from index `place` + i along `axis`, limited to the last element."""
         builder = self.builder
         start = self._as_value(place[axis])
         last = builder.sub(self.shape[axis], ir.Constant(self.index_type, 1))
@@ -95,7 +95,7 @@ class ArrayRef(Traced):
     def scatter(
         self, axis: int, places: Sequence[Sequence[Any]], numbers: Sequence[Any], lanes: int
     ) -> None:
-        """Write lane i of each pack to its place moved by i along `axis`, where in the array."""
+        """Write lane i of each pack to its index + i along `axis`; skip lanes beyond the array."""
         builder = self.builder
         start = self._as_value(places[0][axis])
         room = builder.sub(self.shape[axis], start)
@@ -119,7 +119,7 @@ class ArrayRef(Traced):
         lanes: int,
         count: ir.Value,
     ) -> None:
-        """Write the first `count` lanes one by one."""
+        """Write the first `count` lanes, one at a time."""
         builder = self.builder
         packs = ir.ArrayType(ir.ArrayType(DOUBLE, lanes), len(numbers))
         buffer = cgutils.alloca_once(builder, packs)

@@ -1,4 +1,4 @@
-"""Calls of users' functions that Numba compiled, lane by lane, and the exceptions they raise."""
+"""Lane-by-lane calls of users' functions compiled by Numba, and exceptions that they raise."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from lierb.kernels.tracing.lanes import BIT, DOUBLE, INT32, Lane, Predicate, Tra
 def call_compiled(
     dispatcher: Any, samples: list[Any], numbers: list[Any], count: int
 ) -> list[Lane]:
-    """Call an @njit function lane by lane; return its `count` numbers.
+    """Call an @njit function lane by lane; return its `count` results.
 
-    samples : arguments of the types that it takes: numbers, arrays, tuples of such.
-    numbers : all members of the arguments, in order.
+    samples : arguments of the types that the function takes: numbers, arrays, tuples of these.
+    numbers : all numbers of the arguments, in order.
 
-    The numbers are NaN in lanes in which the function raises, or is called no more; see `Marks`.
+    The results are NaN in lanes in which the function raises or is not called; see `Marks`.
     """
     lanes = [x for x in numbers if isinstance(x, Lane)]
     trace, width = lanes[0].trace, max(x.lanes for x in lanes)
@@ -64,7 +64,7 @@ def call_compiled(
 class _Lanes:
     """Emitter of the code that calls a compiled function lane by lane.
 
-    inputs, count : how many numbers the function takes and returns.   width : their lanes.
+    inputs, count : numbers of inputs and results of the function.   width : number of lanes.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class _Lanes:
         return ir.ArrayType(ir.ArrayType(DOUBLE, self.width), count)
 
     def memory(self, builder: ir.IRBuilder) -> tuple[ir.Value, ir.Value]:
-        """Allocate a pack for each number that the function takes, and that it returns."""
+        """Allocate a pack for each input and each result of the function."""
         inward = cgutils.alloca_once(builder, self._packs(self.inputs))
         return inward, cgutils.alloca_once(builder, self._packs(self.count))
 
@@ -109,7 +109,7 @@ class _Lanes:
         marks: Marks,
         only_clear: bool = False,
     ) -> None:
-        """Emit the call for each lane, or for lanes whose mark is CLEAR."""
+        """Emit calls for all lanes; with `only_clear`, for lanes whose mark is CLEAR."""
         one = cgutils.alloca_once(builder, ir.ArrayType(DOUBLE, self.inputs))
         with cgutils.for_range(builder, ir.Constant(INT64, self.width)) as loop:
             lane = loop.index if self.width == marks.lanes else None
@@ -133,10 +133,10 @@ class _Lanes:
                     builder.store(number, _place(builder, outward, n, loop.index))
 
     def apart(self, module: ir.Module, lanes: int) -> ir.Function:
-        """Return an LLVM function (inward, outward, marks) that calls for lanes that are CLEAR.
+        """Return an LLVM function (inward, outward, marks) with calls for CLEAR lanes only.
 
-        A condition for each lane keeps LLVM from vectorising the calls: a cheap function takes 1.4
-        times as long with it, and 1.1 times with a second loop in the same function.
+        A condition for each lane prevents vectorisation of the calls: a cheap function then takes
+        1.4 times as long. A second loop in the calling function costs a factor of 1.1.
         """
         name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
         if name in module.globals:
@@ -167,12 +167,12 @@ CLEAR, SUPPRESSED, COLLECTED, STOPPED = 0, 1, 2, 3  # marks; larger ones are add
 
 
 class Marks:
-    """Exception flags of a block, a number for each lane in the emitted function's memory.
+    """Exception flags of a block, one number for each lane in the emitted function's memory.
 
-    CLEAR: users' functions are called. SUPPRESSED: they are not, as for a body that has failed.
-    A function that raises sets the flag to the address of its exception, or to STOPPED for
-    StopIteration, which has none; COLLECTED: the exception was collected. Numba's own way, a status
-    that each caller propagates, would end the other lanes too.
+    CLEAR: users' functions are called. SUPPRESSED: they are not called, as for a failed body.
+    COLLECTED: the exception was collected. A function that raises sets the flag to the address of
+    its exception, or to STOPPED for StopIteration, which has no address. Numba's error status,
+    which each caller propagates, would end the other lanes, too.
 
     A double holds an address exactly: addresses have at most 52 bits on supported systems.
     """
@@ -185,7 +185,7 @@ class Marks:
         """Return the marks of the emitted function; the first call fixes the number of lanes."""
         function = trace.builder.function
         if not hasattr(function, "lierb_marks"):
-            memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # and cleared
+            memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # zeroed
             function.lierb_marks = cls(trace, lanes, memory)
         found: Marks = function.lierb_marks
         found.trace = trace
@@ -211,14 +211,14 @@ class Marks:
         return (self.pack == float(CLEAR)).reduced("and")
 
     def is_clear(self, lane: ir.Value | None) -> ir.Value:
-        """Return whether a lane's mark is CLEAR; without a lane, whether any mark is."""
+        """Return whether a lane's mark is CLEAR; for None, whether any mark is."""
         if lane is None:
             return (self.pack == float(CLEAR)).reduced("or").value
         mark = self.builder.load(_place(self.builder, self.memory, lane))
         return self.builder.fcmp_ordered("==", mark, DOUBLE(CLEAR))
 
     def put(self, lane: ir.Value | None, mark: ir.Value) -> None:
-        """Mark a lane; without a lane, all lanes that are CLEAR."""
+        """Set a lane's mark; for None, the marks of all lanes that are CLEAR."""
         if lane is not None:
             self.builder.store(mark, _place(self.builder, self.memory, lane))
             return
@@ -228,14 +228,14 @@ class Marks:
 
 
 class _Python:
-    """Mark and exceptions with the JIT off, where one body is integrated after the other."""
+    """Mark and exceptions with the JIT off, which integrates one body at a time."""
 
     mark = float(CLEAR)
     exceptions: ClassVar[dict[int, Exception]] = {}
 
 
 def call_in_python(function: Callable[..., Any], arguments: Any, count: int) -> Any:
-    """Call a function of one body's plain numbers; NaN as in `call_compiled`."""
+    """Call a function on the plain numbers of one body; NaN as in `call_compiled`."""
     if _Python.mark != CLEAR:
         return (math.nan,) * count
     try:
@@ -261,10 +261,10 @@ def set_exception_flags(numbers: Any) -> None:
 
 
 def exception_of(mark: int) -> Exception:
-    """Return the exception of a mark; call it once for each address, as it frees the memory.
+    """Return the exception of a mark. Call it once for each address: it frees the memory.
 
-    Arrays among the exception's arguments that lay in memory of the function's caller are gone:
-    a description of their shape replaces them.
+    Arrays among the exception's arguments are replaced by a description of their shape if their
+    memory belonged to the function's caller, as that memory no longer exists.
     """
     if mark == STOPPED:
         return StopIteration()
@@ -295,7 +295,7 @@ def _raise(address):  # no annotations: Numba compares signatures
 def _argument(
     context: Any, builder: ir.IRBuilder, ty: types.Type, sample: Any, cells: Iterator[ir.Value]
 ) -> ir.Value:
-    """Return a value of that type, whose members are loaded from `cells`, pointers in order."""
+    """Return a value of type `ty`, with members loaded from the pointers `cells` in order."""
     if isinstance(ty, types.Array):
         pointers = [next(cells) for _ in range(sample.size)]
         array = context.make_array(ty)(context, builder)

@@ -31,6 +31,6 @@ def _default_lanes() -> int:
 
 CPU_FEATURES = _host_features()
 IS_X86 = llvm.get_process_triple().split("-")[0] in {"x86_64", "i386", "i686", "amd64"}
-# Without the instruction, llvm.fma would call libm once a lane.
+# Without the instruction, llvm.fma calls libm for each lane.
 HAS_FMA = "fma" in CPU_FEATURES or not IS_X86
 DEFAULT_LANES = 1 if config.DISABLE_JIT else _default_lanes()

@@ -1,4 +1,4 @@
-"""Operations done lane by lane: calls of the C library, and table look-up."""
+"""Operations on one lane at a time: calls of the C library, and table look-up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lierb.kernels.tracing.lanes import DOUBLE, INT32, Lane, same_type, trace_of
 
 
 def call_library(name: str, *operands: Any) -> Lane:
-    """Call a function of the C library for one lane after the other."""
+    """Call a function of the C library for each lane."""
     trace = trace_of_any(operands)
     builder, values = trace.builder, same_type(trace, *operands)
     signature = ir.FunctionType(DOUBLE, [DOUBLE] * len(values))
@@ -30,9 +30,9 @@ def call_library(name: str, *operands: Any) -> Lane:
 
 
 def row_at(x: Lane, columns: Sequence[Sequence[float]]) -> list[Lane]:
-    """Find the last row of a table whose first column is at most x; without one, the first row.
+    """Find the last row of a table whose first column is at most x, or the first row if none is.
 
-    The first column increases. Each lane is searched by bisection without branches.
+    The first column increases. Each lane uses a bisection without branches.
     """
     builder, count = x.builder, 1
     while count < len(columns[0]):

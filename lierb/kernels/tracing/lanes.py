@@ -1,9 +1,9 @@
-"""Lane packs: L bodies side by side in SIMD registers, as one number of a formula.
+"""Lane packs: numbers of L bodies side by side in SIMD registers, as one number of a formula.
 
 A `Lane` represents an LLVM value, `<L x double>` or `double`, while a formula is traced: each
-operator emits an instruction and returns its result. No instruction carries a fast-math flag: with
-`contract` LLVM may or may not fuse a product, depending on its other uses, and a body's bits would
-depend on the recorded columns. Formulas write fused multiply-adds as `fma`.
+operator emits an instruction and returns its result. No instruction has a fast-math flag: with
+`contract`, LLVM fuses a product or not, depending on the product's other uses, so that a body's
+bits would depend on the recorded columns. Formulas write fused multiply-adds as `fma`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ INT32 = ir.IntType(32)
 
 
 def splat(builder: ir.IRBuilder, value: ir.Value, lanes: int) -> ir.Value:
-    """Broadcast a value to `lanes` lanes, unless it has as many."""
+    """Broadcast a value to `lanes` lanes, unless it has that many."""
     if _count(value.type) == lanes:
         return value
     vector = ir.VectorType(value.type, lanes)
@@ -45,7 +45,7 @@ def constant_of(like: ir.Type, value: float) -> ir.Constant:
 
 @cache
 def _constant_pack(lanes: int, digits: str) -> ir.Constant:
-    """Constant of a number given by hexadecimal digits; as cache keys, 0.0 and −0.0 are equal."""
+    """Constant pack of a number in hexadecimal: as cache keys, 0.0 and −0.0 are equal."""
     value = float.fromhex(digits)
     if lanes == 1:
         return ir.Constant(DOUBLE, value)
@@ -56,8 +56,8 @@ class Trace:
     """State that all numbers of one trace share.
 
     builder : builder of the emitted LLVM code.   target : Numba's target context; None for a trace
-    that is thrown away.   rounds_twice : True where `fma` rounds as in NumPy.   assumed : masks
-    that were taken for granted; None where nothing may be.
+    that is thrown away.   rounds_twice : True if `fma` rounds as in NumPy.   assumed : masks that
+    formulas have taken for granted; None if assumptions are not allowed.
     """
 
     __slots__ = ("assumed", "builder", "declared", "rounds_twice", "target")
@@ -70,7 +70,7 @@ class Trace:
         self.declared: dict[tuple[str, int], ir.Function] = {}
 
     def intrinsic(self, name: str, operands: Sequence[Any]) -> Lane:
-        """Emit `llvm.<name>` of some numbers."""
+        """Emit a call of the intrinsic `llvm.<name>`."""
         values = same_type(self, *operands)
         ty = values[0].type
         key = name, _count(ty)
@@ -85,7 +85,7 @@ class Trace:
     def function_of(
         self, formula: Callable[..., Any], operands: list[ir.Type], count: int
     ) -> ir.Function:
-        """Return the traced module's function of a formula; add it on first use."""
+        """Return the LLVM function of a formula in the traced module; add it on first use."""
         module, ty = self.builder.module, operands[0]
         rounding = "twice" if self.rounds_twice else "once"
         name = f"{formula.__module__}.{formula.__qualname__}.{_count(ty)}.rounded_{rounding}"
@@ -110,7 +110,7 @@ def _count(ty: ir.Type) -> int:
 
 def same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
     """Convert operands to LLVM values of the widest type; Python numbers become constants."""
-    # A quarter of a trace's time is spent here.
+    # This function takes a quarter of a trace's time.
     widest: Any = None
     for x in operands:
         if type(x) is Lane and (widest is None or type(x.value.type) is ir.VectorType):
@@ -126,7 +126,7 @@ def same_type(trace: Trace, *operands: Any) -> list[ir.Value]:
 
 
 def _emits(method: str) -> tuple[Any, Any]:
-    """Operator that emits an instruction, and the reflected operator."""
+    """Make an operator that emits an instruction, and its reflected operator."""
     emit = getattr(ir.IRBuilder, method)
 
     def operator(self: Lane, other: Any) -> Any:
@@ -157,7 +157,7 @@ def _calls(name: str) -> Any:
 
 
 def call_intrinsic(name: str, *operands: Any) -> Lane:
-    """Emit `llvm.<name>` of lanes, scalars and constants mixed."""
+    """Emit a call of `llvm.<name>` on lanes, scalars and constants."""
     return trace_of_any(operands).intrinsic(name, operands)
 
 
@@ -187,7 +187,7 @@ class Traced:
 
 
 class Lane(Traced):
-    """A traced double, or pack of doubles. Comparisons are ordered: false with a NaN."""
+    """A traced double or pack of doubles. Comparisons are ordered: false if an operand is NaN."""
 
     __slots__ = ()
     __array_ufunc__ = None
@@ -224,7 +224,7 @@ class Lane(Traced):
 
     @staticmethod
     def repeat(start: Any, turn: Turn, most: int, like: Lane) -> tuple[Any, Mask, Lane]:
-        """Emit `turn` once, as the body of a loop whose state is held in phis."""
+        """Emit `turn` once, as the body of a loop with its state in phi nodes."""
         trace, builder, ty = like.trace, like.builder, like.value.type
 
         def value_of(x: Any) -> ir.Value:
@@ -241,7 +241,7 @@ class Lane(Traced):
         old = refilled(start, (Lane(trace, state) for state in states))
         mask, taken = Mask(trace, going), Lane(trace, turns)
 
-        # A mask that is taken for granted would be checked for the last turn alone.
+        # No assumptions in the loop: a mask would be checked for the last turn only.
         assumed, trace.assumed = trace.assumed, None
         new, is_unfinished = turn(old)
         trace.assumed = assumed
@@ -269,7 +269,7 @@ class Lane(Traced):
         raise TypeError("a lane pack has no single truth value: use where(mask, a, b), not if")
 
     def constant(self, number: float) -> Lane:
-        """Return a constant of as many lanes."""
+        """Return a constant with the same number of lanes."""
         return Lane(self.trace, constant_of(self.value.type, number))
 
     def widened(self, lanes: int) -> Lane:
@@ -342,10 +342,10 @@ class Predicate(Traced):
     def branch(
         self, then: Callable[[], Any], otherwise: Callable[[], Any], likely: bool = True
     ) -> Any:
-        """Emit both sides as blocks, of which one runs; they return numbers in one shape.
+        """Emit both sides as blocks, of which one runs; both return tuples of one shape.
 
-        likely : True where the first block nearly always runs. LLVM then places the other block
-            apart, and keeps its values out of the registers.
+        likely : True if the first block runs nearly always. LLVM then moves the other block to
+            the end, and reserves no registers for its values.
         """
         trace, builder = self.trace, self.builder
         with builder.if_else(self.value, likely=likely) as (first, second):

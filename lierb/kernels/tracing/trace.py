@@ -1,9 +1,9 @@
-"""Formulas in @njit code, traced so that Numba compiles their instructions, not their Python.
+"""Tracing of formulas in @njit code: Numba compiles their instructions, not their Python.
 
-A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: for the type of the
-result, and again for its instructions, the formula runs once on traced numbers (`lanes.Lane`).
-Loops over rows and stages, tuples and structural zeros thus cost nothing at run time, and Numba's
-type inference never enters a formula.
+A formula is plain Python on numbers. `kernel(formula)` lets @njit code call it: the formula runs on
+traced numbers (`lanes.Lane`), once for the type of its result and once for its instructions. Hence
+loops over rows and stages, tuples and structural zeros cost nothing at run time, and Numba does not
+infer types in a formula.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class _LaneModel(models.PrimitiveModel):
 
 
 class ConstantType(types.Type):
-    """Numba type of a number that is constant in the trace, such as `ZERO`; no data at run time."""
+    """Numba type of a number that is constant in the trace, such as `ZERO`; it has no data."""
 
     def __init__(self, number: Any) -> None:
         self.number = number
@@ -53,9 +53,9 @@ register_model(ConstantType)(models.OpaqueModel)
 def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[..., Any]:
     """Let @njit code call `formula`, a function of numbers, tuples, arrays, indices and tags.
 
-    numbers_only : True to take integers as numbers and to return constants and structural zeros as
-    plain numbers, for code of any kind. Otherwise integers are indices, and constants remain
-    constants for the next formula.
+    numbers_only : True to convert integer arguments to numbers, and to return constants and
+    structural zeros as plain numbers, for callers of any kind. Otherwise integers are indices, and
+    constants remain constants for the next formula.
     """
     seen: dict[tuple[types.Type, ...], types.Type] = {}
 
@@ -71,10 +71,10 @@ def kernel(formula: Callable[..., Any], numbers_only: bool = False) -> Callable[
             return signature(seen[args], *args)
 
     def lower(context: Any, builder: ir.IRBuilder, sig: Any, values: Any) -> Any:
-        # Otherwise spilled packs lie across cache lines: LLVM aligns the stack to 16 bytes, unless
-        # an attribute asks for more before registers are allocated.
+        # Spilled packs must not cross cache lines: LLVM aligns the stack to 16 bytes only, unless
+        # an attribute is set before registers are allocated.
         builder.function.attributes.alignstack = 64
-        builder.function.attributes.add("nounwind")  # llvmlite prints no alignstack on its own
+        builder.function.attributes.add("nounwind")  # llvmlite prints alignstack only with another
         trace = Trace(builder, context)
         traced = [_to_trace(context, trace, t, v) for t, v in zip(sig.args, values, strict=True)]
         return _from_trace(context, builder, sig.return_type, evaluated(*traced))
@@ -103,12 +103,12 @@ def _as_numbers(operands: Any, result: Any) -> Any:
 
 
 def _result_type(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> types.Type:
-    """Type of formula(*args), by a trace into a function that is thrown away."""
+    """Type of formula(*args), determined by a trace that is thrown away."""
     return _type_of_trace(_traced_alone(formula, args)[0])
 
 
 def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> tuple[Any, Any]:
-    """Return formula(*args), and the LLVM function that it was traced into."""
+    """Return formula(*args), and the LLVM function with its trace."""
     context = tracing_context()
     function = ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "trace")
     trace = Trace(ir.IRBuilder(function.append_basic_block()))
@@ -118,7 +118,7 @@ def _traced_alone(formula: Callable[..., Any], args: tuple[types.Type, ...]) -> 
 
 
 def trial(formula: Callable[..., Any], count: int) -> tuple[Any, str]:
-    """Return the result of a formula on `count` packs, and its LLVM code as text."""
+    """Trace a formula on `count` packs; return its result, and its LLVM code as text."""
     operands = (LaneType(2),) * count
     result, function = _traced_alone(formula, operands)
     numbers = (x.value.get_reference() if isinstance(x, Lane) else repr(x) for x in flatten(result))
@@ -151,7 +151,7 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
 
 
 def _members(result: Any) -> tuple[Any, ...]:
-    """Members of a tuple, or of a dual number, which compiled code holds as a named tuple."""
+    """Members of a tuple or a dual number, which compiled code represents as a named tuple."""
     return result if isinstance(result, tuple) else (result.value, result.parts)
 
 

@@ -1,7 +1,7 @@
 """Words: integers of up to 64 bits in formulas, with *, +, ^, &, >>, and the bits of doubles.
 
-The word of a float is a Python integer, that of an array a NumPy array, that of a lane pack a pack.
-Formulas keep products below 2⁶⁴; no operation here checks that.
+Words are Python integers for floats, NumPy arrays for arrays, and packs for lane packs.
+Formulas must keep products below 2⁶⁴; the operations do not check this.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lierb.kernels.numbers.arithmetic import floor
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace, splat
 
 INT64 = ir.IntType(64)
-LOW = 0xFFFFFFFF  # the lower half
+LOW = 0xFFFFFFFF  # mask of the lower 32 bits
 
 
 def words_of(x: Any) -> Any:
@@ -59,12 +59,12 @@ def of_bits(word: Any) -> Any:
 
 
 def rough_log2(x: Any) -> Any:
-    """Return log₂ x, or up to 0.0861 less; x > 0, normal."""
+    """Return log₂ x, up to 0.0861 too small, for normal x > 0."""
     return real_of(bits_of(x)) * 2.0**-52 - 1023.0
 
 
 def rough_exp2(x: Any) -> Any:
-    """Return 2ˣ to 0.33 %; |x| < 1000."""
+    """Return 2ˣ with an error of 0.33 % at most, for |x| < 1000."""
     whole = floor(x)
     part = x - whole
     return of_bits(words_of((whole + 1023.0) * 2.0**52)) * (1.0 + part * (0.6565 + 0.3435 * part))
@@ -83,7 +83,7 @@ def _emits(instruction: str) -> Callable[[Words, Any], Words]:
 
 
 class Words:
-    """A traced word for every lane."""
+    """A traced word of each lane."""
 
     __slots__ = ("trace", "value")
     __array_ufunc__ = None
@@ -98,7 +98,7 @@ class Words:
     __rshift__ = _emits("lshr")
 
     def constant_or(self, other: Any) -> Words:
-        """Return `other`, with an integer as a constant word."""
+        """Return `other`; convert an integer to a constant word."""
         return other if isinstance(other, Words) else Words(self.trace, INT64(other))
 
     def widened(self, other: Any) -> ir.Value:
