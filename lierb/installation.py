@@ -89,7 +89,7 @@ def clear_cache() -> dict[Path, int]:
     return disk_cache.clear()
 
 
-# ---- warming up ----------------------------------------------------------------------------------
+# ---- compilation ahead of time -------------------------------------------------------------------
 
 ANY_BODY = Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
 

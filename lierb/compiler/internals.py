@@ -45,7 +45,7 @@ BIT = ir.IntType(1)
 INT64 = ir.IntType(64)
 COMPILER_LOCK = global_compiler_lock._lock  # held by the compiling thread
 # Option of njit that disables reference counting. Numba would unpack every value of a formula to
-# search it for arrays, which takes a tenth of the time to a kernel.
+# search it for arrays, a tenth of the time to a kernel.
 ALLOCATES_NOTHING = {"_nrt": False}
 
 

@@ -211,7 +211,7 @@ class Function:
         return parts[0] if len(parts) == 1 else tuple(parts)
 
 
-class _Elements(tuple):  # array given by its elements, row by row; `reshape` is a no-op
+class _Elements(tuple):  # elements of an array, row by row; `reshape` is a no-op
     def reshape(self, _: Shape) -> _Elements:
         return self
 

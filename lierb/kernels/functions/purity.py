@@ -164,7 +164,7 @@ def _is_trusted(frame: types.FrameType) -> bool:
 
 
 def require_pure_code(dispatcher: Any, seen: list[Any] | None = None) -> None:
-    """Raise UnfitFunctionError for a forbidden object among those that Numba compiled in."""
+    """Raise UnfitFunctionError if code compiled by Numba refers to a forbidden object."""
     seen = [] if seen is None else seen
     if dispatcher in seen or not hasattr(dispatcher, "overloads"):
         return

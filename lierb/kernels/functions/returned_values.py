@@ -43,7 +43,7 @@ def brief(x: Any) -> str:
         return f"an array of shape {np.shape(x)}" if isinstance(x, np.ndarray) else f"a {_kind(x)}"
     try:
         text = repr(x)
-    except UnfitFunctionError:  # traced numbers are deep inside
+    except UnfitFunctionError:  # nested values contain traced numbers
         return f"a {_kind(x)}"
     return text if len(text) < 60 and "object at" not in text else f"a {type(x).__name__}"
 

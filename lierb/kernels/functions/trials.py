@@ -24,7 +24,7 @@ from lierb.kernels.tracing import trace
 
 @lru_cache(256)  # keys are fingerprints: a sweep makes one force a thousand times
 def trial(function: Function) -> int:
-    """Trace the function twice; return how many numbers it returns.
+    """Trace the function twice; return the number of its results.
 
     Raises any exception that the user's function raises on lane packs, and UnfitFunctionError if it
     depends on more than its arguments.

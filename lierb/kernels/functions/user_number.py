@@ -272,7 +272,7 @@ def _quotient(a: Any, b: Any) -> Any:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """Choose `a` where the condition holds, `b` elsewhere, in functions given to lierb.
+    """Choose `a` where the condition holds, `b` elsewhere, in functions passed to lierb.
 
     The function replaces `if`. Both values are computed.
 

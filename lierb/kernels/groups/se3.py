@@ -76,7 +76,7 @@ def ad(x: Vec, y: Vec) -> Vec:
 
 
 def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Right-trivialised differential of exp, [[A, 0], [Q, A]] with A that of SO(3) and
+    """Right-trivialised differential of exp, [[A, 0], [Q, A]], where A is dexp of SO(3) and
 
     Q = a η̂ + b (η̂ξ̂ + ξ̂η̂) + (ξ·η)(a₁ ξ̂ + b₁ ξ̂²).
     """
@@ -91,7 +91,7 @@ def dexp(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
 
 
 def dexpinv(x: Vec, v: Vec, k: Coefficients | None = None) -> Vec:
-    """Inverse of dexp, [[B, 0], [U, B]] with B that of SO(3), ‖ξ‖ < 2π, and
+    """Inverse of dexp, [[B, 0], [U, B]], where B is dexp⁻¹ of SO(3), ‖ξ‖ < 2π, and
 
     U = −½ η̂ + c₀ (η̂ξ̂ + ξ̂η̂) + (ξ·η) c₁ ξ̂².
 

@@ -144,7 +144,7 @@ Cuts = tuple[tuple[Mask, int], ...]  # (mask, number of terms where the mask hol
 
 
 def horner(z: Number, terms: tuple[float, ...], cuts: Cuts = ()) -> Any:
-    """Return Σ terms[k] zᵏ; where a cut's mask holds, the bits are those of its shorter series."""
+    """Return Σ terms[k] zᵏ, and where a cut's mask holds, exactly its shorter series."""
     total: Any = terms[-1]
     for k in range(len(terms) - 2, -1, -1):
         for mask, count in cuts:

@@ -5,7 +5,7 @@
 | float, NumPy scalar, array  | one body or a batch in plain Python       | `Plain`   | 0      |
 | lane pack                   | L bodies in compiled code                 | `Lane`    | 1      |
 | dual number                 | exact derivatives                         | `Dual`    | 3      |
-| number of a user's function | the same, with all of Python's operators  | `UserNumber` | 4   |
+| number of a user's function | exact derivatives, all Python operators   | `UserNumber` | 4   |
 | structural zero             | components that are zero for every body   | `Zero`    | 9      |
 
 A formula uses the operators of `Number` and the functions of `lierb.kernels.numbers.arithmetic`.
