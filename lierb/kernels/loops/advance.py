@@ -28,9 +28,9 @@ from lierb.kernels.tracing.trace import kernel
 def advance(
     plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
-    """Make step number k, from `time` on.
+    """Make step number k, which starts at `time`.
 
-    A trajectory that fails keeps its status and step, and is NaN from then on.
+    A trajectory that fails keeps its status and step, and its state is NaN from then on.
     """
     return _advanced(plan, body, state, record, k, time, h, ())
 
@@ -38,8 +38,9 @@ def advance(
 def advance_invariant(
     plan: AnyPlan, body: Any, state: State, record: Record, k: Any, time: Any, h: Any
 ) -> tuple[State, Record]:
-    """Make the step of `advance`, to the same bits, where `is_invariant`: half of a saddle point's
-    operations.
+    """Make the same step as `advance`, bit for bit, with half the operations of a saddle point.
+
+    It requires `is_invariant`.
     """
     invariant = system_of(plan).invariant
     if not invariant:
@@ -59,7 +60,7 @@ def _advanced(
 ) -> tuple[State, Record]:
     body = with_rank(plan, body, record)
     moved, singular = _stepped(plan, body, state, time, h, invariant)
-    # An angle that is not finite spoils all of Q.
+    # One angle that is not finite makes all of Q so.
     turns, places = system_of(plan).turns_and_places(moved.chart)
     numbers = (*turns, *moved.v_or_mu, *moved.x, *places, moved.work)
     fine = are_finite(*numbers) & (singular <= 0.5)
@@ -71,14 +72,14 @@ def _advanced(
         alive = record.status == OK
         if plan.calls_functions:
             known = calls.exception_flags(record.status)
-            now = where(known > calls.SUPPRESSED, float(RAISED), now)  # whose NaN made it singular
+            now = where(known > calls.SUPPRESSED, float(RAISED), now)  # its NaN is the singularity
             fails = where(
                 (now > 0.0) | (record.status > 0.0), float(calls.SUPPRESSED), float(calls.CLEAR)
             )
             calls.set_exception_flags(maximum(known, fails))
         fresh = (now > 0.0) & alive
         return (
-            # NaN from the next step on, and from there into the pose.
+            # NaN from the next step on; it spreads to the pose.
             tuple(x if is_zero(x) else where(alive, x, NAN) for x in moved.v_or_mu),
             where(fresh, now, record.status),
             where(fresh, real(k), record.failed_step),
@@ -108,13 +109,14 @@ def _stepped(
 
 
 def has_invariant(plan: AnyPlan, h: Any) -> Any:
-    """Return whether the plan's rows keep any component of V zero."""
+    """Return whether the plan's rows keep any component of V at zero."""
     return all_lanes(h == h if system_of(plan).invariant else h < h)
 
 
 def is_invariant(plan: AnyPlan, state: State, h: Any) -> Any:
-    """Return whether the components of V that the plan's rows keep zero are zero in all lanes; then
-    they remain so.
+    """Return whether the components of V that rows keep at zero are zero in all lanes.
+
+    They then remain zero.
     """
     velocity = state.v_or_mu
     invariant = h == h
@@ -136,9 +138,10 @@ def has_small_angles(plan: AnyPlan, body: Any, state: State, record: Record, h: 
 def advance_small_angles(
     plan: AnyPlan, body: Any, state: State, time: Any, h: Any
 ) -> tuple[State, Any]:
-    """Make a step without branches, where `is_invariant`. Return whether it is that of `advance`.
+    """Make a step without branches. Also return whether it equals that of `advance`.
 
-    A branch for each stage's angle takes a twentieth of the time of a spherical joint's step.
+    It requires `is_invariant`. A branch for each stage's angle would take a twentieth of the time
+    of a spherical joint's step.
     """
     if not takes_small_angle_steps(plan):
         return state, all_lanes(h < h)  # never

@@ -1,9 +1,9 @@
 """Driver of blocks of L trajectories, from one step number to another.
 
-Input numbers are read where the user has them, and results written where Arrow's columns will be
-(`lierb.kernels.loops.job.JOB`). Between two calls all of a trajectory is in `carried`: cutting a
-run into calls changes no bit. At the end the state goes to `ends`, for a run that continues from
-there; that changes no bit either.
+Input numbers are read from the user's arrays, and results written into the memory of Arrow's
+columns (`lierb.kernels.loops.job.JOB`). Between two calls `carried` stores everything of a
+trajectory: dividing a run into calls changes no bit. At the end `ends` stores the state, from which
+another run can continue, also without changing a bit.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ from lierb.kernels.loops.tables import (
 )
 from lierb.kernels.stepping.clock import StepClock, ahead_of, seen_at, share_of, time_of
 
-_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
+_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
 
 @_part_of_loop
 def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_per_link):
-    """Measure and save a block at step k, where that is due."""
+    """Measure and save a block at step k, if due."""
     measure, save, row = seen_at(clock, k)
     if measure or save:
         time, is_last = time_of(clock, k), k == clock.steps
@@ -62,7 +62,7 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
         if save:
             at = Place(row, tables.history.shape[1], column)
             store_row(plan, body, state, record, shown, tables, at, time)
-            if is_last:  # earlier, the next step fails
+            if is_last:  # before the last step, the next step reports a failure
                 record = with_exceptions(plan, record, k)
         if is_last or (save and rows_per_link > 1):
             at = Place(rows_per_link - 1 if is_last else row, rows_per_link, column)
@@ -95,16 +95,16 @@ def _advance_to(plan, body, state, record, clock, k, end, invariant):
 
 @cached()
 def integrate_blocks(plan, inputs, counter, jobs):
-    """Make a call's steps of block after block, share by share.
+    """Make the steps of one call, block by block, until no share of blocks is left.
 
-    With begin = UNSEEN starts are checked first. With begin = RESUMED the states to start from are
-    among the inputs.
+    With begin = UNSEEN, starts are checked first. With begin = RESUMED, inputs contain the initial
+    states.
 
-    inputs : where the thread gathers a block's numbers.
-    counter : [blocks taken by any thread, error that has ended a thread].
+    inputs : buffer into which the thread gathers a block's numbers.
+    counter : [blocks taken by all threads, error that has ended a thread].
     """
     job, lanes = jobs[0], inputs.shape[1]
-    # A copy: LLVM assumes that stores may change what is read from memory.
+    # A copy, because LLVM assumes that stores may change values in memory.
     clock = StepClock(
         job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step
     )
@@ -120,7 +120,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         first, k = block * lanes, max(job.begin, 0)
         column, fresh = job.first + first, k == 0
         pack(job, inputs, first, is_new)
-        if is_new or job.differ == BODIES:  # what all blocks share is loaded once
+        if is_new or job.differ == BODIES:  # numbers shared by all blocks are loaded once
             body = load_body(plan, inputs)
         if is_new or job.differ != TWISTS:
             placed = load_placed(plan, body, inputs)
@@ -149,7 +149,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
                 )
             if k >= stop:
                 break
-            # After the measures, which show the rounding.
+            # After the measurement, which includes the rounding.
             end, tidies = ahead_of(clock, k, stop)
             if tidies and (k > 0 or resumes):
                 state = tidy(plan, body, state)

@@ -1,7 +1,7 @@
 """Dips of events in a step: local minima of |value| between two samples of one sign.
 
-Where an event crosses zero and returns between two samples, no sample shows it. A dip is found from
-the quartic through all samples, then followed by parabolas while zero may be reached there.
+If an event crosses zero and returns between two samples, no sample shows it. A dip is estimated by
+the quartic through all samples, and refined by parabolas as long as it may reach zero.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ import numpy as np
 from lierb.kernels.loops.event_state import AT_THETA, in_watch, side_of
 from lierb.kernels.loops.workspace import SAMPLES
 
-# Fractions of an event's range in a step: how near to zero a dip must come to be examined, and a
+# Fractions of an event's range in a step: the largest |value| of a dip that is examined, and a
 # slope, per quarter of the step, that may be zero. FLAT is also the least distance of a dip from a
 # sample, in quarters.
 NEAR, FLAT = 0.125, 0.05
-DEEPER = 0.25  # fraction of a dip's value by which a parabola must lie below it, to try again
-TRUSTED, MOST_TRIES = 8, 30  # tries at one dip: after which a parabola is trusted, and at most
+DEEPER = 0.25  # fraction of a dip's value by which a parabola must be lower for another try
+TRUSTED, MOST_TRIES = 8, 30  # tries at one dip: before a parabola is trusted, and in total
 
 
 @in_watch
 def find_dips(search):
-    """Find each event's dip that comes nearest to zero; see `dip_of`."""
+    """Find each event's dip that is nearest to zero; see `dip_of`."""
     for lane in range(search.lanes):
         for event in range(search.watched):
             search.dips[event, lane] = 2.0
@@ -37,8 +37,8 @@ def dip_of(values, event, lane, starts):
 
     The cubic has the values and slopes, at both samples, of the quartic through all samples.
 
-    starts : whether the event is zero, to rounding, at the start of the step: it may leave zero on
-        one side and be on the other at the first sample.
+    starts : True if the event is zero, to rounding, at the start of the step. It may then leave
+        zero on one side and be on the other side at the first sample.
     """
     a, b, c = values[0, event, lane], values[1, event, lane], values[2, event, lane]
     d, e = values[3, event, lane], values[4, event, lane]
@@ -56,7 +56,7 @@ def dip_of(values, event, lane, starts):
         side = side_of(samples[1 if starts and i == 0 else i])
         low, high = side * samples[i], side * samples[i + 1]
         falls, rises = side * slopes[i], side * slopes[i + 1]
-        # Slopes are estimates: where one is small, the minimum may be on either side of a sample.
+        # Slopes are estimates: if one is small, the minimum may be on either side of a sample.
         if high > 0.0 and falls < FLAT * extent and rises > -FLAT * extent:
             share, least = (0.0, low) if low < high else (1.0, high)
             if falls < 0.0 and rises > 0.0:
@@ -72,8 +72,9 @@ def dip_of(values, event, lane, starts):
 
 @in_watch
 def next_dip(search, event):
-    """Return the first event, from this one on, that dips in some lane; the count of events if none
-    does. Set θ, the selected lanes, and the bracket to the samples around the dip.
+    """Return the first event, from `event` on, that has a dip in any lane, or the number of events.
+
+    Set θ, the selected lanes, and the bracket, to the samples around the dip.
     """
     while event < search.watched:
         exists = False
@@ -117,7 +118,7 @@ def note_dip(search, event):
 
 @in_watch
 def shift(search, event, lane, side):
-    """Make a sample beside the dip that is deeper the dip, between the old dip and the next sample.
+    """Move a dip to a deeper adjacent sample, bracketed by the old dip and the next sample.
 
     side : sign of the event there.
     """
@@ -139,8 +140,10 @@ def shift(search, event, lane, side):
 
 @in_watch
 def look_deeper(search, event, tries):
-    """Set θ to the minimum of the parabola through a dip and both ends of its bracket, while that,
-    once it is trusted, says that zero may be reached there. Return whether any lane is selected.
+    """Set θ to the minimum of the parabola through a dip and both ends of its bracket.
+
+    Once the parabola is trusted, only lanes in which it may reach zero are selected. Return whether
+    any lane is selected.
     """
     any_selected = False
     for lane in range(search.lanes):
@@ -157,7 +160,7 @@ def look_deeper(search, event, tries):
         deep = slope * slope > 4.0 * DEEPER * bend * value or tries < TRUSTED
         if value > 0.0 and bend > 0.0 and deep and tries < MOST_TRIES:
             least = theta - 0.5 * slope / bend
-            if tries % 3.0 == 2.0:  # or one end of the bracket would never move
+            if tries % 3.0 == 2.0:  # otherwise one end of the bracket might never move
                 least = theta + 0.5 * (before if -before > after else after)
             if search.low[lane] < least < search.high[lane] and least != theta:
                 any_selected, search.selected[lane], search.theta[lane] = True, 1.0, least

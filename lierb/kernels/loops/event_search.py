@@ -1,7 +1,7 @@
 """Zero crossings of events in a step: bracketed by samples, refined to rounding, and recorded.
 
-The search is a state machine. `lierb.kernels.loops.lanes` evaluates the state at a θ of each lane's
-own and calls `watch` for the next task; the search itself works lane by lane.
+The search is a state machine. `lierb.kernels.loops.lanes` evaluates the state at a separate θ for
+each lane and calls `watch` for the next task; the search itself works lane by lane.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ NOTE_STARTS, BEGIN, NEXT_TASK, NARROW, NOTE_DIP, NOTE_EVENTS = range(6)  # reque
 # them at a dip; refine a root; note a crossing; end the trajectory; save a row of its history.
 SAMPLE, DIP, ROOT, NOTE, END, SAVE = range(6)
 MOST_ITERATIONS = 120  # of a root search; every third one bisects
-# An event that starts at zero, to rounding: fraction of its range in a first step; and θ up to
-# which an event that rests moves by less than that.
+# For an event that starts at zero, to rounding: fraction of its range in the first step, and θ up
+# to which an event at rest changes by less than that.
 AT_ZERO, EARLY = 1e-10, 2.0**-18
 
 
@@ -82,15 +82,15 @@ def any_starts(search, start):
 
 @in_watch
 def start_at_zero(search, start):
-    """Set the sides of events that are zero, to rounding, at the start of a trajectory, once its
-    first step has been sampled.
+    """Set the sides of events that are zero, to rounding, at the start of a trajectory.
 
-    Such an event is on neither side until it has left zero: a state noted at a crossing is beyond
-    zero by a rounding, and may bounce. A run that continues as it was has its sides to the bit.
+    This is done once the first step has been sampled. Such an event is on neither side until it has
+    left zero: a state recorded at a crossing is beyond zero by a rounding, and may bounce. A run
+    that is continued without a change has the same sides, bit for bit.
 
-    An event that rests at zero and then leaves it has turned back within rounding, like a ball
-    whose flights have become too short to be resolved. It counts as coming from the other side, so
-    that a terminal event ends the trajectory there.
+    An event that rests at zero and then leaves it has turned back within rounding, like a bouncing
+    ball whose flights have become too short to be resolved. It is treated as coming from the other
+    side, so that a terminal event ends the trajectory there.
     """
     for lane in range(search.lanes):
         if search.accepted[lane] == 0.0 or search.start[lane] != start:
@@ -123,7 +123,7 @@ def begin_search(search):
 
 @in_watch
 def next_task(search, request, task, turn):
-    """Return the next task and its turn, and set θ, at which it needs the state."""
+    """Return the next task and its number, and set the θ at which it needs the state."""
     if task == SAMPLE:
         if turn + 1 < SAMPLES:
             for lane in range(search.lanes):
@@ -159,11 +159,11 @@ def next_task(search, request, task, turn):
 
 @in_watch
 def next_crossings(search):
-    """Select the lanes that have a further crossing, and set its event and bracket. Return whether
-    there is any.
+    """Select the lanes that have a further crossing, and set its event and bracket.
 
-    Zero is crossed where it is reached from either side: a value of exactly zero counts, and after
-    it the event is on neither side. NaN is on no side and crosses nothing.
+    Return whether there is any. An event crosses zero when it reaches zero from either side: a
+    value of exactly zero counts, and after it the event is on neither side. NaN is on no side and
+    is no crossing.
     """
     exists, count = False, search.watched
     for lane in range(search.lanes):
@@ -172,7 +172,7 @@ def next_crossings(search):
             continue
         cursor = int(search.cursor[lane])
         while cursor < 2 * SAMPLES * count and search.selected[lane] == 0.0:
-            # From one sample to the next; or to a dip between them, and from there on.
+            # From one sample to the next; or to a dip between them, and from the dip to the next.
             half, i, event = cursor % 2, cursor // 2 // count + 1, cursor // 2 % count
             cursor += 1
             low, high = (i - 1) / SAMPLES, i / SAMPLES
@@ -205,8 +205,10 @@ def next_crossings(search):
 
 @in_watch
 def next_thetas(search, iteration):
-    """Set θ inside each bracket: by the secant, an end's value halved once it has stayed twice
-    (Illinois), and by bisection every third time. Return whether any bracket is still open.
+    """Set θ inside each bracket. Return whether any bracket is still open.
+
+    Every third time by bisection, otherwise by the secant, where the value at an end that has not
+    moved twice is halved (Illinois).
     """
     any_open = False
     for lane in range(search.lanes):
@@ -252,7 +254,7 @@ def narrow(search):
 
 @in_watch
 def note_events(search):
-    """Append a row for each crossing found, with the state there, which is in the workspace."""
+    """Append a row for each crossing, with the state there, which is in the workspace."""
     found = search.found
     for lane in range(search.lanes):
         if search.selected[lane] == 0.0:
@@ -269,10 +271,9 @@ def note_events(search):
 
 @in_watch
 def drop_later(search, first):
-    """Drop the events of this step that come after their trajectory's end. Return whether any
-    trajectory ends.
+    """Drop the events of this step after the end of their trajectory.
 
-    first : index of the first event that was noted in this step.
+    Return whether any trajectory ends.   first : index of the first event recorded in this step.
     """
     found, any_ends = search.found, False
     for lane in range(search.lanes):
@@ -287,7 +288,7 @@ def drop_later(search, first):
 
 @in_watch
 def carry_values(search, mask):
-    """Make the values at the end of a step those at the start of the next, where the mask is 1."""
+    """Copy the values at the end of a step to the start of the next, where the mask is 1."""
     for lane in range(search.lanes):
         if mask[lane] > 0.0:
             for event in range(search.watched):

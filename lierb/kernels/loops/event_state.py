@@ -1,4 +1,4 @@
-"""State of the event search in a step, or in a part of one, of all lanes of a thread."""
+"""State of the event search of a thread's lanes, in a step or in a part of one."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ class Search(NamedTuple):
     """Views of a workspace's arrays, θ being the fraction of the step.
 
     trajectory, selected, accepted : [lane].
-    start, length : of the step, s.   theta : where the next state is needed.
+    start, length : of the step, s.   theta : θ at which the next state is needed.
     cursor : number of intervals between samples that have been examined for crossings.
     event : index of the event whose root is searched.
     low, high, at_low, at_high : bracket of the root, θ and values.
     last : θ of the first terminal event, 2 for none.
-    sides : [event][lane], sign of the value that counts at the start of the step; 0 on zero.
+    sides : [event][lane], sign of the value, effective at the start of the step; 0 on zero.
     values : [sample][event][lane]; sample 0 is the start of the step, SAMPLES its end, AT_THETA
-        what was evaluated last.
+        the last evaluation.
     dips, at_dips : [event][lane], θ and value of a local minimum of |value| between two samples;
         θ = 2 for none.
     roundings : [event][lane], effect of rounding on the value at a trajectory's start.
     directions, terminal : [event].
-    shown : [column][lane].   found : [index][column], rows of events; [0][0] is their count.
+    shown : [column][lane].   found : [index][column], rows of events; [0][0] is the count.
     """
 
     lanes: int

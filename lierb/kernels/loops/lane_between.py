@@ -1,4 +1,4 @@
-"""States between the ends of a step, for rows of histories and for events."""
+"""Dense output within a step, for rows of histories and for events."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ def time_between(trial: Trial, theta: Any) -> Any:
 
 
 def _is_due_before(clock: LaneClock, accepted: Any) -> Any:
-    """True where a row is due before the end of an accepted step; one due there is saved after a
-    tick.
+    """True where a row is due before the end of an accepted step.
+
+    A row due at the end is saved after a tick.
     """
     return (accepted > 0.5) & (clock.t - clock.due > rounding_at(clock.t))
 
@@ -75,7 +76,7 @@ def select_due_between(plan: AnyPlan, rows: Any, lanes: Lanes, trial: Trial, acc
 def shown_between(
     plan: AnyPlan, body: Any, state: State, lanes: Lanes
 ) -> tuple[tuple[Any, ...], Record]:
-    """Return a row of the history at the time that it is due, and the record."""
+    """Return a row of the history at its due time, and the record."""
     shown, seen = observe(plan, body, state, lanes.record, lanes.clock.steps, lanes.clock.due)
     record = without_measures(plan, lanes.record, seen)
     return (*shown, *state.states, *lanes.held.controls), record
@@ -101,7 +102,7 @@ def put_values(
 def put_roundings(
     plan: AnyPlan, body: Any, lanes: Lanes, values: Any, sample: Any, roundings: Any
 ) -> None:
-    """Store the effect of rounding on the events' values now, which are those of `sample`."""
+    """Store the effect of rounding on the events' current values, which are those of `sample`."""
     if events_of(plan):
         state, time = lanes.state, lanes.clock.t
         system, body = system_of(plan), with_signals(plan, body, state, lanes.held)
@@ -114,8 +115,8 @@ def put_roundings(
 class Part(NamedTuple):
     """One of the equal parts of a step in which events are searched, lane by lane.
 
-    index, count : of the parts.   open : 1 where the part is searched.
-    is_last : 1 where the step ends with it.
+    index : of the part.   count : number of parts.   open : 1 where the part is searched.
+    is_last : 1 where it is the last part of the step.
     """
 
     index: Any
@@ -135,7 +136,7 @@ def parts_of(
 
 
 def next_part(part: Part, termination: Any) -> Part:
-    """Return the next part, open where there is one and nothing has ended the trajectory."""
+    """Return the next part, open where it exists and the trajectory has not ended."""
     is_open = (part.open > 0.5) & (part.is_last < 0.5) & (termination == 0.0)
     return _part(part.index + 1.0, part.count, where(is_open, 1.0, 0.0 * termination))
 
@@ -150,7 +151,7 @@ def ends_step(part: Part) -> Any:
 
 
 def in_step(part: Part, theta: Any) -> Any:
-    """Return θ of the step from θ of its part."""
+    """Convert θ of a part to θ of the step."""
     return (part.index + theta) / part.count
 
 

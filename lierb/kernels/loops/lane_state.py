@@ -1,4 +1,4 @@
-"""State of all lanes of a thread, where each has a clock of its own: load, start, store."""
+"""State of a thread's lanes, each with its own clock: load, start, store."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ from lierb.kernels.tracing.trace import kernel
 
 
 class Lanes(NamedTuple):
-    """State of all lanes: of the system, of what is recorded, of time, of controllers."""
+    """State of all lanes: system, record, clock and controllers."""
 
     state: State
     record: Record
@@ -64,7 +64,7 @@ class Lanes(NamedTuple):
 
 
 def any_of(numbers: Any) -> Any:
-    """Return whether some lane's number is above 0."""
+    """Return whether any lane's number is above 0."""
     return any_lanes(numbers > 0.0)
 
 
@@ -106,7 +106,7 @@ def store_lanes(plan: AnyPlan, carried: Any, lanes: Lanes) -> None:
 
 
 def suppress_exceptions(plan: AnyPlan, mask: Any) -> Any:
-    """Call functions where the mask is 1 alone, from now on; return the flags so far.
+    """From now on, call functions only where the mask is 1. Return the flags so far.
 
     Speculatively computed lanes must not raise.
     """
@@ -118,7 +118,7 @@ def suppress_exceptions(plan: AnyPlan, mask: Any) -> Any:
 
 
 def clear_exceptions(plan: AnyPlan, fresh: Any) -> Any:
-    """Clear the flags of trajectories that start, suppress others; return the flags so far."""
+    """Clear the flags of starting trajectories, suppress others. Return the flags so far."""
     if not plan.calls_functions:
         return fresh
     before = calls.exception_flags(fresh)
@@ -174,7 +174,7 @@ def _first_tick(start: Any, period: Any) -> Any:
 
 
 def resumed(plan: AnyPlan, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
-    """Return the lanes with clock and controllers as the run before has left them."""
+    """Return the lanes with the final clock and controllers of the run before."""
     at, columns = system_of(plan).inputs["lane"], lane_end(plan)
     before = columns.parts([load(inputs, (c, 0), plan.lanes) for c in range(at.start, at.stop)])
     held = (
@@ -192,13 +192,13 @@ def resumed(plan: AnyPlan, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lan
 def put_shown(
     plan: AnyPlan, body: Any, inputs: Any, state: State, lanes: Lanes, shown: Any
 ) -> None:
-    """Store what tables show of a state."""
+    """Store the quantities of a state that tables show."""
     links = user_state(plan, body, inputs, state, lanes.record)
     put_rows(plan, shown, 0, (*links, state.states, lanes.held.controls))
 
 
 def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
-    """Store LANE_SUMMARY, the extra states and controls, from a column on."""
+    """Store LANE_SUMMARY, extra states and controls, beginning at a column."""
     clock = lanes.clock
     numbers = (clock.t, clock.steps, clock.rejected, clock.h)
     alive = lanes.record.status == OK
@@ -215,8 +215,9 @@ def store_lane_end(plan: AnyPlan, lanes: Lanes, ends: Any) -> None:
 
 
 def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:
-    """Return the record of trajectories that have terminated: with the status of the termination
-    code, and means over the time that they lasted.
+    """Return the record of terminated trajectories.
+
+    It has the status from the termination code, and means over the time that they lasted.
     """
     record, lasted = lanes.record, lanes.clock.t - span.start
     lasted = where(lasted > 0.0, lasted, 1.0)

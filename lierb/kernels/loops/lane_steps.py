@@ -1,4 +1,4 @@
-"""A step of all lanes, where each has a clock of its own, and what is due at its end."""
+"""A step of all lanes, each with its own clock; ticks, measures and rows due at its end."""
 
 from __future__ import annotations
 
@@ -67,16 +67,16 @@ def last_end(lanes: Lanes, span: Span) -> Any:
 
 
 def sooner(lanes: Lanes, stop: Any, time: Any) -> Any:
-    """Return the earlier of `stop` and `time`, s, unless that is over."""
+    """Return the earlier of `stop` and `time`, s; `stop` if `time` is past."""
     is_ahead = time - lanes.clock.t > rounding_at(lanes.clock.t)
     return where(is_ahead, minimum(stop, time), stop)
 
 
 def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -> Trial:
-    """Return the step to be tried.   stop : latest end, s, apart from ticks, jumps and bounds."""
+    """Return the step to be tried.   stop : latest end, s, without ticks, jumps and bounds."""
     clock, end = lanes.clock, stop
     for period, tick in zip(periods_of(plan, body), lanes.held.ticks, strict=True):
-        time = period * tick  # a tick within rounding of the end is at the end
+        time = period * tick  # a tick within rounding of the end counts as at the end
         time = where(absolute(time - end) <= rounding_at(end), end, time)
         stop = minimum(stop, time)
     for time in system_of(plan).jumps(body):
@@ -88,8 +88,9 @@ def next_trial(plan: AnyPlan, body: Any, lanes: Lanes, stop: Any, active: Any) -
 
 
 def inside(plan: AnyPlan, trial: Trial) -> tuple[Any, Any]:
-    """Return start and length of the step, s, for functions of time: by a rounding inside where
-    they may jump at either end.
+    """Return start and length of the step, s, for functions of time.
+
+    If these may jump at an end, the interval is inside the step by a rounding.
     """
     if not plan.jumps:
         return trial.start, trial.h
@@ -101,8 +102,8 @@ def inside(plan: AnyPlan, trial: Trial) -> tuple[Any, Any]:
 class Made(NamedTuple):
     """Result of a trial.
 
-    slopes : of the stages, where there is a continuous extension.
-    singular : flag of a singular configuration.
+    slopes : slopes of the stages, if there is a continuous extension.
+    singular : 1 in a singular configuration.
     square, correction : squares of the error and of the stabilisation's correction, relative to
         the tolerances.
     """
@@ -134,8 +135,10 @@ def attempted(plan: AnyPlan, body: Any, lanes: Lanes, trial: Trial, limits: Tole
 
 
 class Decision(NamedTuple):
-    """accepted : 1 where the step is accepted.   failed : a status, or OK.   lanes : with the clock
-    after the step.
+    """Decision on a trial.
+
+    accepted : 1 where the step is accepted.   failed : status, OK if none.   lanes : lanes with the
+    clock after the step.
     """
 
     accepted: Any
@@ -171,7 +174,7 @@ def decided(
 def with_failures(lanes: Lanes, failed: Any, termination: Any) -> tuple[Lanes, Any]:
     """Return the lanes with the status of failed steps, and the termination codes.
 
-    A trajectory that would need too small a step, or too many, ends in a state that is fine.
+    A trajectory that would need too small a step, or too many, ends in its last valid state.
     """
     record = lanes.record
     hard = (failed > 0.5) & (failed < float(MAX_STEPS)) & (record.status == OK)
@@ -192,7 +195,7 @@ def moved_to(lanes: Lanes, state: State, mask: Any) -> Lanes:
 
 
 def to_tick(plan: AnyPlan, body: Any, lanes: Lanes, fresh: Any, termination: Any) -> Any:
-    """Return 1 where a controller is to run; not where an event has just ended a trajectory."""
+    """Return 1 where a controller must run; 0 where an event has just ended a trajectory."""
     due = fresh < -1.0  # never
     for tick, period in zip(lanes.held.ticks, periods_of(plan, body), strict=True):
         due = due | _ticks(lanes.clock, tick, period, fresh)
@@ -204,9 +207,9 @@ def _ticks(clock: LaneClock, tick: Any, period: Any, fresh: Any) -> Any:
 
 
 def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: Any) -> Lanes:
-    """Run the controllers that are due; each sees the outputs of those before it.
+    """Run the controllers that are due; each reads the outputs of those before it.
 
-    Observables are evaluated before and after: a mean's interval ends here, and the next begins.
+    Observables are evaluated before and after, where one interval of a mean ends and one begins.
     """
     flags = suppress_exceptions(plan, ticks)
     watches = observables_of(plan) and controllers_of(plan)
@@ -220,7 +223,7 @@ def ticked(plan: AnyPlan, body: Any, lanes: Lanes, ticks: Any, rows: Any, seed: 
     lanes = Lanes(lanes.state, record, clock, held)
     if watches:
         after = tuple(
-            new._replace(total=old.total, lost=old.lost)  # an infinite one stays so
+            new._replace(total=old.total, lost=old.lost)  # an infinite total stays infinite
             for new, old in zip(
                 _observed(plan, body, lanes, 0.0 * clock.t), record.observed, strict=True
             )
@@ -254,7 +257,7 @@ def _set(numbers: Vec, part: slice, new: Any, mask: Any) -> Vec:
 
 
 def _observed(plan: AnyPlan, body: Any, lanes: Lanes, half: Any) -> tuple[Kept, ...]:
-    """Return what is kept of the observables, with their values now.
+    """Return the statistics of the observables, with their current values added.
 
     half : half the time since the last evaluation, s.
     """
@@ -283,7 +286,7 @@ def _is_due(clock: LaneClock, fresh: Any) -> Any:
 
 
 def looks_now(plan: AnyPlan, lanes: Lanes, span: Span, fresh: Any, termination: Any) -> Any:
-    """Return whether some lane is measured now, or has a row of the history due."""
+    """Return whether any lane is measured now, or has a row of the history due."""
     now = to_measure(lanes.clock, span, fresh, termination)
     return any_lanes(now | _is_due(lanes.clock, fresh))
 
@@ -291,7 +294,7 @@ def looks_now(plan: AnyPlan, lanes: Lanes, span: Span, fresh: Any, termination: 
 def looked(
     plan: AnyPlan, body: Any, lanes: Lanes, span: Span, fresh: Any, termination: Any
 ) -> tuple[tuple[Any, ...], Lanes]:
-    """Return a row of the history, and the lanes with what is measured now."""
+    """Return a row of the history, and the lanes with the current measures recorded."""
     clock, record = lanes.clock, lanes.record
     now = to_measure(clock, span, fresh, termination)
     mask = where(now | _is_due(clock, fresh), 1.0, 0.0 * fresh)
@@ -317,7 +320,7 @@ def select_due(plan: AnyPlan, rows: Any, lanes: Lanes, fresh: Any) -> Any:
 
 
 def with_due(plan: AnyPlan, rows: Any, lanes: Lanes) -> Lanes:
-    """Return the lanes with the times at which their next rows are due."""
+    """Return the lanes with the due times of their next rows."""
     return lanes._replace(clock=lanes.clock._replace(due=row_of(plan, rows, DUE)))
 
 

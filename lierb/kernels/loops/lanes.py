@@ -1,9 +1,7 @@
-"""Driver of lanes that have a clock each: adaptive steps, output at given times, events,
-controllers.
+"""Driver of lanes with separate clocks: adaptive steps, output times, events, controllers.
 
-A lane whose trajectory ends takes the next one at once, so that long trajectories keep no other
-lane waiting. One iteration tries a step in every lane; a trajectory, and so its bits, depends on
-its own numbers alone.
+A lane whose trajectory ends takes the next one at once: no lane waits for a long trajectory.
+One iteration tries a step in every lane. A trajectory depends only on its own numbers, to the bit.
 
 A lane's results are written to the thread's workspace, by the formulas of
 `lierb.kernels.loops.record`, and copied from there. Between two calls the workspace also holds the
@@ -39,7 +37,7 @@ from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.extra_states import with_signals
 
-_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled with its caller alone
+_part_of_loop = numba.njit(**OPTIONS, inline="always")  # compiled only as part of its caller
 
 
 @shared
@@ -77,7 +75,7 @@ def _store_row(plan, body, inputs, state, lanes, row, own, is_saved, time):
 
 @_part_of_loop
 def _store_ends(plan, body, inputs, lanes, termination, span, own):
-    """Store summary and end of all lanes, those included that go on."""
+    """Store summary and end of all lanes, including those that have not terminated."""
     summary, ends = numbers_at(own.summary), numbers_at(own.ends)
     lanes = inner.with_record(lanes, with_exceptions(plan, lanes.record, lanes.clock.steps))
     lane_state.put_shown(plan, body, inputs, lanes.state, lanes, numbers_at(own.shown))
@@ -111,7 +109,7 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
 
 @_part_of_loop
 def _save_between(plan, body, inputs, counter, jobs, lanes, there):
-    """Save the rows that are due between the ends of a step."""
+    """Save the rows that are due within a step."""
     job, own = jobs[0], jobs[1]
     rows = numbers_at(own.rows)
     due = row_of(plan, rows, ws.SELECTED)
@@ -130,9 +128,9 @@ def _save_between(plan, body, inputs, counter, jobs, lanes, there):
 def _look_between(
     plan, body, seen, inputs, counter, jobs, lanes, made, trial, accepted, termination
 ):
-    """Search events between the ends of a step, and save the rows that are due there.
+    """Search events within a step, and save the rows that are due there.
 
-    Returns the state at the end of the step, lanes and termination codes.
+    Return the state at the end of the step, the lanes and the termination codes.
     """
     job, own = jobs[0], jobs[1]
     rows, request = numbers_at(own.rows), numbers_at(own.request)
@@ -205,9 +203,9 @@ def _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination)
 
 @cached()
 def integrate_lanes(plan, inputs, counter, jobs):
-    """Make steps in all lanes of a thread, until none has a trajectory, or for a call's iterations.
+    """Make steps in all lanes of a thread, until no trajectory is left, or for a call's iterations.
 
-    inputs : where the thread gathers the lanes' numbers.
+    inputs : buffer into which the thread gathers the lanes' numbers.
     counter : [trajectories taken, error that has ended a thread].
     jobs : records of the batch and of the workspace.
     """

@@ -57,14 +57,14 @@ NAN = float("nan")
 
 @lru_cache(64)
 def history_measures(plan: AnyPlan) -> tuple[Measure, ...]:
-    """Return the measures of a history: `work` where an element does work."""
+    """Return the measures of a history; `work` is one if an element does work."""
     return tuple(m for m in MEASURES if m.name != "work" or plan.does_work)
 
 
 class Record(NamedTuple):
     """Quantities of a trajectory that are recorded along a run."""
 
-    kept: tuple[Any, ...]  # KEPT; squares where a measure is one
+    kept: tuple[Any, ...]  # values of KEPT, or their squares if the measure is computed as a square
     first_energy: Any
     status: Any
     failed_step: Any
@@ -98,13 +98,14 @@ def summary_columns(plan: AnyPlan) -> int:
 
 
 def lane_column(plan: AnyPlan) -> int:
-    """Return the first column of LANE_SUMMARY in a summary, if lanes have clocks of their own."""
+    """Return the first column of LANE_SUMMARY in a summary, if lanes have separate clocks."""
     return SUMMARY.count + len(KEEPS) * len(observables_of(plan)) + joint_columns(plan)
 
 
 def history_columns(plan: AnyPlan) -> int:
-    """Return the number of a history's columns: measures, observables, errors of the joints of a
-    mechanism, extra states and outputs.
+    """Return the number of columns of a history.
+
+    They are measures, observables, errors of a mechanism's joints, extra states and outputs.
     """
     own = len(history_measures(plan)) + len(observables_of(plan))
     return own + len(JOINT_ERRORS) * len(system_of(plan).joints) + signals_width(plan)
@@ -124,12 +125,12 @@ def load_body(plan: AnyPlan, inputs: Any) -> Any:
 
 
 def load_placed(plan: AnyPlan, body: Any, inputs: Any) -> Any:
-    """Load what all starts in one pose have in common."""
+    """Load the part of a start that depends on the pose only."""
     return system_of(plan).placed(body, load_inputs(plan, inputs))
 
 
 def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
-    """Load what starts in one pose have in common for the check that they are on the joint."""
+    """Load the part of the check of a start that depends on the pose only."""
     return system_of(plan).pose_check(load_inputs(plan, inputs), time)
 
 
@@ -139,8 +140,8 @@ def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
 
 
 def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
-    """Return a record at the start, of numbers of the state's own type."""
-    nothing = 0.0 * body.mass  # not a constant: 1 / t of a motor is inf, no error
+    """Return a record at the start, with numbers of the state's type."""
+    nothing = 0.0 * body.mass  # not a constant, so that 1 / t of a motor is inf, not an error
     system = system_of(plan)
     seen = system.measured(body, state, system.motion(body, state, nothing), nothing)
     energy = seen.values["energy"]
@@ -162,7 +163,7 @@ def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
 
 
 def resumed_record(plan: AnyPlan, inputs: Any, record: Record) -> Record:
-    """Return the record with the rank at the start of the continued run, unless its rows differ."""
+    """Return the record with the rank of the run that is continued, unless its rows differ."""
     if not plan.keeps_rank:
         return record
     at = system_of(plan).inputs["lane"]
@@ -176,7 +177,7 @@ def with_rank(plan: AnyPlan, body: Any, record: Record) -> Any:
 
 
 def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[State, Record]:
-    """Load state and record of a block after the last call, and its exception flags."""
+    """Load state, record and exception flags of a block, from the last call."""
     columns = carried_columns(plan)
     parts = columns.parts(_columns(plan, carried, range(columns.count), first))
     state: State = system_of(plan).state_of(parts["state"], body)
@@ -186,7 +187,7 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     record = Record(parts["kept"], energy, status, step, dropped, observed, parts["joints"])
     if plan.calls_functions:
         (before,) = parts["flags"]
-        # Exceptions of lanes with clocks of their own are collected at the end of a trajectory.
+        # For lanes with separate clocks, exceptions are collected at the end of a trajectory.
         known = (
             before if plan.has_lane_clocks else where(before > 0.0, float(calls.COLLECTED), before)
         )
@@ -196,7 +197,7 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
 
 
 def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record: Record) -> None:
-    """Store state and record of a block for the next call, and its exception flags."""
+    """Store state, record and exception flags of a block, for the next call."""
     kept, *numbers, observed, joints = record
     flags = exception_flags(plan, record)
     for c, number in enumerate((*flatten(state), *kept, *numbers, *flags)):
@@ -218,8 +219,9 @@ def store_end(plan: AnyPlan, state: State, record: Record, ends: Any, column: An
 
 @lru_cache(64)
 def end_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Return the columns of a continued state that are stored at the end: `state_columns`, then
-    `lane_end`.
+    """Return the columns of a state to continue from that are stored at the end of a run.
+
+    They are `state_columns`, then `lane_end`.
     """
     first = system_of(plan).state.count
     return (*state_columns(plan), *range(first, first + lane_end(plan).count))
@@ -227,8 +229,9 @@ def end_columns(plan: AnyPlan) -> tuple[int, ...]:
 
 @lru_cache(64)
 def state_columns(plan: AnyPlan) -> tuple[int, ...]:
-    """Return the numbers of a state that are stored at the end: all that the plan has, except W,
-    which counts from the start of a run.
+    """Return the indices of a state's numbers that are stored at the end of a run.
+
+    W is not stored, since it is counted from the start of a run.
     """
     columns = system_of(plan).state
     numbers = flatten(system_of(plan).state_of((1.0,) * columns.count))
@@ -237,8 +240,9 @@ def state_columns(plan: AnyPlan) -> tuple[int, ...]:
 
 
 def with_exceptions(plan: AnyPlan, record: Record, k: Any) -> Record:
-    """Return the record with the status RAISED where a function has raised since the last step: in
-    λ, the reaction or an observable.
+    """Return the record with the status RAISED where a function has raised since the last step.
+
+    Such functions are evaluated for λ, reactions and observables.
     """
     if not plan.calls_functions:
         return record  # never
@@ -259,7 +263,7 @@ def exception_flags(plan: AnyPlan, record: Record) -> Any:
 
 
 def are_finite(*numbers: Any) -> Any:
-    """Return whether all numbers are finite, and so is their sum."""
+    """Return whether all numbers and their sum are finite."""
     numbers = numbers or (ZERO,)
     while len(numbers) > 1:  # pairwise: a sequential sum would delay the next step
         half = len(numbers) // 2
@@ -281,10 +285,10 @@ def observe(
     """Return the measures and observables of a history at step k, and the updated record.
 
     share : weight of the step in means, a fraction of the run's time; with `by_halves`, half the
-        time since the last step, which counts for both.
+        time since the last step, which is the weight of both.
 
-    A trajectory whose measures are not finite has failed, though its state may be finite: squares
-    and energies overflow long before it.
+    A trajectory fails if its measures are not finite, even if its state is: squares and energies
+    overflow long before the state does.
     """
     system = system_of(plan)
     seen = system.motion(body, state, time)
@@ -310,7 +314,7 @@ def observe(
         else:
             kept.append(old if is_zero(size) else where(alive, maximum(old, size), old))
     shown = tuple(measure.shown(now[measure.name]) for measure in history_measures(plan))
-    # A function of time alone has one value for the block; `where` widens it.
+    # A function of time alone has one value for the block; `where` extends it to all lanes.
     values = tuple(where(alive, value, NAN) for value in values)
     pairs = zip(record.observed, values, strict=True)
     errors = tuple(sqrt(square) for joint in joints for square in joint)
@@ -339,7 +343,7 @@ def _joints_kept(
 
 
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
-    """Return the record after a step that is saved and not measured.   seen : from `observe`."""
+    """Return the record after a step that is saved, not measured.   seen : record by `observe`."""
     if not may_raise(plan):
         return record
     raised = (seen.status == RAISED) & (record.status == OK)

@@ -8,16 +8,16 @@ from lierb.compiler.code import cached
 from lierb.compiler.entries import call, raise_again, take_turns
 from lierb.compiler.loops import histories_at, integers_at, number_at, shared
 
-SHARES = 8  # parts into which a thread's even share would be cut, to begin with
+SHARES = 8  # initially, number of parts into which an even share of a thread is divided
 
 
 @shared
 def take_share(counter, count, threads):
-    """Return the first of the next numbers below `count` for a thread, and the one after the last.
+    """Return the next share of range(count) for a thread: its first number, and one past its last.
 
-    Shares shrink, so that all threads end together on cores that are not equally fast. A share is
-    contiguous: two threads that write side by side wait for each other, in short runs for as long
-    as the work takes.
+    Shares shrink, so that all threads end together on cores of different speed. A share is
+    contiguous: two threads that write to neighbouring columns wait for each other, in short runs
+    for as long as the work takes.
     """
     size = max((count - counter[0]) // (SHARES * threads), 1)
     first = take_turns(counter, size)
@@ -26,9 +26,9 @@ def take_share(counter, count, threads):
 
 @shared
 def pack(job, inputs, first, is_new):
-    """Gather a block's input numbers; past the last trajectory, repeat its numbers.
+    """Gather a block's input numbers; lanes past the last trajectory repeat its numbers.
 
-    is_new : whether `inputs` lacks even the numbers that all trajectories share.
+    is_new : True if `inputs` does not yet have the numbers that all trajectories share.
     """
     places, varying = integers_at(job.places), integers_at(job.varying)
     begin, last = job.first + first, job.stop - job.first - first - 1
@@ -43,7 +43,7 @@ def pack(job, inputs, first, is_new):
 
 @cached(parallel=True)
 def integrate_on_threads(integrate, counter, threads, jobs):
-    """Run `integrate`, an entry of compiled code, on every thread: one parallel loop for all plans.
+    """Run `integrate`, an entry of compiled code, on every thread; this loop serves all plans.
 
     jobs : [thread][record].
     """

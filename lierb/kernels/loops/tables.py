@@ -44,9 +44,10 @@ def tables_at(job):
 
 
 class Place(NamedTuple):
-    """Place of a row in result arrays.
+    """Position of a row in result arrays.
 
-    row : time.   rows : number of rows of each link or joint.   column : first trajectory.
+    row : index of the time.   rows : number of rows for each link or joint.
+    column : index of the first trajectory.
     """
 
     row: Any
@@ -64,10 +65,10 @@ def store_row(
     at: Place,
     time: Any,
 ) -> None:
-    """Store one row of the history's scalar columns, of λ and of reactions; prefetch the next.
+    """Store one row of the history's scalar columns, λ and reactions; prefetch the next row.
 
-    The next row is too far away for the hardware to prefetch; its cache misses would take as long
-    as four steps.
+    Hardware does not prefetch a row so far away, and its cache misses would take as long as four
+    steps.
     """
     alive = record.status == OK
 
@@ -113,7 +114,7 @@ def store_state(
 
 
 def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> None:
-    """Store the measures kept, the status and the step of a failure."""
+    """Store a summary: retained measures, status, and step of a failure."""
     r = record
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
     numbers = (*kept, r.status, r.failed_step, *exception_flags(plan, r))
@@ -128,7 +129,7 @@ def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> N
 def store_start(
     plan: AnyPlan, given: Any, inputs: Any, summary: Any, column: Any, time: Any
 ) -> None:
-    """Store whether the start, as given, is on the joint.   time : of the start, s."""
+    """Store whether the user's start is on the joint.   time : of the start, s."""
     starts = system_of(plan).is_on_joint(given, load_inputs(plan, inputs), time)
     scatter(summary, 1, [(SUMMARY.index("starts"), column)], [starts], plan.lanes)
 

@@ -1,9 +1,9 @@
 """Per-thread workspace: state of the L lanes of a driver, and which trajectory each lane runs.
 
-A workspace holds one time of L trajectories, in arrays like those of the results of the batch.
-Formulas write a lane's results there, and the services below copy them to the trajectory's place in
-the results. Services work lane by lane and depend on no plan: they are compiled once for all plans
-and called by their address.
+A workspace holds L trajectories at one time, in arrays laid out like the results of the batch. The
+loops write a lane's results there, and the services below copy them to the trajectory's position in
+the results. Services work lane by lane and do not depend on the plan: they are compiled once for
+all plans and called by their address.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lierb.kernels.systems.measures import SUMMARY
 # Rows of a workspace, each with a number for every lane.
 (
     TRAJECTORY,  # index of the trajectory
-    NOISE_INDEX,  # of the trajectory
+    NOISE_INDEX,  # index of the trajectory's noise
     SELECTED,  # 1 where a request concerns the lane
     ACTIVE,  # 1 where the lane runs a trajectory
     TERMINATION,  # termination code: 0 while the trajectory runs, then its status + 1
@@ -41,14 +41,14 @@ from lierb.kernels.systems.measures import SUMMARY
 # Words exchanged between a loop and the services.
 KIND, TASK, TURN, FIRST_EVENT, TRIES, IS_NEW, ANY_ACTIVE, SHARE, SHARE_END, REQUEST = range(10)
 TAKE_NEXT, COPY_ENDS, COPY_ROW = range(3)  # kinds of requests to `serve`
-SAMPLES = 4  # of events in a step, at equal distances, its end included
+SAMPLES = 4  # number of samples of events in a step, equidistant, including its end
 STARTS = SUMMARY.index("starts")  # known before a trajectory runs
 EVENT_COLUMNS = 3  # trajectory, event, t
 
 
 @shared
 def most_events(lanes, watched):
-    """Return the largest number of events that the lanes can have in one step."""
+    """Return the largest possible number of events of all lanes in one step."""
     return lanes * watched * (SAMPLES + 1) * MOST_PARTS
 
 
@@ -62,7 +62,7 @@ SERVICE = Service()
 
 @cached()
 def serve(service, inputs, counter, jobs):
-    """Serve a request of `lierb.kernels.loops.lanes.integrate_lanes`, whose arguments these are."""
+    """Serve a request of `lierb.kernels.loops.lanes.integrate_lanes`, with its arguments."""
     job, own = jobs[0], jobs[1]
     rows, request, lanes = numbers_at(own.rows), numbers_at(own.request), inputs.shape[1]
     kind = request[0, KIND]
@@ -77,7 +77,7 @@ def serve(service, inputs, counter, jobs):
 
 @shared
 def copy_row(rows, own, job, lanes):
-    """Copy a row of the history of each selected lane to the results; the next row is due then."""
+    """Copy a row of the history of each selected lane to the results; update its next due time."""
     history, shown = histories_at(job.history), histories_at(own.history)
     multipliers, own_multipliers = histories_at(job.multipliers), histories_at(own.multipliers)
     reactions, own_reactions = histories_at(job.reactions), histories_at(own.reactions)
@@ -143,9 +143,9 @@ def copy_column(source, target, lane, column):
 
 @shared
 def copy_columns(source, target, first, lanes):
-    """Copy the columns of all lanes, many numbers at once.
+    """Copy the columns of all lanes, in vector instructions.
 
-    Indices start at 0: for one that LLVM cannot prove non-negative it emits a scatter.
+    Indices start at 0: for an index that may be negative, LLVM emits a scatter.
     """
     for c in range(source.shape[0]):
         row = target[c, first : first + lanes]
@@ -155,8 +155,9 @@ def copy_columns(source, target, first, lanes):
 
 @shared
 def take_next(rows, request, job, inputs, counter, lanes):
-    """Give lanes whose trajectory has terminated the next ones of the thread's share, and select
-    the lanes that got one. Return whether any lane is active.
+    """Assign the next trajectories of the thread's share to lanes that have terminated.
+
+    Select the lanes that have a new trajectory. Return whether any lane is active.
     """
     is_new = request[0, IS_NEW] > 0.0
     places, varying = integers_at(job.places), integers_at(job.varying)
@@ -176,7 +177,7 @@ def take_next(rows, request, job, inputs, counter, lanes):
             rows[SELECTED, lane] = 1.0 if exists else 0.0
             rows[ACTIVE, lane] = rows[SELECTED, lane]
             if exists or is_new:
-                trajectory = min(taken, job.stop - 1)  # an idle lane has harmless numbers
+                trajectory = min(taken, job.stop - 1)  # an idle lane computes with valid numbers
                 for i in range(inputs.shape[0] if is_new else varying.shape[1]):
                     c = i if is_new else varying[0, i]
                     inputs[c, lane] = number_at(places[c, 0] + places[c, 1] * trajectory)

@@ -1,4 +1,4 @@
-"""Constraint residuals of a joint's rows together, and their rates."""
+"""Constraint residuals of all rows of a joint, and errors of their rates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lierb.kernels.numbers.zero import ZERO
 
 
 def holds_a_point(rows: Rows) -> bool:
-    """Return whether the rows hold the joint's point in all directions."""
+    """Return whether the rows fix the joint's point in all directions."""
     return {0, 1, 2} <= {r.held_axis for r in rows}
 
 
@@ -24,7 +24,7 @@ def held_axes(rows: Rows) -> list[int]:
 
 
 def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
-    """Value h of every row; of an `Omega` row the body's turn about its axis, rad."""
+    """Value h of every row; for an `Omega` row, the body's angle about its axis, rad."""
     fixed = fixed_axes(rows)
     turns: dict[int | None, Number] = {}
     if len(fixed) == 3:
@@ -35,7 +35,7 @@ def residuals(rows: Rows, x: Kinematics, body: HeldBody) -> list[Number]:
 
 
 def _tilt(q: Vec, axis: int) -> dict[int | None, Number]:
-    """Turn, rad, of a body's axis away from the ground's, about each of the two other axes."""
+    """Angles, rad, between a body's axis and the ground's, about each of the two other axes."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     ground_axis = row(q, axis)  # in body axes
     sine = norm((ground_axis[i], ground_axis[j]))
@@ -72,7 +72,7 @@ def rotation_error_squared(rows: Rows, x: Kinematics, body: HeldBody) -> Number:
 def rate_errors_squared(
     rows: Rows, x: Kinematics, body: HeldBody, velocity: Vec
 ) -> tuple[Number, Number]:
-    """Squares of J V less the prescribed rates, of translational and of rotational rows."""
+    """Sums of the squares of J V − prescribed rate, over translational and rotational rows."""
     rates = [
         (r.is_translational, dot(r.jacobian(x, body), velocity) - r.prescribed_rate(x, body))
         for r in rows

@@ -1,9 +1,10 @@
 """Elements: applied forces, further constraints, and users' functions of the motion.
 
-Each kind of element is a tag with formulas: those of `lierb.forces`, and users' functions here.
-`placed` transforms its parameters from the user's frames to joint axes, once a run. A force has a
-`wrench`, evaluated in every stage, an `energy`, where it has a potential, and a `power`, where it
-does work beyond that. A constraint has rows, which the saddle point includes with the joint's own.
+Each kind of element is a tag class with formulas. This module has those of users' functions;
+`lierb.forces` has the others. `placed` transforms the parameters from the user's frames to joint
+axes, once per run. A force has a `wrench`, evaluated in every stage; an `energy`, if it has a
+potential; and a `power`, if it does further work. A constraint has rows, which the saddle point
+solves together with the joint's rows.
 Observables, events, states and controllers are passive: they act on the motion through forces that
 use their `Signals`.
 """
@@ -54,11 +55,11 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO
 
-# Largest turn in a step where a force is an unknown function of the pose. An eighth of a turn is
+# Largest rotation in a step where a force is an unknown function of the pose. 1/8 of a turn is
 # 0.2 rad between stages of DOP853 and 0.45 rad between those of Tsit5; events are evaluated four
 # times in it.
 TURN = 0.25 * PI
-SHARE = 0.25  # of the distance from the frame's origin, beside the body's own size
+SHARE = 0.25  # fraction of the distance from the frame's origin, added to the body's size
 BEFORE = 1.0 - 1e-12  # part of the distance to a kink at which a step ends
 
 Wrench = tuple[Vec, Vec]  # torque and force, in body axes, about the joint's point
@@ -69,7 +70,7 @@ class Tangent(NamedTuple):
     """Wrench of an element along one direction, to first order: −(stiffness δq + damping q̇).
 
     direction : torque and force in body axes, r; q̇ = r·(ω, v), and the wrench acts along r.
-    is_lasting : whether it acts throughout a motion, or in a part of it alone, such as a stop.
+    is_lasting : True if the element always acts; False if, like a stop, it acts at times only.
     """
 
     direction: Vec
@@ -81,22 +82,22 @@ class Tangent(NamedTuple):
 class Element:
     """Base class of all elements, without any effect.
 
-    needs_axis : True where it acts about or along e₃ of the joint, which must then be an axis of
-    the body and of the ground.   needs_slide : True where it acts along e₃.   rows : number of
-    constraints.   does_work : True where it can change E = T + U, U the `energy` of all elements.
-    is_passive : True where it has no effect on the motion by itself.   bounds_steps : True where
-    adaptive steps keep the bounds of `travel`.
+    needs_axis : True if it acts about or along e₃ of the joint, which must then be an axis of
+    the body and of the ground.   needs_slide : True if it acts along e₃.   rows : number of
+    constraints.   does_work : True if it can change E = T + U, U the `energy` of all elements.
+    is_passive : True if it has no effect on the motion by itself.   bounds_steps : True if
+    adaptive steps respect the bounds of `travel`.
     """
 
     needs_axis: ClassVar[bool] = False
     needs_slide: ClassVar[bool] = False
-    is_conservative: ClassVar[bool] = False  # apart from the parameters in `working`
-    is_users: ClassVar[bool] = False  # True for a function of the user's
+    is_conservative: ClassVar[bool] = False  # but for the parameters in `working`
+    is_users: ClassVar[bool] = False  # True for a user's function
     does_work: ClassVar[bool] = True
     is_passive: ClassVar[bool] = False
-    working: ClassVar[tuple[str, ...]] = ()  # parameters that do work beside its potential
+    working: ClassVar[tuple[str, ...]] = ()  # parameters of forces without potential
     bounds_steps: ClassVar[bool] = False
-    discontinuities: tuple[str, ...] = ()  # parameters that are times at which it may jump, s
+    discontinuities: tuple[str, ...] = ()  # parameters that are times of possible jumps, s
     rows: int = 0
 
     @property
@@ -107,7 +108,7 @@ class Element:
 
     @property
     def shapes(self) -> dict[str, Shape]:
-        """Shapes of the parameters, by name; for a user's function those of its parameters."""
+        """Shapes of the parameters, by name."""
         return dict(self.functions[0].shapes)
 
     @property
@@ -126,9 +127,9 @@ class Element:
         return ZERO3, ZERO3
 
     def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
-        """The stiffness and damping of its wrench at a motion, or where these are largest.
+        """Stiffness and damping of the wrench at a motion, or their largest values.
 
-        Fixed steps are compared with them. A function of the user's has none that are known.
+        The length of fixed steps is checked against them. They are unknown for a user's function.
         """
         return ()
 
@@ -136,17 +137,17 @@ class Element:
         return ZERO
 
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        """Power, W, that the wrench adds to E = T + U; without a potential, all its power."""
+        """Power, W, by which the wrench changes E = T + U; without a potential, its total power."""
         torque, force = wrench
         return dot(torque, x.omega) + dot(force, x.v)
 
     def travel(self, placed: Any, start: Motion, end: Motion, size: Any) -> tuple[Bound, ...]:
         """Bounds on an adaptive step: rates of the pose at `end`, and largest displacements.
 
-        The error estimate of a step depends on its stages alone. Where the element acts in a part
-        of the way, these bounds keep a step from passing over that part. The default is for an
-        unknown function of the pose: a part of a turn, and a displacement that is short beside the
-        distance from the frame's origin.
+        The error estimate of a step depends on its stages alone. If an element acts in a small
+        region, the bounds keep a step from passing over that region. The default is for an unknown
+        function of the pose: a fraction of a turn, and a displacement that is short relative to
+        the distance from the frame's origin.
 
         start, end : motions at both ends of the step.   size : the body's radius of gyration, m.
         """
@@ -166,13 +167,13 @@ class Bound(NamedTuple):
 
 
 def travel_to_kink(place: Any, rate: Any, kinks: tuple[Any, ...]) -> Bound:
-    """Bound up to the next kink of a force ahead, just before which a step ends.
+    """Bound that ends a step just before the next kink of a force.
 
-    All stages of a step are so on one side of a kink.
+    All stages of the step are then on one side of the kink.
 
     place, rate : the coordinate and its rate, relative to the middle of the kinks.
-    kinks : their coordinates for rate ≥ 0, ascending; for rate < 0 they are at minus these. The
-        last one is beyond any coordinate.
+    kinks : their coordinates for rate ≥ 0, ascending; for rate < 0, their negatives. The last
+        one is greater than any coordinate.
     """
     ahead = where(rate >= 0.0, place, -place)
     *near, last = kinks
@@ -212,7 +213,7 @@ class UserWrench(Element):
         return self.potential(placed[1], *UserFrame(*placed[0]).pose(x.q, x.place))
 
     def power(self, placed: Any, x: Motion, wrench: Wrench) -> Any:
-        """Power of the wrench and dU/dt; their sum is zero where all of it has the potential."""
+        """Power of the wrench plus dU/dt; zero if the wrench derives from the potential U."""
         total = super().power(placed, x, wrench)
         if self.potential is None:
             return total
@@ -223,7 +224,7 @@ class UserWrench(Element):
         return total + energy.parts[0] if isinstance(energy, UserNumber) else total
 
     def jumps(self, placed: Any) -> tuple[Any, ...]:
-        given = dict(zip(self.shapes, placed[1], strict=False))  # those of `body` come last
+        given = dict(zip(self.shapes, placed[1], strict=False))  # `body` parameters come last
         return tuple(flatten(tuple(given[name] for name in self.discontinuities)))
 
 
@@ -305,7 +306,7 @@ class UserRow(AddedRow):
         return cross_add(x.arm, force, torque) + x.translation(mat_vec(x.q, force), force)
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Any:
-        """Return η = −ḧ along the motion with V̇ = 0, where R̈ = R ω̂²."""
+        """Return η = −ḧ at V̇ = 0, where R̈ = R ω̂²."""
         frame = UserFrame(*self.placed(body)[0])
         r, place = frame.pose(x.q, x.d)
         omega, v = frame.twist(x.omega, x.point_rate)
@@ -361,7 +362,7 @@ class Passive(Element):
 
 @dataclass(frozen=True)
 class UserObservable(Passive):
-    """User's observable, a number of each motion."""
+    """User's observable, a number computed from a motion."""
 
     function: Function
 
@@ -371,7 +372,7 @@ class UserObservable(Passive):
 
 @dataclass(frozen=True)
 class UserEvent(Passive):
-    """User's event, where its function crosses zero."""
+    """User's event: a zero crossing of its function."""
 
     function: Function
 
@@ -379,7 +380,7 @@ class UserEvent(Passive):
         return self.asked(placed, x)
 
     def value_nearby(self, placed: Any, x: Motion) -> Any:
-        """Value at a motion each of whose numbers is off by some roundings of its vector."""
+        """Value at a motion whose numbers are each off by some roundings of its vector."""
         moved = map(_nudged, self.arguments(placed, x))
         return self.function(placed[1], *moved, signals=x.signals)
 
@@ -387,7 +388,7 @@ class UserEvent(Passive):
 def _nudged(given: Any) -> Any:
     """Move a number or vector by ROUNDING of the sum of its magnitudes.
 
-    Components move up and down in turn, so that their differences do not cancel.
+    Components move up and down alternately, so that the changes do not cancel in differences.
     """
     if not isinstance(given, tuple):
         return _nudged((given,))[0]
@@ -399,7 +400,7 @@ INITIAL = "initial."  # prefix of the names of initial values among the paramete
 
 
 class _Starting(Passive):
-    """Passive element with variables of its own; their initial values are parameters."""
+    """Passive element with variables, whose initial values are parameters."""
 
     @property
     def own(self) -> Shapes:
@@ -425,7 +426,7 @@ class _Starting(Passive):
 
 @dataclass(frozen=True)
 class UserStates(_Starting):
-    """User's states beside the body's, given by their derivatives."""
+    """User's extra states, integrated from their derivatives."""
 
     bounds_steps: ClassVar = True
     function: Function
@@ -443,7 +444,7 @@ class UserStates(_Starting):
 
 @dataclass(frozen=True)
 class UserController(_Starting):
-    """User's controller, called at multiples of a period, its outputs held in between.
+    """User's controller, called once per period; outputs are constant in between.
 
     outputs : shapes by name, set when it is bound to a problem.   memory : shapes by name.
     """
@@ -470,7 +471,7 @@ class UserController(_Starting):
         return placed[3]
 
     def called(self, placed: Any, x: Motion, noise: Noise) -> tuple[Vec, Vec]:
-        """Outputs and memory, each flattened.   x.signals.memory : the controller's own."""
+        """Outputs and memory, each flattened.   x.signals.memory : memory of this controller."""
         result = self.asked(placed, x, noise)
         return result if self.memory else (result, ())
 
@@ -483,7 +484,8 @@ def all_placed(
 ) -> tuple[Any, ...]:
     """Parameters of every element in joint axes, from the numbers of their input columns.
 
-    An element that takes the body also has what `lierb.kernels.functions.function.BODY` names.
+    For an element that takes the body, they include the body parameters named in
+    `lierb.kernels.functions.function.BODY`.
     """
     rest = iter(numbers)
     placed = []
@@ -505,16 +507,16 @@ def body_with(
     elements: tuple[Element, ...],
     numbers: list[Any],
 ) -> BodyConstants:
-    """Constants of the body in a c-space, its elements' parameters from `numbers`."""
+    """Constants of the body in a c-space, with its elements' parameters from `numbers`."""
     placed = all_placed(elements, numbers, frames_of(parameters), parameters)
     return space.body(parameters)._replace(elements=placed)
 
 
 class Applied(NamedTuple):
-    """Sum of all applied forces without gravity."""
+    """Sum of all applied forces except gravity."""
 
     wrench: Vec  # torque and force
-    power: Number  # W, that they add to E
+    power: Number  # W, by which they change E
 
 
 def applied_to(body: BodyConstants, elements: tuple[Element, ...], x: Motion) -> Applied:

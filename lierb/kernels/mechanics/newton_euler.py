@@ -6,10 +6,11 @@ Jacobian are then unit vectors and rows of Q, however the joint is tilted.
 
 - On SE(3) the body frame *is* the joint frame: D = G⁻¹CB = (Q, d). C-space and method are
   equivariant under this change (left and right translations), so that the motion is the same.
-- On SO(3)×R³ they are so under rotations alone: C = (Q, s) with s the position of the body frame's
-  origin, and d = s + Q p with p from there to the joint's point. Constraints drift where p ≠ 0.
+- On SO(3)×R³ they are equivariant under rotations only: C = (Q, s) with s the position of the body
+  frame's origin, and d = s + Q p with p from there to the joint's point. Constraints drift where
+  p ≠ 0.
 
-Forces and accelerations are those at the joint's point, in body axes, in both c-spaces.
+In both c-spaces, forces and accelerations are at the joint's point, in body axes.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ from lierb.kernels.numbers.vec import (
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
 Pose = tuple[Mat, Vec]
-Turn = Callable[[Vec], Vec]  # a vector's components in other axes
+Turn = Callable[[Vec], Vec]  # transforms a vector's components to other axes
 
 
 class Parameters(NamedTuple):
@@ -67,12 +68,12 @@ class Parameters(NamedTuple):
 
 
 def frames_of(p: Parameters) -> Frames:
-    """Transformation of points and directions of forces to joint axes."""
+    """Frames for the transformation of forces' points and directions to joint axes."""
     return Frames(p.ground, *p.body)
 
 
 def closed_pose(ground: Pose, body: Pose, length: Any) -> Pose:
-    """Pose C = G (I, length·e₃) B⁻¹, in which a joint is closed."""
+    """Pose C = G (I, length·e₃) B⁻¹ of a joint whose frames coincide, or are a rod apart."""
     return se3.compose(se3.compose(ground, (IDENTITY, (ZERO, ZERO, length))), se3.inverse(body))
 
 
@@ -91,12 +92,12 @@ class BodyConstants(NamedTuple):
     origin_inertia: Mat  # about the body frame's origin
     first_moment: Vec  # m c
     gain: Vec = ()  # (NᵀMN)⁻¹ of a subgroup joint, row by row
-    turn: Mat = IDENTITY  # from the user's joint axes on the body to those in use
-    shift: Vec = ZERO3  # from the user's joint point on the body to the point in use
-    # Of a body that turns about a point, in principal axes: K₁ K₂ K₃ and K₂ − K₃, K₃ − K₁, K₁ − K₂
+    turn: Mat = IDENTITY  # from the user's joint axes on the body to the axes used
+    shift: Vec = ZERO3  # from the user's joint point on the body to the point used
+    # For a body that turns about a point, in principal axes: K₁ K₂ K₃; K₂ − K₃, K₃ − K₁, K₁ − K₂
     moments: Vec = ()
     differences: Vec = ()
-    dropped: Number = ZERO  # number of rows that depended on others at the start
+    dropped: Number = ZERO  # number of dependent rows at the start
     elements: tuple[Any, ...] = ()  # parameters of each force and each further constraint
     signals: Signals = NO_SIGNALS  # at the time of the evaluation
     girth: Number = ZERO  # square of the radius of gyration, m²
@@ -110,20 +111,20 @@ class BodyConstants(NamedTuple):
     def wrench(self, fall: Vec, velocity: Vec, momentum: Vec) -> Vec:
         """Return ad_Vᵀ (M V) + W about the body frame's origin, on SE(3)  (Müller, eq. Poincare1).
 
-        A step on a subgroup joint evaluates its projection, `subgroup.momentum_rate`.
+        A step on a subgroup joint evaluates the projection of this, `subgroup.momentum_rate`.
 
         fall : gravity in body axes.   momentum : M V, or on a subgroup its projection.
         """
         omega, v = velocity[:3], velocity[3:]
         spin = gyroscopic(self, omega) if self.differences else cross(momentum[:3], omega)
-        # m v × v is nothing but rounding for a body that turns and slides about its centre of mass.
+        # For a body that turns and slides about its centre of mass, m v × v is rounding error only.
         torque = spin if not is_zero(*self.shift) else cross_add(momentum[3:], v, spin)
         force = axpy(self.mass, fall, cross(momentum[3:], omega))
         return cross_add(self.first_moment, fall, torque) + force
 
 
 def girth_of(*bodies: tuple[Any, Mat]) -> Number:
-    """Square of the radius of gyration, tr Θ / 2m, m², of bodies together.
+    """Square of the radius of gyration of several bodies together, tr Θ / 2m, m².
 
     bodies : mass and inertia about the centre of mass of each.
     """
@@ -143,7 +144,7 @@ class Kinematics(NamedTuple):
     arm: Vec
     point_rate: Vec  # Qᵀ ḋ
     point_bias: Vec  # Qᵀ d̈ at zero acceleration V̇
-    is_body_fixed: bool  # velocity of the body frame in body axes (v), or in the ground's (ṙ)
+    is_body_fixed: bool  # body frame's velocity in body axes (v), or in ground axes (ṙ)
     time: Any = ZERO  # s
 
     @property
@@ -151,11 +152,11 @@ class Kinematics(NamedTuple):
         return Motion(self.time, self.q, self.d, self.omega, self.point_rate)
 
     def translation(self, ground: Vec, body: Vec) -> Vec:
-        """Translational part of a row along a direction, in ground axes and in body axes."""
+        """Translational part of a row along a direction, given in ground axes and in body axes."""
         return body if self.is_body_fixed else ground
 
     def at_point(self) -> Kinematics:
-        """Kinematics for rows on ω and on the velocity of the joint's point, in body axes."""
+        """Kinematics for rows that act on ω and on the joint point's velocity, in body axes."""
         return self._replace(arm=ZERO3, point_bias=ZERO3, is_body_fixed=True)
 
 
@@ -180,13 +181,13 @@ class Frames(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion that applied forces depend on; points of the body are relative to the joint's."""
+    """Motion on which applied forces depend; body points are relative to the joint's point."""
 
     time: Number
     q: Mat
     place: Vec  # the joint's point in the ground's joint frame
     omega: Vec
-    v: Vec  # of the joint's point, in body axes
+    v: Vec  # velocity of the joint's point, in body axes
     signals: Signals = NO_SIGNALS
 
     def place_of(self, point: Vec) -> Vec:
@@ -230,7 +231,7 @@ def _products(omega: Vec) -> Vec:
 
 
 def spinning(body: BodyConstants, omega: Vec, fall: Vec, torque: Vec) -> Vec:
-    """Return α of a body that turns about a point freely, by Euler's equations.
+    """Return α of a body that turns freely about a point, by Euler's equations.
 
     This is the solution of the saddle point, `saddle.solve`, for a spherical joint in the principal
     axes at its point.
@@ -255,8 +256,8 @@ SLENDER = 1e3  # m c²/tr Θ above which Θ is taken in axes along c before m c�
 def about_a_point(body: BodyConstants) -> tuple[Mat, Vec, Vec, Vec]:
     """Principal axes at the joint's point, as the columns of a rotation.
 
-    Also returns, in these axes, c, the moments K_i, and K₂ − K₃, K₃ − K₁, K₁ − K₂. Where Θ is small
-    beside m c², the moment of a spin about c keeps its digits, and so do the differences.
+    Also returns, in these axes, c, the moments K_i, and K₂ − K₃, K₃ − K₁, K₁ − K₂. If Θ is small
+    relative to m c², the moment about c is accurate nevertheless, and so are the differences.
     """
     c = sub(body.com, body.arm)
     heavy, none = body.mass * dot(c, c), 0.0 * body.mass
@@ -304,7 +305,7 @@ class SE3:
 
     @staticmethod
     def centred(body: BodyConstants, c: Vec) -> BodyConstants:
-        """Return the body with another c, from the joint's point to the centre of mass."""
+        """Return the body with `c` as the vector from the joint's point to the centre of mass."""
         return body._replace(com=c, first_moment=scale(body.mass, c))
 
     @staticmethod
@@ -395,7 +396,7 @@ class SO3xR3:
         body: BodyConstants, to_ground: Turn, velocity: Vec, turning: Vec, moving: Vec
     ) -> Vec:
         """Return V̇, given ω̇ and the acceleration Qᵀd̈ of the joint's point."""
-        omega, com = velocity[:3], neg(body.arm)  # seen from the point
+        omega, com = velocity[:3], neg(body.arm)  # relative to the joint's point
         bend = cross_add(omega, cross(omega, com), moving)
         return turning + to_ground(cross_add(turning, com, bend))
 

@@ -1,8 +1,8 @@
 """Rows of the constraint Jacobian: one class for each kind of row.
 
 The primitive rows of a joint act on D = (Q, d), the body's joint frame in the ground's joint frame.
-A row has a value h, its row of J (J V = ḣ, angular part first) and η of the acceleration constraint
-J V̇ = η, η = −ḧ at V̇ = 0.
+A row has a value h, a row of J (J V = ḣ, angular part first), and the right-hand side η of the
+acceleration constraint J V̇ = η, with η = −ḧ at V̇ = 0.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ PITCHED = -2  # slot of v₃ = pitch·ω₃
 
 
 class HeldBody(Protocol):
-    """Parameters of rows: of a body, or of two frames in a mechanism."""
+    """Parameters of rows; a body has them, or a pair of frames in a mechanism."""
 
     @property
     def pitch(self) -> Number: ...
@@ -49,11 +49,11 @@ class HeldBody(Protocol):
 class Row:
     """One scalar constraint.
 
-    is_translational : True where h is a length, an error of position, and λ a force.
-    is_holonomic : True where the row constrains the pose.
-    has_value : True where h follows from this row alone.
+    is_translational : True if h is a length, an error of position, and λ a force.
+    is_holonomic : True if the row constrains the pose.
+    has_value : True if h can be computed from this row alone.
     is_of_joint : True for a row of the joint, which depends on D alone.
-    parameters : the joint parameters that the row takes, with their units.
+    parameters : joint parameters of the row, with their units.
     """
 
     is_translational: bool = False
@@ -73,22 +73,22 @@ class Row:
 
     @property
     def held_axis(self) -> int | None:
-        """Ground axis along which this row alone determines the motion of the joint's point."""
+        """Ground axis along which this row alone fixes the joint's point, or None."""
         return None
 
     @property
     def fixed_axis(self) -> int | None:
-        """Body axis about which this row alone determines the turn."""
+        """Body axis about which this row alone fixes the rotation, or None."""
         return None
 
     @property
     def holds_slide(self) -> bool:
-        """Return whether no joint that has this row and keeps e₃ slides along e₃."""
+        """Return whether the row prevents sliding along e₃, in a joint that keeps e₃."""
         return self.held_axis == 2
 
     @property
     def holds_turn(self) -> bool:
-        """Return whether no joint that has this row and keeps e₃ turns about e₃."""
+        """Return whether the row prevents turning about e₃, in a joint that keeps e₃."""
         return self.fixed_axis == 2
 
     @property
@@ -98,7 +98,7 @@ class Row:
         return None if axis is None else (axis, FIXED)
 
     def value(self, x: Kinematics, body: HeldBody) -> Number:
-        """h."""
+        """Value h."""
         return ZERO
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:
@@ -106,7 +106,7 @@ class Row:
         raise NotImplementedError
 
     def acceleration(self, x: Kinematics, body: HeldBody) -> Number:
-        """η."""
+        """Right-hand side η."""
         return ZERO
 
     def prescribed_rate(self, x: Kinematics, body: HeldBody) -> Number:
@@ -118,13 +118,13 @@ Rows = tuple[Row, ...]
 
 
 def fixed_axes(rows: Rows) -> tuple[int, ...]:
-    """Return the body axes about which rows forbid to turn, in order."""
+    """Return the body axes about which rows prevent turning, in order."""
     axes = {r.fixed_axis for r in rows if r.is_holonomic and r.fixed_axis is not None}
     return tuple(sorted(axes))
 
 
 def keeps_axis(rows: Rows) -> bool:
-    """Return whether e₃ of the body stays e₃ of the ground."""
+    """Return whether the body's e₃ stays parallel to the ground's e₃."""
     return {0, 1} <= {*fixed_axes(rows)}
 
 
@@ -143,12 +143,12 @@ def _holds_slide(rows: Rows) -> bool:
 
 
 def _is_screw(rows: Rows) -> bool:
-    """Return whether the joint turns as it slides, and only then."""
+    """Return whether the joint turns in proportion as it slides."""
     return any(isinstance(r, Screw) for r in rows)
 
 
 def parameters_of(rows: Rows) -> dict[str, str]:
-    """Return the parameters that rows of a joint take, with their units."""
+    """Return the parameters of a joint's rows, with their units."""
     return {name: unit for row in rows for name, unit in row.parameters.items()}
 
 
@@ -160,7 +160,7 @@ JOINT_ROWS: dict[str, JointRow] = {}  # all primitive rows, by name
 
 @dataclass(frozen=True)
 class JointRow(Row):
-    """A primitive row. Axes i, j count from 0, in the row's name from 1."""
+    """A primitive row. Axes i, j are numbered from 0; in the row's name, from 1."""
 
     i: int = -1
     j: int = -1
@@ -175,7 +175,7 @@ class JointRow(Row):
         return self.symbol + "".join(str(axis + 1) for axis in (self.i, self.j) if axis >= 0)
 
     def objection(self, rows: Rows) -> str | None:
-        """Return why the row does not fit these rows of a joint, as in "has …"; None if it does."""
+        """Return why the row cannot be combined with these rows, as in "has …"; None if it can."""
         return None
 
 
@@ -265,7 +265,7 @@ class Cosine(JointRow):
 
 
 class Screw(JointRow):
-    """d₃ − pitch·φ = 0, where e₃ is kept."""
+    """d₃ − pitch·φ = 0, in a joint that keeps e₃."""
 
     symbol = "screw"
     axis_count = 0
@@ -325,7 +325,7 @@ class ConstantVelocity(JointRow):
     holds_turn = True
 
     def value(self, x: Kinematics, body: HeldBody) -> Number:
-        # (Q₂₁ − Q₁₂)/2 = 2wz has no gradient at a half turn; the row of J of 2z is a unit vector
+        # (Q₂₁ − Q₁₂)/2 = 2wz has no gradient at a half turn; that of 2z is a unit vector
         return 2.0 * quaternion.of_matrix(x.q)[3]
 
     def jacobian(self, x: Kinematics, body: HeldBody) -> Vec:

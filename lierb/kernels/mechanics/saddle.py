@@ -1,9 +1,9 @@
 """The index-1 saddle point  [[M, Jᵀ], [J, 0]] (V̇, λ) = (ad_Vᵀ M V + W, η)  (Müller, eq. index1).
 
 It is solved at the joint's point P, in body axes, for the angular acceleration α and the
-acceleration a = Qᵀd̈ of P. There `d` and `Omega` rows, and a motor's speed, prescribe a component of
-a or α each, and the body moves in the null space of these rows. Their λ are the components of
-f − M V̇ that are missing. Other rows have a Schur complement on that null space.
+acceleration a = Qᵀd̈ of P. There each `d` or `Omega` row, and a motor's speed, prescribes one
+component of a or α, and the body moves in the null space of these rows. Their λ are components of
+the residual f − M V̇. The other rows are solved by a Schur complement on that null space.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from lierb.kernels.numbers.vec import (
 )
 from lierb.kernels.numbers.zero import ZERO, is_zero
 
-# A row whose pivot is this part of its mobility alone depends on the rows before it. Cholesky, LDLᵀ
-# and LU without that test return garbage there. Rounding leaves about 1e-15.
+# A row depends on the rows before it if its pivot is less than this fraction of the row's own
+# mobility. Without the test, Cholesky, LDLᵀ and LU return garbage. Rounding leaves about 1e-15.
 PIVOT_TOLERANCE = 1e-12
-# The right-hand side of such a row must be as small, or the rows contradict each other.
+# The right-hand side of such a row must be equally small, or the rows contradict each other.
 CONSISTENCY_TOLERANCE = 1e-6
-# Where pose and velocity are off the rows by δ, both tolerances are this δ and its root, if larger.
-# With a tolerance below the root of rounding, a pivot that is zero may be more than that.
+# If pose and velocity violate the rows by δ, the tolerances are δ and √δ, if larger than these.
+# A tolerance below the root of rounding might be exceeded by a pivot that is zero.
 OPEN_PIVOT, ROUNDED_PIVOT = 10.0, 1e-7
 
 
@@ -56,7 +56,7 @@ class Solution(NamedTuple):
     multipliers: Vec  # λ, in the order of the rows
     wrench: Vec  # −Jᵀλ about P
     singular: Number  # 1 where rows contradict each other, else 0
-    dropped: Number  # number of rows that depend on others
+    dropped: Number  # number of dependent rows
 
 
 def solve(
@@ -69,7 +69,7 @@ def solve(
     velocity: Vec | None = None,
     turning: Vec | None = None,
 ) -> Solution:
-    """Solve the saddle point of some rows  (Müller, eq. index1).
+    """Solve the saddle point of the mass matrix and rows  (Müller, eq. index1).
 
     A step of a body that turns about a point freely evaluates α by Euler's equations,
     `newton_euler.spinning`; a step on a subgroup joint evaluates `subgroup.momentum_rate`, which
@@ -77,7 +77,7 @@ def solve(
 
     jacobian : row of J at P, in body axes.   eta : η of the rows at α = 0, a = 0.
     velocity : (ω, velocity of P), which scales the contradiction of dropped rows.
-    turning : α without the rows beside the null space, where it is known.
+    turning : α without the rows of the Schur complement, if it is known.
     """
     asked = dict(zip(rows, eta, strict=True))
     held, fixed, others = kinds_of(rows)
@@ -121,9 +121,10 @@ def solve(
 def _complement(
     support: Support, scales: _Scales, arms: list[Vec], excess: list[Number]
 ) -> tuple[Vec, list[tuple[Load, Vec, Vec]], Number, Number]:
-    """Multipliers of the rows `arms` by the Schur complement on the null space.
+    """Multipliers of rows by the Schur complement on the null space.
 
-    Also returns the load of each row with its α and a, and `singular` and `dropped`.
+    arms : their rows of J.   Also returns each row's load with its α and a, and `singular` and
+    `dropped`.
     """
     still = (ZERO,) * len(support.directions)
     loads = [Load(cross_add(arm[3:], support.centre, arm[:3]), arm[3:], arm[:3]) for arm in arms]
@@ -138,14 +139,14 @@ def _complement(
 
 
 def has_others(rows: Rows) -> bool:
-    """Return whether some row prescribes neither a component of a nor one of α."""
+    """Return whether any row prescribes neither a component of a nor one of α."""
     return bool(kinds_of(rows)[2])
 
 
 def kinds_of(rows: Rows) -> tuple[dict[int, Row], dict[int, Row], list[Row]]:
     """Sort rows into those that prescribe a or α along an axis, by axis, and all others.
 
-    An axis has one such row: a motor beside `Omega3` is one of the others.
+    An axis has one such row; with `Omega3`, a motor is among the others.
     """
     held: dict[int, Row] = {}
     fixed: dict[int, Row] = {}
@@ -161,7 +162,7 @@ def kinds_of(rows: Rows) -> tuple[dict[int, Row], dict[int, Row], list[Row]]:
 
 
 class _Scales:
-    """Sizes of rows and loads in the metric of the inertia about P that each axis has alone."""
+    """Sizes of rows and loads in the metric of the inertia about P, its diagonal only."""
 
     def __init__(
         self, body: BodyConstants, support: Support, load: Load, velocity: Vec | None
@@ -180,7 +181,7 @@ class _Scales:
         return total
 
     def acceleration(self, arm: Vec) -> Number:
-        """Bound on the acceleration of a row by load and motion."""
+        """Bound on the acceleration that load and motion can cause along a row."""
         body, c, load = self.body, self.support.centre, self.load
         forced = sqrt(self.of(cross_add(c, load.force, load.torque) + load.force))
         moved: Number = ZERO
@@ -199,17 +200,16 @@ def multipliers_of(
     before: Any = ZERO,
     openness: Callable[[], Any] | None = None,
 ) -> tuple[tuple[Any, ...], Any, Any]:
-    """λ of S λ = J V̇ − η; whether rows contradict each other; how many depend on others, NaN where
-    S is NaN.
+    """Solve S λ = J V̇ − η. Return λ, 1 where rows contradict each other, and the number of
+    dependent rows, NaN where S is NaN.
 
-    schur : the lower triangle of S.   excess : J V̇ − η.   sizes : of S's diagonal, were each row
-    alone.   brought : the acceleration of row i that load and motion could bring about.
-    before : how many rows depended on others at the start.   openness : δ, how far pose and
-    velocity are off the rows, in units of the mechanism's own length and speed.
+    schur : lower triangle of S.   excess : J V̇ − η.   sizes : diagonal of S if each row were the
+    only one.   brought : bound on the acceleration of row i that load and motion can cause.
+    before : number of dependent rows at the start.   openness : δ, violation of the rows by pose
+    and velocity, in units of the mechanism's length and speed.
 
-    Off the rows, what depends on others has a pivot of δ² over the least one that is kept, and a
-    right-hand side of δ over its root. With a tolerance of δ the first is within it, and the second
-    within its root.
+    If the rows are violated, a dependent row has a pivot of δ²/p and a right-hand side of δ/√p, p
+    the least pivot that is kept. With a tolerance of δ the first is within δ, the second within √δ.
     """
     first = _Elimination(schur, excess, sizes, PIVOT_TOLERANCE)
 
@@ -243,7 +243,7 @@ def multipliers_of(
 class _Elimination:
     """S = L D Lᵀ and λ = S⁻¹ excess, without rows whose pivots in D are within the tolerance.
 
-    Arguments as of `multipliers_of`.   count : of rows that are left out.
+    Arguments are those of `multipliers_of`.   count : number of rows that are left out.
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class _Elimination:
                 li.append(si[j] * pivots_inverse[j])
             pivot = less(schur[i][i], li, si)
             self.y.append(less(excess[i], li, self.y))
-            goes = pivot <= tolerance * (schur[i][i] + sizes[i])  # false for NaN, which stays
+            goes = pivot <= tolerance * (schur[i][i] + sizes[i])  # false for NaN: its row is kept
             pivots_inverse.append(where(goes, 0.0, 1.0) / where(goes, 1.0, pivot))
             self.dropped.append(where(goes, 1.0, 0.0 * pivot))
             self.lower.append(li)
@@ -289,7 +289,7 @@ class _Elimination:
 
 
 def is_other_rank(dropped: Any, before: Any) -> Any:
-    """Return whether the number of dependent rows is another than at the start; false for NaN."""
+    """Return whether the number of dependent rows differs from that at the start; false for NaN."""
     return absolute(dropped - before) > 0.5
 
 

@@ -3,7 +3,8 @@
 The length ℓ is the largest of the radius of gyration √(tr Θ/2m), the arm from the centre of mass to
 the joint's point, a rod's length and a pitch. The speed of a start is ‖v‖ + ℓ‖ω‖, v that of the
 centre of mass. Neither depends on the frames in which the problem is stated. Positions are rounded
-relative to their distance from the origins of those frames, whatever ℓ is; tolerances include that.
+relative to their distance from the origins of those frames, regardless of ℓ; tolerances include
+this rounding.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import Mat, Vec, cross_add, dot, norm, sub
 
 START_TOLERANCE = 1e-9  # largest residuals of a start, relative to ℓ, speed, 1 and speed/ℓ
-# Rounding error relative to the numbers that are rounded: 16 half-units in the last place from the
-# products of three poses, and as many from their factors.
+# Relative rounding error of a position: 16 half-units in the last place from the products of three
+# poses, and as many from their factors.
 ROUNDING = 2.0**-48
 
 
@@ -39,7 +40,7 @@ def rounding_of(p: Parameters, pose: Pose) -> Any:
 
 
 class PoseTolerances(NamedTuple):
-    """Largest position and rotation error of the pose of a start, and ℓ."""
+    """Tolerances of a start's pose: largest position and rotation error, and ℓ."""
 
     length: Number  # ℓ, m
     position: Number  # m
@@ -47,7 +48,7 @@ class PoseTolerances(NamedTuple):
 
 
 class TwistTolerances(NamedTuple):
-    """Largest errors of the twist of a start."""
+    """Tolerances of a start's twist."""
 
     velocity: Number  # m/s
     rotation_rate: Number  # rad/s
@@ -64,9 +65,9 @@ def twist_tolerances(
 ) -> TwistTolerances:
     """Tolerances of a twist in the user's frames; `x` and `body` are in joint axes.
 
-    A velocity may be off as a position may, relative to the speed, and by the rounding of the speed
-    that gravity and motors cause in the problem's characteristic time. Only the latter remains for
-    a body at rest.
+    The tolerance of a velocity has two terms: the pose's, relative to the speed, and the rounding
+    of the speed that gravity and motors cause in the problem's characteristic time. A body at rest
+    has the second term only.
 
     pose : tolerances of the pose.
     """
@@ -84,8 +85,8 @@ def twist_tolerances(
 
 
 def bearings(rows: Rows, q: Mat) -> list[Number]:
-    """Numbers that are positive where the joint is held the right way round.
+    """Numbers that are all positive unless the body is turned half round in its joint.
 
-    Half a turn of an axis that `Omega` rows hold changes no row's value.
+    Half a turn of an axis that `Omega` rows keep parallel changes no row's value.
     """
     return [q[4 * axis] for axis in held_axes(rows)]

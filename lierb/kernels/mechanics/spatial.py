@@ -1,4 +1,4 @@
-"""Twists, wrenches and inertias in other frames, angular part first.
+"""Transformation of twists, wrenches and inertias between frames, angular part first.
 
 Formulas of Featherstone, Rigid Body Dynamics Algorithms (2008), ch. 2 and 7. A frame is a pose
 (R, p): its axes and its origin in the outer frame.
@@ -53,7 +53,7 @@ class Rigid(NamedTuple):
     inertia: Mat  # J, kg m²
 
     def momentum(self, twist: Vec, start: Vec = ZERO6) -> Vec:
-        """Return start + M V; for an acceleration V, the wrench that it takes beside `bias`."""
+        """Return start + M V; for an acceleration V, the wrench that it needs besides `bias`."""
         omega, v = twist[:3], twist[3:]
         angular = cross_add(self.moment, v, mat_vec_add(self.inertia, omega, start[:3]))
         return angular + cross_add(omega, self.moment, axpy(self.mass, v, start[3:]))
@@ -61,13 +61,13 @@ class Rigid(NamedTuple):
     def bias(self, omega: Vec) -> Vec:
         """Wrench (ω × J ω, ω × (ω × m c)) of a body that turns at ω, its origin not accelerating.
 
-        The velocity v of the origin is not in it. In −ad_Vᵀ M V, which has the same value where V̇
-        is zero, the rounding of v × m v is a torque.
+        It does not contain the velocity v of the origin. The expression −ad_Vᵀ M V has the same
+        value if V̇ is zero, but the rounding of its v × m v is a torque.
         """
         return cross(omega, mat_vec(self.inertia, omega)) + cross(omega, cross(omega, self.moment))
 
     def needed(self, acceleration: Vec, omega: Vec) -> Vec:
-        """Wrench for an acceleration (ω̇, that of the origin) at ω."""
+        """Wrench needed for an acceleration, (ω̇, acceleration of the origin), at ω."""
         return self.momentum(acceleration, self.bias(omega))
 
     def from_frame(self, frame: Pose) -> Articulated:
@@ -88,7 +88,7 @@ class Rigid(NamedTuple):
 
 
 class Articulated(NamedTuple):
-    """Articulated inertia [[J, H], [Hᵀ, L]] of the first of connected bodies; J, L symmetric."""
+    """Articulated inertia [[J, H], [Hᵀ, L]] of connected bodies at the first; J, L symmetric."""
 
     angular: Mat
     mixed: Mat
@@ -103,7 +103,7 @@ class Articulated(NamedTuple):
         return Articulated(*(add(a, b) for a, b in zip(self, other, strict=True)))
 
     def less(self, u: Vec, g: Vec) -> Articulated:
-        """Subtract u gᵀ, of columns whose sum over all such pairs is symmetric."""
+        """Subtract u gᵀ; the sum over all pairs of columns must be symmetric."""
         return Articulated(
             _symmetric(lambda i, j: self.angular[3 * i + j] - u[i] * g[j]),
             tuple(self.mixed[3 * i + j] - u[i] * g[3 + j] for i in range(3) for j in range(3)),

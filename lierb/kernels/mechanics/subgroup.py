@@ -1,12 +1,12 @@
 """Joints whose motions are a subgroup H of SE(3): velocities as coordinates of its algebra.
 
 The momentum μ = NᵀMV is integrated. A Runge–Kutta method takes the same steps in μ as in V, its
-linear image, and needs V = N(NᵀMN)⁻¹μ in every stage, but not M V.
+linear image; a stage computes V = N(NᵀMN)⁻¹μ but not M V.
 
-In joint axes unit vectors span the algebra of every such joint, for a screw with one combination.
-So V = N ν is given by *slots*, one for each of the six components of V: the index of its coordinate
-of ν, PITCHED where it follows through the pitch, FIXED where it is structurally zero. With these
-zeros in V the general SE(3) formulas reduce to those of H, and no code is written for any H.
+In joint axes the algebra of every such joint is spanned by unit vectors, for a screw with one
+combination of two. *Slots* represent V = N ν, one for each of the six components of V: the index of
+its coordinate in ν; PITCHED if the pitch determines it; FIXED if it is structurally zero. With
+these zeros in V the general SE(3) formulas reduce to those of H, so that no H needs its own code.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ def lifted(slots: Slots, nu: Vec, pitch: Number) -> Vec:
 
 
 def coordinates(slots: Slots, velocity: Vec) -> Vec:
-    """Return ν of V = N ν."""
+    """Return the coordinates ν of V = N ν."""
     return tuple(v for slot, v in zip(slots, velocity, strict=True) if slot >= 0)
 
 
 def in_subalgebra(slots: Slots, velocity: Vec, pitch: Number) -> Vec:
-    """Project a V that is in the algebra up to rounding onto it, with its structural zeros."""
+    """Project V, in the algebra up to rounding, onto the algebra, with its structural zeros."""
     return lifted(slots, coordinates(slots, velocity), pitch)
 
 
 def projected(slots: Slots, wrench: Vec, pitch: Number) -> Vec:
-    """Return Nᵀ f, each number in its coordinate's slot, and structural zeros.
+    """Return Nᵀ f as a wrench: each number in its coordinate's slot, and structural zeros.
 
-    On the algebra this is the same covector as f; it is its own projection.
+    On the algebra the result is the same covector as f. A second projection changes nothing.
     """
     parts = [x if slot >= 0 else ZERO for slot, x in zip(slots, wrench, strict=True)]
     if PITCHED in slots:
@@ -106,9 +106,9 @@ def momentum_rate(
 ) -> Vec:
     """Return μ̇ = Nᵀ (ad_Vᵀ μ + W), Euler–Poincaré's equation on H  (Müller, eqs. 1 and 3a).
 
-    This is the solution of the saddle point of `saddle.solve`, with a constant inverse, and Nᵀ of
-    `BodyConstants.wrench`. μ replaces M V: their difference does no work on H's algebra, to which
-    [V, N w] belongs with V and N w.
+    This is Nᵀ times `BodyConstants.wrench`. With the constant inverse of NᵀMN, it gives the
+    solution of `saddle.solve`. μ can replace M V, since their difference does no work on H's
+    algebra, which contains V, N w and so [V, N w].
 
     fall : gravity in body axes.   applied : wrench of all other forces.
     """
@@ -117,7 +117,7 @@ def momentum_rate(
 
 
 def on_subgroup(slots: Slots, chart: Chart) -> Chart:
-    """Return a pose in H, with its structural zeros and ones in place of components off H."""
+    """Project a pose onto H; its components off H become structural zeros and ones."""
     p, d = chart
     if slots[:3] == (FIXED, FIXED, FIXED):
         p = (1.0, ZERO, ZERO, ZERO)

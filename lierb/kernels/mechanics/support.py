@@ -1,15 +1,15 @@
-"""Motion of a body whose joint point is held along some directions, under any load.
+"""Motion of a body under a load, with its joint point P held along some directions.
 
-With c from P to the centre of mass, P held along unit vectors n_h and w_h = c × n_h, the inertia
-of a turn is
+Let c be the vector from P to the centre of mass, n_h the unit vectors along which P is held, and
+w_h = c × n_h. The inertia of a rotation is
 
     K = Θ + m Σ w_h w_hᵀ,   adj K = adj Θ + m Σ ŵ_h Θ ŵ_hᵀ + m² γ c cᵀ,
     det K = det Θ + m Σ w_hᵀ (adj Θ) w_h + m² γ cᵀΘ c,   γ = Σ_{h<k} (c·(n_h × n_k))².
 
-Every term is a sum of nonnegative numbers, so that a small body on a long arm keeps its digits;
-about the centre of mass, a Schur complement loses digits like m c²/Θ. The product of c with the
-moment of a force at P is zero. It is left out, since the third term of adj K would multiply its
-rounding by c²/Θ.
+Every term is a sum of nonnegative numbers, so that no digits cancel for a small body on a long arm.
+A Schur complement about the centre of mass would lose digits like m c²/Θ. The product of c with the
+moment of a force at P is zero and is omitted: the third term of adj K would multiply its rounding
+by c²/Θ.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Load(NamedTuple):
 
 
 class Support:
-    """A body whose point P is held along some directions, and its turns about some axes.
+    """A body whose point P is held along some directions, and its rotation about some axes.
 
     held : indices of the ground axes along which P is held.   fixed : body axes about which α is
     prescribed: none, two or all.
@@ -61,7 +61,7 @@ class Support:
     ) -> None:
         self.body = body
         self.fixed = fixed
-        self.is_point = len(held) == 3  # all directions: body axes serve as well
+        self.is_point = len(held) == 3  # all directions: body axes can be used as well
         self.directions = UNIT if self.is_point else tuple(row(q, i) for i in held)
         self.centre = sub(body.com, body.arm)
         self.levers = tuple(cross(self.centre, n) for n in self.directions)
@@ -69,20 +69,20 @@ class Support:
     def response(self, load: Load, turns: Vec, moves: Vec) -> tuple[Vec, Vec]:
         """Return α and a under a load.
 
-        turns : α about the `fixed` axes.   moves : a along the directions.
+        turns : α about the `fixed` axes.   moves : a along the directions of P.
         """
         turning = self.turning(load, turns, moves)
         return turning, self.moving(load, turning, moves)
 
     def holding(self, load: Load, turning: Vec, moves: Vec) -> Vec:
-        """Forces that hold P, along the directions."""
+        """Forces that hold P, one along each direction."""
         return tuple(
             fma(self.body.mass, dot(turning, w) + move, -dot(n, load.force))
             for n, w, move in zip(self.directions, self.levers, moves, strict=True)
         )
 
     def torques(self, load: Load, turning: Vec, holding: Vec) -> Vec:
-        """Torques about the fixed body axes; structurally zero about the others."""
+        """Torques about the fixed body axes; structural zeros about the others."""
         missing = sub(mat_vec(self.body.inertia, turning), load.torque)
         for w, force in zip(self.levers, holding, strict=True):
             missing = axpy(force, w, missing)
@@ -136,11 +136,11 @@ class Support:
         along = dot(c, load.torque)  # c·w is zero
         if not self.levers:
             return mat_vec(self.body.inertia_inverse, torque)
-        if self.is_point:  # constant: LLVM makes these once a block
+        if self.is_point:  # constant: LLVM computes these once per block
             spread, slender = self._point_inverse
             return axpy(slender * along, c, mat_vec(spread, torque))
         adjugate = adjugate_symmetric(theta)
-        turning = mat_vec(adjugate, torque)  # times det K
+        turning = mat_vec(adjugate, torque)  # α times det K
         size = dot(row(theta, 0), row(adjugate, 0))
         for i, w in enumerate(self.levers):
             crossed = cross(load.torque, w)

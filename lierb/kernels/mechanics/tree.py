@@ -1,20 +1,21 @@
 """Kinematics of a tree of links.
 
-A *node* is a link, or a massless frame between two motions that make up one joint. It is connected
-to its parent node, or to the ground, by D = (Q, d), its frame in the joint's frame there. In joint
-axes its own frame is the joint's, so that
+A *node* is a link, or a massless frame between two motions that form one joint. It is connected
+to its parent node, or to the ground; D = (Q, d) is its frame in the joint's frame there. In joint
+axes the node's own frame is the joint's, so that
 
     T = H D,   V = Ad(T⁻¹) V′ + V_rel,   A = Ad(T⁻¹) A′ + b + S ν̇,
 
 with H constant, V′ and A′ of the parent, S the joint's free directions. A = (ω̇, v̇ + ω × v) is the
-acceleration of the frame and of its origin, in its axes, S ν̇ = (ω̇_rel, Qᵀd̈) that on the joint, and
-b the centripetal and Coriolis part, (ω′ × ω_rel, ω′ × (ω′ × p) + 2 ω′ × v_rel) in the node's axes,
-p the node's position on the parent. No absolute velocity v is in these equations: a mechanism moves
-as one at rest, at any speed, and no rounding of v × m v acts as a torque.
+acceleration of the frame and of its origin, in its axes. S ν̇ = (ω̇_rel, Qᵀd̈) is the acceleration
+on the joint. b = (ω′ × ω_rel, ω′ × (ω′ × p) + 2 ω′ × v_rel) is the centripetal and Coriolis part,
+in the node's axes, p the node's position on the parent. The equations contain no absolute velocity:
+a mechanism in uniform motion is computed like one at rest, and no rounding of v × m v acts as a
+torque.
 
 *Reduced*: D and V_rel = S ν are the state, and S is constant. *Absolute*: C and V of every node are
-the state; S spans the directions that the joint's rows leave free at the node's pose, on its joint
-or off it: the saddle point of M and these rows, solved on their null space.
+the state; S spans the directions that the joint's rows leave free at the node's pose, even where
+it violates them. This solves the saddle point of M and these rows on their null space.
 `lierb.kernels.mechanics.tree_dynamics` solves for ν̇.
 """
 
@@ -56,7 +57,7 @@ from lierb.kernels.numbers.zero import ZERO, is_zero
 GROUND = -1  # in place of a node's index
 MASSLESS = -1  # in place of a link's index
 NONE = -1  # in place of a joint's index
-FEW = 3  # columns whose sum takes fewer operations than the transformation of a twist
+FEW = 3  # up to so many columns, their sum costs less than the transformation of a twist
 FREE: Slots = (0, 1, 2, 3, 4, 5)
 HERE: Pose = (IDENTITY, ZERO3)
 
@@ -67,7 +68,7 @@ class Node:
 
     parent : index of the parent node, or GROUND.   link : index of the link, or MASSLESS.
     cspace : "reduced", or "SE3" or "SO3xR3" of its own pose.
-    slots : components of V_rel that are free, for reduced coordinates.
+    slots : free components of V_rel, for reduced coordinates.
     rows : rows of the joint beyond the slots.
     """
 
@@ -92,7 +93,7 @@ class Node:
 
     @cached_property
     def others(self) -> Rows:
-        """Rows beside the null space on which the tree is solved."""
+        """Rows that are solved with multipliers, not by the null space S."""
         return tuple(kinds_of(self.rows)[2])
 
 
@@ -100,8 +101,8 @@ class Node:
 class Connection:
     """Two frames, on a node and on another node or the ground, and the rows between them.
 
-    hangs : True where the frames are those of the joint that connects `node` to its parent `other`.
-    joint : index of the joint whose frames they are; NONE for the nodes' own frames and the ground.
+    hangs : True if the frames are those of the joint that connects `node` to its parent `other`.
+    joint : index of the joint that has the frames; NONE for the frames of nodes and of the ground.
     """
 
     node: int
@@ -146,7 +147,7 @@ class TreeConstants(NamedTuple):
     """Constants of a mechanism.
 
     ends : frames of the plan's connections.   elements : parameters of each element.
-    dropped : number of rows that depended on others at the start.
+    dropped : number of dependent rows at the start.
     signals : signals at the time of the evaluation.
     girth : square of the radius of gyration of all nodes together, m².
     """
@@ -161,7 +162,7 @@ class TreeConstants(NamedTuple):
 
     @property
     def mass(self) -> Number:
-        """Mass of some link, a number of the kind that all are."""
+        """Mass of the first link, as an example of the number type."""
         return next(n.rigid.mass for n in self.nodes if n.rigid.mass is not ZERO)
 
 
@@ -170,9 +171,9 @@ class Relative(NamedTuple):
 
     x : kinematics for rows.
     seat : the inner frame in the other node's frame, or in the ground's.
-    bias : A of the node less A of the other where (ω̇_rel, Qᵀd̈) is zero, both at the inner frame
-        and from ω̇ and the acceleration of the nodes' origins alone.
-    fall : acceleration of the ground in the frame of `seat`, if the ground is the other; else None.
+    bias : A of the node less A of the other at zero (ω̇_rel, Qᵀd̈), both at the inner frame, from
+        ω̇ and the acceleration of the nodes' origins, without centripetal terms.
+    fall : acceleration of the ground in the frame of `seat`, if `other` is the ground; else None.
     """
 
     x: Kinematics
@@ -202,12 +203,12 @@ class TreeMotion:
         self.relative: list[Vec] = []  # V_rel
         self.twists: list[Vec] = []  # V, of a frame in joint axes
         self.directions: list[list[Vec]] = []  # S
-        self.own: list[range] = []  # indices of these among those of all nodes
+        self.own: list[range] = []  # indices of each node's directions among all
         self._poses, self._velocities = [*poses], velocities
         self._places: dict[int, Pose] = {}
         self._columns: dict[int, dict[int, Vec]] = {}
         self._above: dict[int, dict[int, Vec]] = {}
-        self._rates: dict[int, Number] = {}  # ν, where V_rel is S ν exactly
+        self._rates: dict[int, Number] = {}  # ν, if V_rel is exactly S ν
         self._biases: dict[int, Vec] = {}
         self._paths: dict[tuple[int, int], tuple[Pose, Vec]] = {}
         for i, (node, constants) in enumerate(zip(nodes, body.nodes, strict=True)):
@@ -257,7 +258,7 @@ class TreeMotion:
         self.twists.append(twist)
 
     def again(self) -> TreeMotion:
-        """Return a motion of the same state, with nothing computed yet."""
+        """Return a motion of the same state, without cached values."""
         return TreeMotion(self.nodes, self.body, self._poses, self._velocities, self.time)
 
     def columns(self, i: int) -> dict[int, Vec]:
@@ -282,7 +283,7 @@ class TreeMotion:
     def carry(self, i: int, twist: Vec, is_constant: bool = False) -> Vec:
         """Return Ad(T⁻¹) V, the parent's twist V in a node's frame.
 
-        is_constant : True for a constant twist, of which Ad(H⁻¹) V is constant, too.
+        is_constant : True for a constant twist, for which Ad(H⁻¹) V is constant, too.
         """
         node = self.nodes[i]
         if node.is_reduced and node.parent != GROUND:
@@ -292,7 +293,7 @@ class TreeMotion:
         return twist_at(self.steps[i], twist)
 
     def place(self, i: int) -> Pose:
-        """A node's frame in the ground's frame at the root of its tree."""
+        """A node's frame in the ground's joint frame at the root of its tree."""
         if i not in self._places:
             parent = self.nodes[i].parent
             step = self.steps[i]
@@ -356,7 +357,7 @@ class TreeMotion:
     def _seen_from(self, fork: int, i: int, of_ground: Callable[[int], Pose]) -> tuple[Pose, Vec]:
         """A node's frame and twist relative to an ancestor, or to the ground.
 
-        They are composed along the tree, so that no motion common to both is rounded.
+        They are composed along the tree, so that the motion of the ancestor causes no rounding.
         """
         if i == fork:
             return HERE, ZERO6
@@ -384,7 +385,7 @@ class TreeMotion:
         return [*turns, *(ZERO3 + row(q, j) for j in range(3) if j not in held)]
 
     def held(self, i: int, v: Vec) -> Vec:
-        """Component of a vector, in a node's axes, along which its joint's rows hold the point."""
+        """Part of a vector, in node axes, along the directions in which joint rows fix P."""
         held, _, _ = kinds_of(self.nodes[i].rows)
         if not held:
             return ZERO3
@@ -407,9 +408,9 @@ class TreeMotion:
 
 
 def carried_bias(turning: Vec, swept: Vec, relative: Vec) -> Vec:
-    """Centripetal and Coriolis part b for a frame that moves at `relative` on one that turns.
+    """Centripetal and Coriolis part b, for a frame with twist `relative` on a turning frame.
 
-    turning : ω′.   swept : ω′ × p.   All are in the frame's axes.
+    turning : ω′.   swept : ω′ × p.   All three are in the moving frame's axes.
     """
     return cross(turning, relative[:3]) + cross(turning, axpy(2.0, relative[3:], swept))
 
@@ -422,7 +423,7 @@ def root_of(nodes: Sequence[Node], i: int) -> int:
 
 
 def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
-    """Return S of slots: unit vectors, and for a screw one combination."""
+    """Return S for slots: unit vectors, and for a screw a combination of two."""
     directions = []
     for i, slot in enumerate(slots):
         if slot >= 0:
@@ -435,10 +436,10 @@ def free_directions(slots: Slots, pitch: Any) -> list[Vec]:
 
 @lru_cache(64)
 def joint_space_pays(nodes: tuple[Node, ...]) -> bool:
-    """Return whether the mass matrix takes fewer multiplications than articulated bodies.
+    """Return whether the mass matrix needs fewer multiplications than articulated bodies.
 
-    A column carried to one more node takes 60, with its products; an inertia takes 170, and a
-    factorisation n³/6.
+    Transforming a column to one more node needs 60, with its products; transforming an inertia
+    needs 170; a factorisation n³/6.
     """
     free = [len(node.free) for node in nodes]
     above: list[int] = []

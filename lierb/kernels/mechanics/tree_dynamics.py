@@ -1,16 +1,16 @@
 """Dynamics of a tree of links: accelerations under loads and further rows.
 
-A = Ad(T⁻¹) A′ + b + S ν̇ of every node (`lierb.kernels.mechanics.tree`). ν̇ is found by articulated
-bodies, with a cost proportional to the number of nodes (Featherstone, Rigid Body Dynamics
-Algorithms, 2008, ch. 7), or by the mass matrix of all ν (Kane), at less cost for a few.
+Every node has A = Ad(T⁻¹) A′ + b + S ν̇ (`lierb.kernels.mechanics.tree`). ν̇ is computed by
+articulated bodies, at a cost proportional to the number of nodes (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, ch. 7), or by the mass matrix of all ν (Kane), which costs less for few nodes.
 
-All other rows, of loops, of joints whose motions are no group, of motors and of the user, have a
-Schur complement on that. Gravity is an acceleration of the ground.
+All other rows are solved by a Schur complement: those of loops, of joints whose motions are no
+group, of motors, and of users' constraints. Gravity is an acceleration of the ground.
 
 A row of a joint of the tree is made stiff at its node: s (B ν̇ − η)² / 2 is added to the function
-that ν̇ minimises, with s of the size of the node's descendants. The term vanishes where the row is
-satisfied. With it the entries of the complement are near 1/s, whatever the masses are; without it,
-a heavy link on a light one would make rows cancel down to the ratio of their masses.
+that ν̇ minimises, with s of the size of the inertia of the node and its descendants. The term
+vanishes if the row is satisfied. With it the entries of the complement are near 1/s for any masses;
+without it, digits cancel down to the mass ratio of a light link and a heavy one on it.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class ArticulatedBodies:
         """Accelerations of the nodes under loads, wrenches about their frames' origins.
 
         biases : b of each node.   fall : acceleration of the ground for each root, in its joint's
-        axes; with it the nodes have their velocities, without it they are at rest.
+        axes. If it is given, the nodes have their velocities; otherwise they are at rest.
         """
         nodes, steps = self.motion.nodes, self.motion.steps
         totals = _net_loads(self.motion, loads, is_moving=fall is not None)
@@ -121,7 +121,7 @@ class ArticulatedBodies:
 
 
 class JointSpace:
-    """Solver by the mass matrix of all free directions, cheaper for a few of them.
+    """Solver by the mass matrix of all free directions, cheaper if they are few.
 
     Kane's method on the columns of `TreeMotion.columns`.
     """
@@ -197,13 +197,13 @@ class JointSpace:
 class Factored:
     """Factorisation Lᵀ D L of a symmetric positive definite matrix, given by its lower triangle.
 
-    It begins at the last row: the pivots of a chain's last links are constant, and their inverses
-    are computed once.
+    Elimination begins at the last row: the pivots of a chain's last links are constant, so that
+    their inverses are computed once.
     """
 
     def __init__(self, lower: list[list[Number]]) -> None:
         count = len(lower)
-        self.upper: list[list[Number]] = [[] for _ in range(count)]  # of row i, from the last on
+        self.upper: list[list[Number]] = [[] for _ in range(count)]  # of row i, last row first
         self.inverses: list[Number] = [ZERO] * count
         scaled: list[list[Number]] = [[] for _ in range(count)]
         for i in reversed(range(count)):
@@ -215,7 +215,7 @@ class Factored:
 
     def solve(self, right: Sequence[Number]) -> list[Number]:
         count = len(right)
-        y: list[Number] = []  # from the last row on
+        y: list[Number] = []  # last row first
         for i in reversed(range(count)):
             y.append(less(right[i], self.upper[i], y))
         solution: list[Number] = []
@@ -231,12 +231,12 @@ Bodies = ArticulatedBodies | JointSpace
 
 
 def bodies_of(motion: TreeMotion, rows: Sequence[NodeRow] = ()) -> Bodies:
-    """Return the cheaper solver.   rows : further rows, of which some make nodes stiff."""
+    """Return the cheaper solver.   rows : further rows; some make their nodes stiff."""
     return (JointSpace if joint_space_pays(motion.nodes) else ArticulatedBodies)(motion, rows)
 
 
 def _net_loads(motion: TreeMotion, loads: dict[int, Vec], is_moving: bool) -> list[Vec]:
-    """Loads on all nodes, less the bias wrenches of their bodies where these move."""
+    """Loads on all nodes, less the bias wrenches of their bodies if these move."""
     totals = [loads.get(i, ZERO6) for i in range(len(motion.nodes))]
     for i, node in enumerate(motion.nodes):
         if is_moving and node.link != MASSLESS:
@@ -264,7 +264,7 @@ class Solved(NamedTuple):
     """Accelerations and multipliers of a tree with further rows.
 
     multipliers : λ of the rows, in order.   singular, dropped : as in `saddle.Solution`.
-    bias : wrench s η about each node that rows make stiff, which is no load.
+    bias : wrench s η of the stiff rows about each node; it is not a load.
     """
 
     response: Response
@@ -274,7 +274,7 @@ class Solved(NamedTuple):
     bias: dict[int, Vec]
 
     def transmitted(self, bodies: Bodies, i: int) -> Vec:
-        """Wrench by which a joint moves its node, about the node's frame, without its rows'."""
+        """Wrench of a joint on its node, about the node's frame, without its rows' multipliers."""
         return add(bodies.transmitted(i, self.response), self.bias.get(i, ZERO6))
 
 
@@ -288,7 +288,7 @@ def solved(
 ) -> Solved:
     """Solve for accelerations under loads and rows; see `ArticulatedBodies.respond`.
 
-    openness : as of `saddle.multipliers_of`.
+    openness : see `saddle.multipliers_of`.
     """
     if not rows:
         return Solved(bodies.respond(loads, biases, fall), (), ZERO, ZERO, {})
@@ -332,7 +332,7 @@ def _add_loads(total: dict[int, Vec], more: dict[int, Vec]) -> None:
 
 
 class _TreeScales:
-    """Sizes of rows and loads in the metric of the inertia that each node has alone."""
+    """Sizes of rows and loads in the metric of each node's own inertia."""
 
     def __init__(
         self, motion: TreeMotion, loads: dict[int, Vec], fall: dict[int, Vec] | None

@@ -1,4 +1,4 @@
-"""Accelerations of the nodes of a tree, and rows on those of two nodes."""
+"""Accelerations of the nodes of a tree, and rows that constrain those of two nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Response(NamedTuple):
 
     moved: tuple[Vec, ...]  # A of each node, or of unit loads
     rates: tuple[Vec, ...]  # S ν̇
-    totals: tuple[Vec, ...]  # loads, with those that descendants pass on
+    totals: tuple[Vec, ...]  # loads, including those transmitted by descendants
 
 
 class NodeRow(NamedTuple):
@@ -37,7 +37,7 @@ class NodeRow(NamedTuple):
     stiffness: Number = ZERO
 
     def loads(self, size: Number = 1.0) -> dict[int, Vec]:
-        """Wrenches on the nodes of a multiplier −size."""
+        """Wrenches on the nodes for a multiplier −size."""
         wrenches = {self.node: scale(size, self.push)}
         if self.other != GROUND:
             wrenches[self.other] = scale(-size, self.pull)
@@ -54,14 +54,14 @@ class NodeRow(NamedTuple):
 def node_row(
     connection: Connection, relative: Relative, jacobian: Vec, inner: Pose, wanted: Any
 ) -> NodeRow:
-    """Row of a connection on its nodes, with the Jacobian J of J·V_rel."""
+    """Row of a connection, in the accelerations of its nodes.   jacobian : J of J·V_rel."""
     push = jacobian if connection.hangs else wrench_from(inner, jacobian)
     pull = wrench_from(relative.seat, jacobian)
     return NodeRow(connection.node, connection.other, push, pull, relative.fall, wanted)
 
 
 def stiffness_of(rows: Sequence[NodeRow], i: int, directions: list[Vec]) -> list[list[Number]]:
-    """Sum Σ s BᵀB of the rows B ν̇ that make a node stiff."""
+    """Sum Σ s BᵀB over the rows B ν̇ that make node i stiff."""
     count = len(directions)
     total: list[list[Number]] = [[ZERO] * count for _ in range(count)]
     for each in rows:

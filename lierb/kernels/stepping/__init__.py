@@ -1,1 +1,1 @@
-"""Steps: methods, clocks, and the choice of adaptive steps."""
+"""Steps: methods, clocks, and step-size control."""

@@ -1,4 +1,4 @@
-"""Clocks: times of a run's steps, of its saved rows and of its end."""
+"""Clocks: times of the steps, the saved rows and the end of a run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lierb.compiler.loops import shared
 
-TIDY_EVERY = 30  # steps; 16 to 64 do as well, but with measure_every=10 this one is measured too
+TIDY_EVERY = 30  # steps; 16 to 64 work equally; 30 is measured too with measure_every=10
 
 
 class Clock(Protocol):
@@ -24,17 +24,17 @@ class Clock(Protocol):
         """End of the run, s."""
 
     def saved_steps(self) -> NDArray[np.int64]:
-        """Numbers of the saved steps, (saved_rows,), or of the rows where steps are adaptive."""
+        """Indices of the saved steps, (saved_rows,); for adaptive steps, of the rows."""
 
     def saved_times(self) -> NDArray[np.float64]:
         """Times of the saved rows, (saved_rows,), s."""
 
 
 class StepClock(NamedTuple):
-    """Clock of `steps` steps of `dt` s, measured and saved every so many (0: never).
+    """Clock of `steps` steps of `dt` s, with measurement and saving intervals in steps (0: never).
 
-    origin, first_step : the start is `first_step` steps after `origin`, s: a run that resumes
-        another counts on, and so has its times, and its rounding tidied, as if without a break.
+    origin, first_step : the start is `first_step` steps after `origin`, s. A continued run counts
+        on, so that its times and its renormalisation are the same as without a break.
     """
 
     dt: float
@@ -80,7 +80,7 @@ def seen_at(clock: Any, step: Any) -> Any:
 def share_of(clock: Any, step: Any) -> Any:
     """Weight of a measured step in a mean over the whole time, by the trapezoidal rule.
 
-    It is half the way from the measured step before it to the one after it.
+    The weight is half the interval between the measured steps before and after it.
     """
     every = clock.measure_every
     before = max(step - 1, 0) // every * every
@@ -90,8 +90,8 @@ def share_of(clock: Any, step: Any) -> Any:
 
 @shared
 def ahead_of(clock: Any, step: Any, stop: Any) -> Any:
-    """Return the next step that is measured, saved or tidied, or `stop` where that is earlier; and
-    whether this one is tidied: rounding is taken off before it.
+    """Return the next step that is measured, saved or tidied, but at most `stop`; and whether this
+    step is tidied, that is, starts from a renormalised pose.
     """
     counted = clock.first_step + step
     ahead = min(clock.measure_every - step % clock.measure_every, TIDY_EVERY - counted % TIDY_EVERY)

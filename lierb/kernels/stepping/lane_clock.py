@@ -1,7 +1,8 @@
-"""StepClock of a lane: time of its trajectory, length of the next step, end.
+"""Clock of a lane: current time of its trajectory, length of the next step, end of the run.
 
-Fixed steps end at t = anchor + dt·k, the same doubles as if all lanes had one clock. Adaptive steps
-end at the step-size control's choice. Both end where a controller ticks and at the end of the run.
+Fixed steps end at t = anchor + dt·k, the same doubles as with one clock for all lanes. Adaptive
+steps end where step-size control chooses. Both also end at ticks of controllers and at the end of
+the run.
 """
 
 from __future__ import annotations
@@ -33,14 +34,14 @@ from lierb.kernels.systems.state import DT_MIN, MAX_STEPS, NON_FINITE, OK, RAISE
 from lierb.kernels.tracing import calls
 
 INF = float("inf")
-PASSED = 1.1  # factor by which a step may exceed `longest`, as velocities change in it
-NEARLY = 1e-9  # fraction of a step: a remainder of the run shorter than that joins the step
+PASSED = 1.1  # factor by which a step may exceed `longest`, since velocities change in it
+NEARLY = 1e-9  # fraction of a step: a shorter remainder of the run is added to the step
 
 
 def rounding_at(time: Any) -> Any:
     """Return the distance within which two times count as equal, s.
 
-    Times are sums of steps and multiples of a period.
+    Times are sums of steps, and multiples of a period.
     """
     return 4.0 * EPS * absolute(time)
 
@@ -60,12 +61,13 @@ class Span(NamedTuple):
 
 
 class LaneClock(NamedTuple):
-    """StepClock of a lane.
+    """Clock of a lane.
 
-    t : current time, s.   h : length of the next step unless something cuts it short, s.
+    t : current time, s.   h : length of the next step unless it is cut short, s.
     anchor, counted : fixed steps are counted from `anchor`, s.
-    before : level of the last error, for the step-size control; see `Change`.
-    steps, rejected : counts so far.   seen : time at which observables were last evaluated, s.
+    before : level of the last error, for step-size control; see `Change`.
+    steps, rejected : counts of accepted and rejected steps so far.
+    seen : time at which observables were last evaluated, s.
     due : time of the next row of the history, s.   ahead : number of steps before the start.
     """
 
@@ -84,7 +86,7 @@ class LaneClock(NamedTuple):
 class Trial(NamedTuple):
     """A step to be tried: from `start` to `end`, of length h, s.
 
-    lands : 1 where something cuts it short.
+    lands : 1 where the step is cut short.
     """
 
     start: Any
@@ -94,7 +96,7 @@ class Trial(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """Outcome of a step.   accepted : 1 where it is accepted.   failed : a status, or OK."""
+    """Outcome of a step.   accepted : 1 where it is accepted.   failed : status, OK if none."""
 
     accepted: Any
     failed: Any
@@ -128,9 +130,9 @@ def first_clock(
 def continued(
     plan: AnyPlan, clock: LaneClock, limits: Tolerances, ends: dict[str, tuple[Any, ...]]
 ) -> LaneClock:
-    """Return the clock of a continued run, as the run before has left it unless options differ.
+    """Return the clock of a continued run: the last one of the run before, unless options differ.
 
-    ends : LANE_END; NaN where the run before had one clock for all lanes.
+    ends : LANE_END; NaN if the run before had one clock for all lanes.
     """
     anchor, counted, h, before, ahead = (ends[field.name][0] for field in LANE_END.fields)
     if plan.embedded is None:
@@ -154,7 +156,7 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
 
     stop : its latest end, s.   active : 0 where the lane is idle.
 
-    A fixed step that ends at `stop` by itself is not cut: steps are counted on.
+    A fixed step that ends exactly at `stop` is not cut, and the step count goes on.
     """
     left = stop - clock.t
     lands = clock.h * (1.0 + NEARLY) >= left
@@ -164,7 +166,7 @@ def trial_of(plan: AnyPlan, clock: LaneClock, stop: Any, active: Any) -> Trial:
         is_whole = absolute(left - clock.h) <= rounding_at(absolute(stop) + clock.h)
         lands = lands & ~is_whole
         h = where(lands, left, clock.h)
-    else:  # no sliver is left for the last step
+    else:  # leave no tiny remainder for the last step
         half = clock.t + 0.5 * left
         ahead = where(clock.h > 0.5 * left, half, clock.t + clock.h)
         end = where(lands, stop, ahead)
@@ -189,9 +191,9 @@ def judged(
     """Accept or reject a step, and choose the next one.
 
     fine : mask of states that are finite and not singular.
-    singular : 1 where a step that cannot be shortened ends as SINGULAR.
+    singular : 1 where a step that cannot be shortened fails with SINGULAR.
     square : square of the error.
-    longest : longest step that elements allow, s, from the velocity at its end; None for any.
+    longest : longest step that elements allow at the velocity at its end, s; None for any.
     """
     running = active > 0.5
     raised = running & ~running
@@ -209,7 +211,7 @@ def judged(
     grown = trial.h * by.factor
     if longest is not None:
         grown = where(meets, grown, minimum(grown, longest))
-    # A step that was cut short is no measure of a long one.
+    # A step that was cut short does not determine the length of a full one.
     longer = where(trial.h < 0.5 * clock.h, maximum(grown, clock.h), grown)
     taken = clock._replace(
         t=trial.end, h=within(longer, limits), before=by.level, steps=steps + 1.0
@@ -241,7 +243,7 @@ def judged(
 def _fixed(
     clock: LaneClock, trial: Trial, fine: Any, worse: Any, raised: Any, running: Any
 ) -> Verdict:
-    """Accept a fixed step, or end the trajectory.   worse : status where it is not fine."""
+    """Accept a fixed step, or end the trajectory.   worse : status if the step is not fine."""
     steps, moves = clock.steps, trial.end > trial.start
     accepted = running & fine & moves & ~raised
     failed = where(running & ~accepted, where(moves, worse, float(DT_MIN)), float(OK))
@@ -257,8 +259,8 @@ def _fixed(
 
 
 def to_tidy(clock: LaneClock, fresh: Any, termination: Any) -> Any:
-    """True where the pose is to be renormalised: every TIDY_EVERY steps, those before a break
-    included.
+    """True where the pose is to be renormalised: every TIDY_EVERY steps, counted over continued
+    runs.
     """
     counted = clock.steps + clock.ahead
     turns = is_multiple(counted, float(TIDY_EVERY))
@@ -273,7 +275,7 @@ def to_measure(clock: LaneClock, span: Span, fresh: Any, termination: Any) -> An
 def is_multiple(count: Any, every: Any) -> Any:
     """Return whether a whole number is a multiple of another.
 
-    An approximate quotient is enough, and lanes share 1 / every.
+    An approximate quotient suffices; 1 / every is computed once for all lanes.
     """
     return count == every * rint(count * (1.0 / every))
 

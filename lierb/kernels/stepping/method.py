@@ -1,4 +1,4 @@
-"""Protocol of a method: how a state becomes the one a step later."""
+"""Protocol of a one-step method, its arguments and its results."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from lierb.kernels.systems.system import AnySystem
 class Interval(NamedTuple):
     """Interval of a step.
 
-    time, span : its beginning and length as functions of time read them, s. They differ from the
-        step's own where something jumps at its ends.
+    time, span : beginning and length for functions of time, s. They differ from those of the step
+        if an element jumps at its ends.
     h : length of the step, s.
     """
 
@@ -22,16 +22,16 @@ class Interval(NamedTuple):
     h: Any
 
     def part(self, theta: Any) -> Interval:
-        """Interval of the first part θ of the step."""
+        """Interval of the first fraction θ of the step."""
         return Interval(self.time, theta * self.span, theta * self.h)
 
 
 class Step(NamedTuple):
     """Result of a step.
 
-    slopes : rates of the stages, from which errors and states between the ends follow.
-    singular : 1 where a stage met a singular configuration.
-    stabilised : the state with the corrections of the stabilisation.
+    slopes : rates of the stages, for error estimates and dense output.
+    singular : 1 where a stage has a singular configuration.
+    stabilised : the state at the end, with the corrections by stabilisation.
     """
 
     state: State
@@ -41,9 +41,10 @@ class Step(NamedTuple):
 
 
 class Defect(NamedTuple):
-    """Difference of two states, as an error estimate has it; n as in `System`.
+    """Error estimate, a difference of two states; n as in `System`.
 
-    x : in the algebra (n,), rad and m.   twist : of V (n,), rad/s and m/s.   states : of the rest.
+    x : in the algebra (n,), rad and m.   twist : of V (n,), rad/s and m/s.
+    states : of the extra states.
     """
 
     x: Vec
@@ -52,12 +53,12 @@ class Defect(NamedTuple):
 
 
 class Method(Protocol):
-    """One-step method, on any system.   state : at the start of the step, which `at` describes."""
+    """One-step method for any system.   state : at the start of a step.   at : its interval."""
 
     def step(
         self, system: AnySystem, body: Any, state: State, at: Interval, all_stages: bool = False
     ) -> Step:
-        """Step by h.   all_stages : also those for error estimate and dense output alone."""
+        """Step by h.   all_stages : also stages only for the error estimate and dense output."""
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
         """Error estimates of a step with these slopes, the one of highest order first."""
@@ -65,7 +66,7 @@ class Method(Protocol):
     def extended(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes
     ) -> Slopes:
-        """Append the slopes that only `between` needs."""
+        """Append the slopes that are needed for dense output only."""
 
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any

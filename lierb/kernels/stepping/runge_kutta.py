@@ -1,12 +1,12 @@
 """Explicit Runge–Kutta methods on (X, V, W, s), for any Butcher tableau.
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
-(Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X carries on, and
-C₀ moves up before dexp⁻¹ meets its pole at 2π (errata E18). W, the work of what has no potential,
-is the same method's quadrature of its power; s are the user's extra states.
+(Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X continues, and
+C₀ is updated before X reaches the pole of dexp⁻¹ at 2π (errata E18). W, the work of forces without
+potential, is the integral of their power by the same method; s are the user's extra states.
 
-A commutator-free method (Celledoni, Marthinsen and Owren 2003; Crouch and Grossman 1993) makes each
-pose of several exponentials, C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and so needs no dexp⁻¹.
+A commutator-free method (Celledoni, Marthinsen and Owren 2003; Crouch and Grossman 1993) computes
+each pose by several exponentials, C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and so needs no dexp⁻¹.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def method_of(plan: AnyPlan) -> Method:
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta:
-    """Explicit Runge–Kutta method, commutator-free where it has exponentials.
+    """Explicit Runge–Kutta method; commutator-free if it has exponentials.
 
-    stages : A, its strictly lower triangle row by row, those of the error estimate last.
-    weights : b.   exponentials : of each stage, then of the end.
+    stages : A, its strictly lower triangle row by row; rows for the error estimate are last.
+    weights : b.   exponentials : weights for each stage, then for the end.
     """
 
     stages: Stages
@@ -49,7 +49,7 @@ class ExplicitRungeKutta:
 
     @cached_property
     def last_stage(self) -> int:
-        """Number of stages needed where neither error estimate nor dense output is."""
+        """Number of stages needed without error estimate and dense output."""
         return max(i for i, weight in enumerate(self.weights, 1) if weight != 0.0)
 
     def step(
@@ -74,7 +74,7 @@ class ExplicitRungeKutta:
     def between(
         self, system: AnySystem, body: Any, state: State, at: Interval, slopes: Slopes, theta: Any
     ) -> State:
-        """State at time + θ h, by the continuous extension, or else by a step to there.
+        """State at time + θ h, by the continuous extension or, without one, by a step of θ h.
 
         The pose is C₀ exp X(θ): on the group, and for a subgroup joint on its subgroup.
         """
@@ -86,7 +86,7 @@ class ExplicitRungeKutta:
         return system.stabilised(body, state, ended, time, theta * at.h).state
 
     def defects(self, system: AnySystem, body: Any, slopes: Slopes, h: Any) -> tuple[Defect, ...]:
-        """h Σ weights · slopes, with the weights of each error estimate."""
+        """h Σ weights · slopes for the weights of each error estimate."""
         assert self.embedded is not None
         return tuple(
             self._defect(system, body, slopes, h, weights) for weights in self.embedded.weights
@@ -116,7 +116,7 @@ class ExplicitRungeKutta:
         rows: Stages,
         products: tuple[Factors, ...] = (),
     ) -> tuple[Slopes, Any]:
-        """Append the slopes of further stages; return them, and 1 where one is singular."""
+        """Return the slopes with those of further stages, and 1 where any stage is singular."""
         h = at.h
         units = Units(0.5 * h, h, h, self.embedded is not None)
         gravity = system.chart_gravity(body, state.chart)
@@ -146,9 +146,9 @@ class ExplicitRungeKutta:
         weights: Weights,
         factors: Factors | None,
     ) -> State:
-        """State with h Σ weights · slopes, its pose by all factors, or by one exponential."""
+        """State with h Σ weights · slopes; the pose by all factors, or by one exponential."""
         x_unit, unit = self._slope_units(system, h)
-        # The sums alone are those that error estimates are made of as well.
+        # Sums without the state also appear in error estimates.
         units = Units(0.5 * x_unit, unit, h, self.embedded is not None)
         ended = system.combine(body, state, weights, slopes, units, factors)
         return ended if factors is not None else system.move(ended)
@@ -156,26 +156,26 @@ class ExplicitRungeKutta:
     def counts_in_steps(self, system: AnySystem) -> bool:
         """Return whether a step measures time by its own length h.
 
-        Slopes are then h Ẋ and h² V̇, of h V under h² times gravity, and a stage's sums need no
-        product with h. Where all lanes have one h, such products are made but once.
+        Slopes are then h Ẋ and h² V̇, for h V under h² times gravity, and a stage's sums need no
+        product with h. If all lanes have one h, such products are computed only once anyway.
         """
         is_own = self.embedded is not None and not self.exponentials
         return is_own and system.is_homogeneous
 
     def _slope_units(self, system: AnySystem, h: Any) -> tuple[Any, Any]:
-        """Factors of the sums of slopes of X, and of V or μ."""
+        """Factors of the sums of slopes for X, and for V or μ."""
         if not self.counts_in_steps(system):
             return h, h
-        moves = h > 0.0  # not where a lane has nothing to do
+        moves = h > 0.0  # false for idle lanes
         return 1.0, where(moves, 1.0 / where(moves, h, 1.0), 0.0)
 
 
 def beside_the_step(
     step: tuple[float, ...], error: tuple[float, ...]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Split an error's weights into those of the step and few others, where that is shorter.
+    """Split an error's weights into those of the step and few others, if that is shorter.
 
-    The step's sum is emitted as in the step itself, and LLVM takes the one for the other. DOP853's
+    The step's sum is emitted as in the step itself, so that LLVM computes it only once. DOP853's
     weights of third order differ from the step's in 3 of 12.
     """
     step += (0.0,) * (len(error) - len(step))

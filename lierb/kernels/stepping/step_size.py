@@ -34,31 +34,31 @@ from lierb.kernels.tracing.words import rough_exp2, rough_log2
 EPS = 2.0**-52
 SAFETY = 0.8
 SHRINKS, GROWS = 0.2, 6.0  # limits of the factor from one step to the next
-DAMPING = 0.1  # of the PI controller: β = 0.1 / k, α = 1 / k − 0.75 β
+DAMPING = 0.1  # of PI control: β = 0.1 / k, α = 1 / k − 0.75 β
 LEAST_REMEMBERED = -26.0  # log₂ of a squared error: 1e-8
-SMALLEST, LARGEST = 1e-20, 1e60  # limits of a squared error, beyond which a step is the same
-LEAST_ULPS = 16.0  # least step, in roundings of the time
-# Rounding of the effect of gravity on v and on a position in a step, relative; high orders have
-# weights of 50 and more.
+SMALLEST, LARGEST = 1e-20, 1e60  # a squared error is clipped to these limits
+LEAST_ULPS = 16.0  # least step, in units of the rounding of time
+# Relative rounding of the effect of gravity on v and on a position in a step; methods of high order
+# have weights of 50 and more.
 ROUNDED_V, ROUNDED_PLACE = 64.0 * EPS, 1024.0 * EPS
-# Relative error of a start's twist and pose: its tolerance times the rows' amplification.
+# Relative error of a start's twist and pose: the start's tolerance times the rows' amplification.
 ADMITTED = 1e3 * START_TOLERANCE
-LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step: the next step then passes a kink
-# A step is too rough for its error estimate where the rate of one stage, applied to the whole step,
+LEAST_OF_STEP = 1e-6  # least bound, a fraction of a step, so that the next step passes a kink
+# A step is too rough for its error estimate if the rate of one stage, applied to the whole step,
 # changes a velocity by ROUGH times its size and moves the pose by THROW, in rad or in radii of
 # gyration. Its squared error is then at least ROUGH_ERROR.
 ROUGH, THROW, ROUGH_ERROR = 2.0, 1e-3, 1e6
-MOST_PARTS = 32  # of a step, in each of which events are searched
+MOST_PARTS = 32  # largest number of parts of a step, each searched for events
 INF = float("inf")
-DOP853_MIX = 0.01  # of E₃² in the error of a method with two estimators (dop853.f)
+DOP853_MIX = 0.01  # weight of E₃² in the error of a method with two estimates (dop853.f)
 
 
 class Tolerances(NamedTuple):
     """Tolerances and limits of steps.
 
     dt : length of the first adaptive step, 0 to choose it, or of all fixed steps, s.
-    rtol, …_atol : of each block, rad, m, rad/s, m/s, and units of the extra states.
-    position_is_own, v_is_own : 1 where atol is in the body's radii of gyration instead of m.
+    rtol, …_atol : tolerances of each block, rad, m, rad/s, m/s, and units of the extra states.
+    position_is_own, v_is_own : 1 if atol is in units of the radius of gyration instead of m.
     dt_min, dt_max : s.   max_steps : accepted and rejected steps.
     """
 
@@ -82,12 +82,12 @@ def within(h: Any, limits: Tolerances) -> Any:
 
 
 def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any, h: Any) -> Any:
-    """Return the longest step from `state`, s, that does not jump over a region in which an element
+    """Return the longest step from `state`, s, that does not pass over a region in which an element
     acts; None if no element bounds it.
 
-    moved : state whose velocity counts: `state` before the step is tried, its end afterwards.
-    h : step that the error control proposes, s. A bound is never so short relative to it, or to the
-        time, that a trajectory stalls.
+    moved : state that has the velocity: `state` before the step is tried, its end afterwards.
+    h : step that error control proposes, s. The bound is limited from below, relative to h and to
+        the rounding of time, so that a trajectory does not stall.
     """
     if not (events_of(plan) or any(element.bounds_steps for element in plan.elements)):
         return None
@@ -105,7 +105,7 @@ def longest_step(plan: AnyPlan, body: Any, state: State, moved: State, time: Any
 
 
 def parts_to_watch(plan: AnyPlan, body: Any, state: State, moved: State, trial: Any) -> Any:
-    """Return the number of equal parts of a step in which events are searched one by one."""
+    """Return the number of equal parts of a step that are searched for events one by one."""
     system = system_of(plan)
     start, end = (system.motion(body, each, trial.start) for each in (state, moved))
     fastest: Any = 0.0 * trial.h
@@ -137,11 +137,10 @@ def squared_error(
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
-    """Return whether a stage met a force that would change a velocity by far more than the step.
+    """Return whether the force at a stage would change a velocity by far more than the step does.
 
-    A stage far inside a stiff stop throws the stages that follow out of it again. Methods of high
-    order have zero weights for their first stages: then neither the step nor its error estimate
-    shows the stop.
+    A stage far inside a stiff stop moves the next stages out of it. Methods of high order have zero
+    weights for their first stages; the stop then affects neither the step nor its error estimate.
     """
     velocity = system_of(plan).velocity
     before, after = (velocity(body, each.v_or_mu) for each in (state, moved))
@@ -169,11 +168,11 @@ def squared_correction(
     """Return the square of a stabilisation's correction of pose and V, relative to the tolerance;
     structurally zero without stabilisation.
 
-    The exact motion satisfies the rows, and the projection moves no farther than to it: so the
-    correction is a part of the step's error that the embedded method does not estimate. Near a
-    singular pose the rows divide it by a small singular value, and it dominates the error.
+    The exact motion satisfies the rows, and projection is at most the distance to it. The
+    correction is therefore a part of the step's error that the embedded method does not estimate.
+    Near a singular pose a small singular value amplifies it, and it dominates the error.
 
-    is_first : mask of first steps, which also correct the residual that a start may have.
+    is_first : mask of first steps, which also correct the residual of a start.
     """
     if not kept.x:
         return ZERO
@@ -184,7 +183,7 @@ def squared_correction(
 
 
 class _Scales(NamedTuple):
-    """Reciprocals of the squared tolerance of each block; `states` has one for each state."""
+    """Reciprocal of the squared tolerance of each block; `states` has one for each extra state."""
 
     rotation: Any
     position: Any
@@ -198,8 +197,8 @@ def _scales(
 ) -> _Scales:
     """Return the scales of a step, from the larger of a block's sizes at both ends.
 
-    Where atol is in radii of gyration, the tolerance is at least the rounding of the weight and of
-    a force that supports it, which exceeds a small body's radius.
+    If atol is in radii of gyration, the tolerance is at least the rounding of the weight and of a
+    force that supports it: for a small body this exceeds its radius.
     """
     ends = [_sizes(plan, body, each) for each in (state, moved)]
     rtol = limits.rtol * limits.rtol
@@ -260,7 +259,7 @@ def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
     largest: Any = ZERO
     for square, scale in pairs:
         if not is_zero(square):
-            # 0 / 0 is no error; 1 / 0, with atol = 0, is one beyond all bounds.
+            # 0 / 0 counts as no error; 1 / 0, with atol = 0, as an infinite one.
             ratio = where(square == 0.0, 0.0, square * scale)
             largest = ratio if is_zero(largest) else where(ratio <= largest, largest, ratio)
     return 0.0 * body.mass if is_zero(largest) else largest
@@ -279,7 +278,7 @@ class Change(NamedTuple):
 def change(plan: AnyPlan, square: Any, before: Any, accepted: Any) -> Change:
     """Return the change of the step length, by PI control.
 
-    square : square of the error; ∞ where it is NaN.   before : level of the step before.
+    square : square of the error; ∞ if it is NaN.   before : level of the step before.
     accepted : mask of accepted steps.
 
     Approximate logarithms change a step by 0.4 % at most.
@@ -338,7 +337,7 @@ def first_step(
     wanted = rough_exp2((0.5 / _power_of(plan)) * level)
     wanted = where(at_rest, maximum(1e-6 * length, guess * 1e-3), wanted)
     wanted = minimum(100.0 * guess, wanted)
-    # NaN: the trial decides. 0 for tolerances of 0: the step then grows.
+    # NaN gives the whole length, which the trial judges. Tolerances of 0 give 0, which grows.
     return where(wanted < length, maximum(wanted, 1e-12 * length), length)
 
 

@@ -61,7 +61,7 @@ def accelerate(
     """Solve the saddle point at one pose and velocity.
 
     q, fall, to_ground, applied : rotation matrix of the chart, gravity in body axes, rotation of
-        vectors from these to the ground's, and all other forces; computed where they are None.
+        vectors from body axes to the ground's, and all other forces; computed if None.
     """
     to_ground = to_ground or partial(quaternion.rotated, chart[0])
     q = quaternion.matrix(chart[0]) if q is None else q
@@ -100,7 +100,7 @@ def accelerate(
 
 
 def _load(body: BodyConstants, omega: Vec, fall: Vec, applied: Vec) -> Load:
-    """Return ad_Vᵀ M V + W, less the part of ω alone in the acceleration of the centre of mass.
+    """Return ad_Vᵀ M V + W − m ω × (ω × c), with c from the joint's point to the centre of mass.
 
     fall : gravity in body axes.   applied : wrench of all other forces, about the joint's point.
     """

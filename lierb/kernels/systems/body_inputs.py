@@ -30,9 +30,9 @@ from lierb.kernels.systems.layout import INPUTS, pose_of
 
 
 class Placed(NamedTuple):
-    """Pose of a body, shared by all its starts there.
+    """Initial pose of a body, shared by all starts in it.
 
-    frames : with the joint's axes that are used.   pose : in the user's frames.   chart : C₀.
+    frames : with the joint axes used.   pose : in the user's frames.   chart : C₀.
     """
 
     frames: Parameters
@@ -41,9 +41,9 @@ class Placed(NamedTuple):
 
 
 class PoseCheck(NamedTuple):
-    """Check of a start's pose, shared by all twists there.
+    """Check of an initial pose, shared by all starts in it.
 
-    user_pose, pose : in the user's frames, and in joint axes.
+    user_pose, pose : the pose in the user's frames, and in joint axes.
     allowed : tolerances.   fits : 1 where the pose is on the joint, else 0.
     """
 
@@ -60,9 +60,9 @@ def parameters_of(
 ) -> tuple[Parameters, Pose, Vec]:
     """Parameters, pose and twist from the numbers of the input columns.
 
-    A pose of NaN stands for the one in which the joint is closed, `lierb.joints.Joint.closed_pose`.
+    A pose of NaN stands for `lierb.joints.Joint.closed_pose`, in which the joint is closed.
 
-    turn, shift : of the joint's axes on the body, and of its point, along them.
+    turn : rotation of the joint's axes on the body.   shift : of its point, in these axes.
     """
     parts = INPUTS.parts(numbers)
     parameters = Parameters(
@@ -93,12 +93,12 @@ def body_of(
     turn: Mat = IDENTITY,
     shift: Vec = ZERO3,
 ) -> BodyConstants:
-    """Return the body, with its elements, from the numbers of all input columns."""
+    """Constants of the body, with its elements, from the numbers of all input columns."""
     parameters, _, _ = parameters_of(numbers, turn, shift)
     return body_with(space, parameters, elements, numbers[INPUTS.count :])
 
 
-# A twist depends on a part of parameters and constants alone. All else would pass through the
+# A twist depends on some of the parameters and constants only. The others would pass through the
 # compiler unused, which costs a tenth of a kernel's time.
 
 

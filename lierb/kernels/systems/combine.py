@@ -1,4 +1,4 @@
-"""Arithmetic on states: sums with slopes of a step's stages, and poses moved along them."""
+"""Arithmetic on states: weighted sums of the slopes of a step, and motion of the pose."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, We
 
 
 class StateArithmetic(PassiveElements):
-    """Arithmetic that all systems share, in terms of the charts of each."""
+    """Arithmetic shared by all systems, on the charts of each."""
 
     moved: Callable[..., Any]  # (chart, X/2): C₀ exp X
-    recharted: Callable[..., Any]  # the same and 0 where X is large, elsewhere C₀ and X
+    recharted: Callable[..., Any]  # (C₀ exp X, 0) where X is large, else (C₀, X)
     in_algebra: Callable[..., Vec]
     rates: Callable[..., Rates]
 
@@ -31,8 +31,8 @@ class StateArithmetic(PassiveElements):
     ) -> State:
         """Add h Σ weights · slopes to X, V or μ, work and extra states.
 
-        factors : of a commutator-free method. The pose is then C₀ exp(h Σ a¹ V) exp(h Σ a² V) …
-            with the rows a of the factors, and X is zero.
+        factors : rows a of a commutator-free method. The pose is then
+            C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and X is zero.
         """
         chart, x = state.chart, state.x
         if factors is None:
@@ -46,7 +46,7 @@ class StateArithmetic(PassiveElements):
         return State(chart, x, v_or_mu, work, states)
 
     def move(self, state: State) -> State:
-        """Move C₀ along X: in a local update always, in a global one where X is large."""
+        """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
         if self.plan.is_local:
             return self.placed_by_chart(state)
         chart, x = self.recharted(state.chart, state.x)
@@ -58,7 +58,7 @@ class StateArithmetic(PassiveElements):
         return state._replace(chart=chart, x=(ZERO,) * len(state.x))
 
     def stage_rates(self, body: Any, state: State, gravity: Any, time: Any) -> Rates:
-        """Rates at C₀ exp X, those of extra states included; see `rates`."""
+        """Rates at C₀ exp X, including those of extra states; see `rates`."""
         if not state.states:
             return self.rates(body, state, gravity, time)
         body = body._replace(signals=body.signals._replace(states=state.states))
@@ -87,7 +87,7 @@ def _sum(base: Vec, unit: Any, weights: Weights, slopes: tuple[Vec, ...], units:
 
 
 def weighted(base: Vec, weights: Weights, slopes: tuple[Vec, ...], h: Any = None) -> Vec:
-    """Return base + Σ (h wⱼ) kⱼ, or base + Σ wⱼ kⱼ without h; zero weights cost nothing."""
+    """Return base + Σ (h wⱼ) kⱼ, or base + Σ wⱼ kⱼ without h; zero weights are skipped."""
     total = base
     for weight, slope in zip(weights, slopes, strict=False):
         if not (isinstance(weight, float) and weight == 0.0):

@@ -1,4 +1,4 @@
-"""Extra states and held outputs of controllers, as a trajectory carries them."""
+"""Extra states of a trajectory, and outputs of its controllers between ticks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from lierb.kernels.systems.state import State
 
 
 class Held(NamedTuple):
-    """Held outputs and memory of all controllers, side by side.
+    """Outputs and memory of all controllers between ticks, side by side.
 
-    ticks : number of each controller's next tick; it runs at the multiples of its period.
+    ticks : number of each controller's next tick; ticks are at multiples of its period.
     """
 
     controls: Vec
@@ -25,7 +25,7 @@ class Held(NamedTuple):
 
 
 def with_signals(plan: AnyPlan, body: Any, state: State, held: Held) -> Any:
-    """Return the body with extra states, outputs and memory, which functions of the user's read."""
+    """Return the body with extra states, outputs and memory, for users' functions."""
     if not (states_of(plan) or controllers_of(plan)):
         return body
     return body._replace(signals=Signals(state.states, held.controls, held.memory))

@@ -26,8 +26,8 @@ from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import Rates, State
 
-SMALL_ANGLE_STAGES = 4  # of a saddle point, at most: more of them compile for long
-SETTLED = 16 * 2.0**-52  # of a twist: the rounding of its rotation to joint axes
+SMALL_ANGLE_STAGES = 4  # largest number for a saddle point; with more, compilation takes long
+SETTLED = 16 * 2.0**-52  # relative rounding error of a twist that is rotated to joint axes
 
 
 class SaddlePoint(OneBody):
@@ -35,7 +35,7 @@ class SaddlePoint(OneBody):
 
     @property
     def is_light(self) -> bool:
-        """True where rows give rates outright, in few stages."""
+        """True if the rows need no Schur complement, and stages are few."""
         rows = self.plan.rows
         outright = (
             self.plan.cspace == "SE3"
@@ -50,7 +50,7 @@ class SaddlePoint(OneBody):
 
     @cached_property
     def invariant(self) -> tuple[int, ...]:
-        """Components of V that stay zero once they are: those of rows constant in body axes."""
+        """Components of V that stay zero if zero: those fixed by rows constant in body axes."""
         fixed = fixed_axes(self.plan.rows)
         holds = self.plan.cspace == "SE3" and holds_a_point(self.plan.rows)
         return (*fixed, 3, 4, 5) if holds else fixed
@@ -58,7 +58,7 @@ class SaddlePoint(OneBody):
     def settled(
         self, body: BodyConstants, parameters: Parameters, twist: Vec, chart: Chart, velocity: Vec
     ) -> tuple[Chart, Vec]:
-        """Return C₀ and V, with zero for invariant components that are rounding of the twist."""
+        """Return C₀ and V; invariant components that are only rounding of the twist become zero."""
         turning, moving, reach = (
             sum(map(absolute, part)) for part in (twist[:3], twist[3:], parameters.body[1])
         )
@@ -73,7 +73,7 @@ class SaddlePoint(OneBody):
     def dropped(self, body: BodyConstants, state: State) -> Any:
         if not has_others(self.plan.rows):
             return ZERO
-        no_forces = Applied(ZERO6, ZERO)  # the rank depends on none
+        no_forces = Applied(ZERO6, ZERO)  # the rank does not depend on forces
         chart = self.chart_of(state)
         return accelerate(self.plan, body, chart, state.v_or_mu, applied=no_forces).dropped
 
@@ -81,7 +81,7 @@ class SaddlePoint(OneBody):
         plan, (chart, x, velocity, *_) = self.plan, state
         k = quaternion.angle_coefficients(x)
         moved = plan.space.charts.compose_exp(chart, x, k)
-        # Three turned rows, of which most plans use one, are less than a matrix made of `moved`.
+        # Most plans use one of the three rotated rows: cheaper than the matrix of the moved chart.
         fixed = quaternion.matrix(chart[0])
         q = tuple(z for i in range(3) for z in quaternion.rotate(neg(x), row(fixed, i), k))
         fall = quaternion.rotate(neg(x), gravity, k)
@@ -91,16 +91,14 @@ class SaddlePoint(OneBody):
 
         found = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
         singular = found.singular
-        if has_others(plan.rows):  # another rank is another joint
+        if has_others(plan.rows):  # a joint of another rank is another joint
             singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rate = plan.space.charts.dexpinv(neg(x), velocity, k)
         return Rates(x_rate, found.rate, found.power, singular)
 
 
 class Subgroup(OneBody):
-    """μ̇ from Euler–Poincaré's equation on the joint's own subgroup H: the saddle point, solved
-    once and for all.
-    """
+    """μ̇ from Euler–Poincaré's equation on the joint's subgroup H; NᵀMN is inverted once."""
 
     invariant = ()
 
@@ -110,7 +108,7 @@ class Subgroup(OneBody):
 
     @property
     def is_light(self) -> bool:
-        """True where a step has few stages and freedoms."""
+        """True if a step has few stages and the joint few degrees of freedom."""
         return is_short(self.plan)
 
     @property
@@ -123,10 +121,10 @@ class Subgroup(OneBody):
 
     @property
     def slides_as_it_turns(self) -> bool:  # type: ignore[override]
-        """True where H has turns about e₃ and slides normal to it.
+        """True if H contains rotations about e₃ and translations normal to it.
 
-        Any point of the body then serves as the joint's, but for its height: the centre of mass is
-        taken, for which no term is a small difference.
+        Any point of the body at the same height can then be the joint's point. The centre of mass
+        is used, with which no term is a small difference.
         """
         return self.slots[0] < 0 <= self.slots[2] and min(self.slots[3:5]) >= 0
 
@@ -195,5 +193,5 @@ FORMULATIONS: dict[str, type[SaddlePoint | Subgroup]] = {
 
 
 def is_short(plan: Plan) -> bool:
-    """Return whether a step has few stages and freedoms."""
+    """Return whether a step has few stages and the joint few degrees of freedom."""
     return len(plan.stages) * (6 - len(plan.rows)) <= 12

@@ -1,6 +1,6 @@
-"""Columns of numbers of a trajectory: each field once, with shape and unit.
+"""Columns of the numbers of a trajectory; each field is defined once, with shape and unit.
 
-Packing, loading and storing, the tables of results and their units follow from these.
+Packing, loading, storing, tables of results and their units are derived from these definitions.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ def pose_of(numbers: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]
 class Field(NamedTuple):
     """Quantity of a trajectory.
 
-    shape : of its array.   unit : of its numbers.
-    entries : indices into that array, row by row, in order; None for all.
+    shape : shape of its array.   unit : unit of its numbers.
+    entries : indices into the flattened array, in the order of the numbers; None for all.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Field(NamedTuple):
 
 
 class Columns:
-    """Fields side by side, a column for each number."""
+    """Fields side by side, with one column for each number."""
 
     def __init__(self, *fields: Field) -> None:
         ends = tuple(accumulate((field.width for field in fields), initial=0))

@@ -1,6 +1,6 @@
 """Measures along a trajectory: constraint residuals, energy, orthogonality of the rotation.
 
-A measure is one entry of MEASURES, from which its columns in a history and in a summary follow, and
+Each measure is an entry of MEASURES, which determines its columns in histories and summaries, and
 their units.
 """
 
@@ -39,7 +39,7 @@ class Sample(NamedTuple):
 class Observed(NamedTuple):
     """Measures at one time: value or square by name, and the errors of each joint.
 
-    joints : squares of JOINT_ERRORS, of every joint of a mechanism; of one body, nothing.
+    joints : squares of JOINT_ERRORS for each joint of a mechanism; empty for one body.
     """
 
     values: dict[str, Any]
@@ -49,9 +49,9 @@ class Observed(NamedTuple):
 class Measure(NamedTuple):
     """Column `name` of a history, and `name_max` or `name_final` of a summary.
 
-    of : function of its value, or of its square: the root is taken once, of the largest.
-    keeps : "max", the largest size, and "final", the value at the end.
-    asked_by : value of `record` that puts it into a history; None where it always is.
+    of : function that computes its value, or its square: the root is taken once, of the largest.
+    keeps : "max", the largest magnitude, and "final", the value at the end.
+    asked_by : value of `record` that includes it in a history; None if it is always included.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Measure(NamedTuple):
         return sqrt(value) if self.is_square else value
 
     def size(self, value: Any) -> Any:
-        """Return the number whose largest a summary keeps."""
+        """Return the number of which a summary keeps the largest."""
         return value if self.is_square else absolute(value)
 
 
@@ -108,7 +108,7 @@ SUMMARY = Columns(
     *(Field(f"{measure.name}_{how}", (), measure.unit) for measure, how in KEPT),
     Field("status"),
     Field("failed_step"),
-    Field("raised"),  # number of the exception that a function of the user's has raised
+    Field("raised"),  # index of the exception that a user's function raised
     Field("starts"),  # 1 where the start is on the joint, and 0 elsewhere
 )
 MUST_BE_FINITE = tuple(m.name for m in MEASURES if m.is_square or m.name == "energy_drift")
@@ -128,7 +128,7 @@ def measured(
     x = plan.space.kinematics(body, pose, velocity)._replace(time=time)
     potential = plan.space.potential_energy(body, pose)
     if plan.elements:
-        timeless = x._replace(time=ZERO)  # no potential depends on it
+        timeless = x._replace(time=ZERO)  # no potential depends on time
         potential = potential + potential_energy(plan.elements, body, timeless.motion)
     energy = kinetic_energy + potential
     rates = rate_errors_squared(plan.rows, x, body, velocity)

@@ -1,4 +1,4 @@
-"""Statistics of observables along a trajectory, of values at the times of its measures."""
+"""Statistics of observables along a trajectory, from values at the times of measurement."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KEEPS = ("min", "max", "mean", "final")  # columns of a summary, for each observ
 class Kept(NamedTuple):
     """Statistics of an observable so far.
 
-    total, lost : the mean so far, a sum, and its rounding error (Kahan's).
+    total, lost : the sum for the mean so far, and its rounding error (Kahan).
     """
 
     least: Any
@@ -33,7 +33,7 @@ def observables_of(plan: AnyPlan) -> tuple[UserObservable, ...]:
 
 
 def may_raise(plan: AnyPlan) -> bool:
-    """Return whether an observable is called body by body."""
+    """Return whether any observable is called body by body, and so may raise."""
     return any(not each.function.is_traced for each in observables_of(plan))
 
 
@@ -44,17 +44,17 @@ def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
 
 
 def kept_of(numbers: tuple[Any, ...]) -> tuple[Kept, ...]:
-    """Statistics from their numbers side by side."""
+    """Statistics from their concatenated numbers."""
     width = len(Kept._fields)
     return tuple(Kept(*numbers[i : i + width]) for i in range(0, len(numbers), width))
 
 
 def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool = False) -> Kept:
-    """Add one value; a NaN stays, in the extremes as in the mean.
+    """Add one value; extremes and mean stay NaN after a NaN.
 
-    value : NaN after a failure, from when there is neither mean nor end.
-    share : weight of the value in the mean, a part of the run's time; `by_halves`, weight of it
-        plus the value before it.
+    value : NaN after a failure; mean and final value are then NaN.
+    share : weight of the value in the mean, a fraction of the run's time; with `by_halves`, weight
+        of the sum of the value and the one before it.
     alive : mask of bodies that have not failed.
     """
     is_number = value == value
@@ -70,7 +70,7 @@ def with_value(kept: Kept, value: Any, share: Any, alive: Any, by_halves: bool =
         where(alive, least, kept.least),
         where(alive, largest, kept.largest),
         total,
-        where(lost == lost, lost, 0.0),  # ∞ − ∞: an infinite mean stays infinite
+        where(lost == lost, lost, 0.0),  # NaN from ∞ − ∞: an infinite mean stays infinite
         value,
     )
 

@@ -1,7 +1,7 @@
 """One body on a joint: inputs, state, poses and measures.
 
 `lierb.kernels.systems.formulations` adds accelerations. `lierb.kernels.systems.tree_system` is the
-system of many bodies.
+system of several bodies.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.signals import lane_end, states_of
 from lierb.kernels.systems.state import Stabilised, State
 
-# Of a global update: any angle between 0.25 and 5 rad does as well; 5.8 degrades, 6.2 fails.
+# For a global update: any angle from 0.25 to 5 rad works equally; 5.8 degrades, 6.2 fails.
 RECHART_ANGLE = PI
 LARGEST = 1.7976931348623157e308
 
@@ -62,7 +62,7 @@ class BodyMotion(NamedTuple):
 
 
 def recharted(charts: ModuleType, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
-    """Return C₀ exp X and 0 where ‖ξ‖ has passed the threshold, elsewhere C₀ and X.   x : X/2."""
+    """Return C₀ exp X and 0 where ‖ξ‖ exceeds the threshold, C₀ and X elsewhere.   x : X/2."""
     far = dot(x[:3], x[:3]) > (0.5 * RECHART_ANGLE) ** 2
 
     def move() -> Any:
@@ -75,11 +75,11 @@ def recharted(charts: ModuleType, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
 
 @dataclass(frozen=True)
 class OneBody(StateArithmetic):
-    """System of one body, but for its accelerations: see `lierb.kernels.systems.system.System`."""
+    """System of one body, without accelerations; see `lierb.kernels.systems.system.System`."""
 
     plan: Plan
     links = 1
-    joints: ClassVar[tuple[Connection, ...]] = ()  # with columns of their own
+    joints: ClassVar[tuple[Connection, ...]] = ()  # with separate columns
     is_homogeneous = False
     slides_as_it_turns = False
 
@@ -138,7 +138,7 @@ class OneBody(StateArithmetic):
         return self.structured(state, 1.0 if body is None else body.pitch)
 
     def with_gain(self, body: BodyConstants) -> BodyConstants:
-        """Return the body with the constants of the formulation."""
+        """Return the body with the constants of its formulation."""
         return body
 
     def structured(self, state: State, pitch: Any) -> State:
@@ -200,21 +200,21 @@ class OneBody(StateArithmetic):
         return recharted(self.plan.space.charts, chart, x)
 
     def chart_of(self, state: State) -> Chart:
-        """Return C₀ exp X, structurally C₀ in a local update."""
+        """Return C₀ exp X, which is structurally C₀ in a local update."""
         chart: Chart = state.chart
         return chart if self.plan.is_local else self.moved(chart, state.x)
 
     def tidied(self, body: BodyConstants, chart: Chart) -> Chart:
         """Renormalise the quaternion; project a screw joint's pose onto its subgroup.
 
-        Not every step: a systematic error of a projection would then add up (for R's 1.5e-12 rad
-        in 1e6 steps).
+        This is not done in every step, where a systematic error of the projection would accumulate
+        (to 1.5e-12 rad in 1e6 steps for that of R).
         """
         p, d = chart
         return self.on_manifold(body, (quaternion.normalised(p), d))
 
     def on_manifold(self, body: BodyConstants, chart: Chart) -> Chart:
-        """Project a screw joint's pose onto its subgroup, where the formulation keeps it there."""
+        """Project a screw joint's pose onto its subgroup, if the formulation keeps poses there."""
         return chart
 
     def stabilised(

@@ -1,4 +1,4 @@
-"""Plans: everything that compiled code is specialised on."""
+"""Plans: the compile-time options on which code is specialised."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 class Embedded:
     """Error estimate of a step.
 
-    weights : b − b̂, a row of it; or two rows, E₅ and E₃ of DOP853.   order : of b̂.
+    weights : one row, b − b̂, or two rows, E₅ and E₃ of DOP853.   order : order of b̂.
     """
 
     weights: Stages
@@ -44,10 +44,10 @@ class AnyPlan(Tag):
     stages, weights : A, its strictly lower triangle row by row, and b of the Butcher tableau.
     multipliers, reaction : whether λ, and the joints' wrenches, are recorded.
     elements : forces beside gravity, constraints beside the joints', and observables.
-    exponentials : of a commutator-free method, of each stage, then of the end.
-    clock : "steps", the same in all lanes, or "lanes", each with its own.
+    exponentials : weights of a commutator-free method, for each stage, then for the end.
+    clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     looks : whether states between steps are needed, for output and events.
-    jumps : whether something may jump at given times, at which steps end.
+    jumps : whether elements may jump at given times, at which steps then end.
     """
 
     lanes: int
@@ -72,14 +72,14 @@ class AnyPlan(Tag):
 
     @property
     def keeps_rank(self) -> bool:
-        """True where the end of a run has the number of redundant rows of its start."""
+        """True if a run must end with the number of redundant rows that it starts with."""
         return False
 
     @cached_property
     def _digest(self) -> int:
         return hash(tuple(getattr(self, field.name) for field in fields(self)))
 
-    def __hash__(self) -> int:  # once: hashing a tableau's numbers takes time
+    def __hash__(self) -> int:  # computed once: hashing a tableau's numbers takes time
         return self._digest
 
     @property
@@ -92,7 +92,7 @@ class AnyPlan(Tag):
 
     @cached_property
     def does_work(self) -> bool:
-        """True where something can change E = T + U, so that its work has to be counted."""
+        """True if an element can change E = T + U, so that its work has to be integrated."""
         return any(element.does_work for element in self.elements)
 
     @cached_property
@@ -102,7 +102,7 @@ class AnyPlan(Tag):
 
     @cached_property
     def calls_functions(self) -> bool:
-        """True where functions of the user's are called body by body, and so may raise."""
+        """True if users' functions are called body by body, and so may raise."""
         return any(not f.is_traced for element in self.elements for f in element.functions)
 
 
@@ -110,8 +110,8 @@ class AnyPlan(Tag):
 class Plan(AnyPlan):
     """Compiled integrator of one body: joint rows, elements, c-space, update, method, lanes.
 
-    solver : "saddle", the saddle point in every stage, or "subgroup", a subgroup joint's constant
-        gain, by which poses stay in the subgroup.
+    solver : "saddle", the saddle point in every stage, or "subgroup", the constant gain of a
+        subgroup joint, with which poses stay in the subgroup.
     """
 
     rows: Rows
@@ -126,14 +126,14 @@ class Plan(AnyPlan):
 
     @cached_property
     def turns_about_a_point(self) -> bool:
-        """True where the joint is spherical: any axes on the body serve, also its inertia's."""
+        """True for a spherical joint: any body axes can be its axes, such as the principal axes."""
         joint = [row for row in self.rows if row.is_of_joint]
         return len(joint) == 3 and holds_a_point(self.rows)
 
 
 @dataclass(frozen=True)
 class Stabilisation:
-    """Stabilisation of rows that the tree does not keep by itself.
+    """Stabilisation of rows that the coordinates of the tree do not satisfy exactly.
 
     kind : "none", "project" or "baumgarte", with its α and β, 1/s.
     """
@@ -150,9 +150,9 @@ UNSTABILISED = Stabilisation()
 class MechanismPlan(AnyPlan):
     """Compiled integrator of a mechanism.
 
-    tree : its nodes, each after the one that it hangs on.
-    connections : a joint for every link, in their order; a joint for every loop; one for every
-        element.   loops : number of loops.
+    tree : nodes, each after its parent.
+    connections : the joint of each link, in order; then the joint of each loop; then one connection
+        for each element.   loops : number of loops.
     """
 
     tree: tuple[Node, ...]
@@ -178,7 +178,7 @@ class MechanismPlan(AnyPlan):
 
     @cached_property
     def rows_with_multipliers(self) -> tuple[tuple[int, Row], ...]:
-        """Rows that have a multiplier, with the numbers of their connections."""
+        """Rows that have a multiplier, with the index of their connection."""
         pairs: list[tuple[int, Row]] = []
         for number, connection in enumerate(self.connections):
             is_link = number < self.links

@@ -35,24 +35,24 @@ class Relatives:
         return self._known[number]
 
     def equation(self, number: int, row: Row | Vec, wanted: Any) -> NodeRow:
-        """Equation of a row there, or of a Jacobian (6,), in the motions of the nodes."""
+        """Equation of a connection's row, or of a Jacobian (6,), in the nodes' accelerations."""
         relative, ends, connection = self[number], self.ends[number], self.connections[number]
         jacobian = row if isinstance(row, tuple) else row.jacobian(relative.x, ends)
         return node_row(connection, relative, jacobian, ends.inner, wanted)
 
     def residuals(self, number: int, rows: Rows) -> dict[Row, Any]:
-        """Constraint residuals h of the holonomic rows there."""
+        """Constraint residuals h of a connection's holonomic rows."""
         rows = tuple(r for r in rows if r.is_holonomic)
         return dict(zip(rows, residuals(rows, self[number].x, self.ends[number]), strict=True))
 
     def residual(self, number: int, row: Row) -> Any:
-        """Constraint residual h of one row, zero where it is not holonomic."""
+        """Constraint residual h of one row, zero if the row is not holonomic."""
         if number not in self._residuals:
             self._residuals[number] = self.residuals(number, self.connections[number].rows)
         return self._residuals[number].get(row, ZERO)
 
     def openness(self) -> Any:
-        """Sum of the squares of all rows' residuals, lengths in units of the mechanism's own."""
+        """Sum of the squares of all rows' residuals, with lengths relative to the mechanism's."""
         inverse = 1.0 / length_of(self.motion.body)
         total: Any = ZERO
         for number, connection in enumerate(self.connections):
@@ -70,7 +70,7 @@ def constrained_part(motion: TreeMotion, i: int, velocity: Vec) -> Vec:
 
 
 def largest(squares: Sequence[Any]) -> Any:
-    """Largest of some numbers; NaN where one of them is."""
+    """Largest of some numbers; NaN where any of them is."""
     total: Any = ZERO
     for square in squares:
         if is_zero(total) or is_zero(square):
@@ -82,7 +82,7 @@ def largest(squares: Sequence[Any]) -> Any:
 
 
 def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
-    """Multipliers λ of rows whose wrenches −Jᵀλ add up to a given one."""
+    """Multipliers λ of rows, such that the wrenches −Jᵀλ add up to a given wrench."""
     torque, force = wrench[:3], wrench[3:]
     multipliers: dict[Row, Any] = {}
     for r in rows:
@@ -94,7 +94,7 @@ def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) ->
             multipliers[r] = -force[2]
     if len(multipliers) == len(rows):
         return multipliers
-    jacobians = [r.jacobian(x, ends) for r in rows]  # of a joint whose rows are not at right angles
+    jacobians = [r.jacobian(x, ends) for r in rows]  # for a joint whose rows are not orthogonal
     gram = Factored([[dot(j, k) for k in jacobians[: i + 1]] for i, j in enumerate(jacobians)])
     return dict(zip(rows, gram.solve([-dot(j, wrench) for j in jacobians]), strict=True))
 
@@ -110,7 +110,7 @@ def length_of(body: TreeConstants) -> Any:
 
 
 def size_of(length: Any, motion: Vec) -> Any:
-    """Norm of a motion or velocity of all nodes, m or m/s: turns count by the length."""
+    """Norm of a motion or velocity of all nodes, m or m/s; rotations are multiplied by `length`."""
     total: Any = ZERO
     for each in sixes(motion):
         turn = scale(length, each[:3])

@@ -1,6 +1,6 @@
 """Observables, events, extra states and controllers of any system.
 
-Their numbers stand side by side, in the order of the plan's elements.
+Their numbers are concatenated in the order of the plan's elements.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def outputs_of(plan: AnyPlan) -> Shapes:
 
 @lru_cache(64)
 def memory_of(plan: AnyPlan) -> Shapes:
-    """All memory of controllers, one after the other; two may have the same names."""
+    """Memory of all controllers, in order; two controllers may use the same names."""
     return tuple(pair for e in controllers_of(plan) for pair in e.memory)
 
 
 def signals_width(plan: AnyPlan) -> int:
-    """Count of numbers of all extra states and outputs."""
+    """Number of components of all extra states and outputs."""
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
@@ -63,8 +63,8 @@ def held_fields(plan: AnyPlan) -> tuple[Field, ...]:
 
 @lru_cache(64)
 def lane_end(plan: AnyPlan) -> Columns:
-    """Columns at the end of a run, beside its state, from which another resumes: the rank of the
-    rows at the start, and a lane's clock and controllers.
+    """Columns, beside the state, from which another run can continue: the rank of the rows at the
+    start, and the clock and controllers of a lane.
     """
     rank = Field("dropped", (int(plan.keeps_rank),))
     if not plan.has_lane_clocks:
@@ -110,12 +110,12 @@ class PassiveElements:
     plan: Any
 
     motion: Callable[..., Any]
-    motions: Callable[..., Callable[[int], Motion]]  # from an element's number to what it reads
+    motions: Callable[..., Callable[[int], Motion]]  # motion by element index
 
     def travel(
         self, body: Any, start: Any, end: Any, time: Any, watched: bool
     ) -> tuple[Bound, ...]:
-        """Bounds on a step's length, or, where `watched`, on the parts searched for events.
+        """Bounds on a step's length; if `watched`, on the length of parts searched for events.
 
         start, end : motions at the ends of the step.
         """
@@ -143,7 +143,7 @@ class PassiveElements:
         return self._values(UserEvent, body, motion, time)
 
     def events_nearby(self, body: Any, motion: Any, time: Any) -> tuple[Any, ...]:
-        """Value of each event's function at a motion that is off by some roundings."""
+        """Value of each event's function at a motion perturbed by some rounding errors."""
         x = self.motions(body, motion, time)
         return tuple(e.value_nearby(own, x(i)) for i, e, own in self._all(UserEvent, body))
 
@@ -170,9 +170,9 @@ class PassiveElements:
     def controlled(
         self, body: Any, motion: Any, time: Any, which: int, noise: Noise
     ) -> tuple[Vec, Vec]:
-        """Outputs and memory of controller number `which`, its own alone.
+        """Outputs and memory of controller number `which` only.
 
-        body.signals : with the memory of all controllers.
+        body.signals : signals, with the memory of all controllers.
         """
         i, element, own = self._all(UserController, body)[which]
         x = self.motions(body, motion, time)(i)
@@ -180,7 +180,7 @@ class PassiveElements:
         return element.called(own, x._replace(signals=x.signals._replace(memory=memory)), noise)
 
     def _all(self, kind: type[Kind], body: Any) -> list[tuple[int, Kind, Any]]:
-        """Number, element and parameters of all elements of a kind."""
+        """Index, element and parameters of all elements of a kind."""
         pairs = zip(self.plan.elements, body.elements, strict=True)
         return [(i, e, own) for i, (e, own) in enumerate(pairs) if isinstance(e, kind)]
 

@@ -1,6 +1,6 @@
-"""Stabilisation by projection: pose and velocity put back on all rows after each step.
+"""Stabilisation by projection of pose and velocity onto all rows after each step.
 
-Baumgarte's terms are parts of the accelerations, `lierb.kernels.systems.tree_acceleration`.
+Baumgarte's terms are in the accelerations, `lierb.kernels.systems.tree_acceleration`.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from lierb.kernels.systems.state import Stabilised, State
 from lierb.kernels.systems.tree_acceleration import TreeAccelerations
 from lierb.kernels.systems.tree_charts import Charts
 
-CLOSED = 1e-14  # rad, and in units of the mechanism's own length: where Newton's method may end
-OPEN = 1e-2  # in the same: where two of its steps have not halved what is open, none will
-# In the same: how far it may move a mechanism at rest, whose start may be open by 1e-9 and whose
-# rows may be near a singular pose.
+CLOSED = 1e-14  # rad, or relative to the mechanism's length: residual at which Newton may end
+OPEN = 1e-2  # same units: a larger residual that two Newton steps do not halve will not converge
+# Same units: largest correction of a mechanism at rest, whose start may have a residual of 1e-9
+# and whose rows may be near a singular pose.
 UNMOVED = 1e-6
 
 
 class Projection(TreeAccelerations):
-    """Projection of poses and velocities on all rows, by the least kinetic energy."""
+    """Projection of poses and velocities onto all rows, with the least kinetic energy."""
 
     def stabilised(
         self, body: TreeConstants, before: State, state: State, time: Any, h: Any
     ) -> Stabilised:
-        """Pose and velocity put back on all rows, by the least kinetic energy.
+        """Project pose and velocity onto all rows, with the least kinetic energy.
 
         before : the state at the start of the step, h seconds earlier.
 
-        The step is marked as singular where Newton's method leads away from the rows, and where a
-        correction is larger than the step can have made necessary. With s = h ‖V‖ and the
-        mechanism's length ℓ, the step moves the pose by s and turns the rows by s/ℓ; its drift is a
-        part of s in the pose and of ‖V‖ s/ℓ in V. A larger correction leads to another branch of
-        the rows, across a jump in them, or along directions that a singular pose has left open.
-        The bound on V holds where no motor prescribes a rate, which may jump.
+        The step is marked as singular where Newton's method diverges, and where a correction is
+        larger than the drift of the step can be. With s = h ‖V‖ and the mechanism's length ℓ, the
+        step moves the pose by s and turns the rows by s/ℓ; the drift is a fraction of s in the pose
+        and of ‖V‖ s/ℓ in V. A larger correction leads to another branch of the rows, across a jump
+        in them, or along directions that are free in a singular pose. The bound on V applies only
+        if no motor prescribes a rate, which may jump.
         """
         if self.plan.stabilisation.kind != "project":
             return Stabilised(state)
@@ -74,7 +74,7 @@ class Projection(TreeAccelerations):
         return self.relatives(body, self.motion_at(body, chart, None, time)).openness()
 
     def _closing(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
-        """Step of Newton's method onto all rows, in the algebra."""
+        """Newton step onto all rows, in the algebra."""
         motion = self.motion_at(body, chart, None, time)
         relatives = self.relatives(body, motion)
         wanted = [-relatives.residual(number, row) for number, row in self.rows]
@@ -82,7 +82,7 @@ class Projection(TreeAccelerations):
         return self._displaced(motion, relatives, wanted, biases)
 
     def _onto_rows(self, body: TreeConstants, chart: Charts, velocity: Vec, time: Any) -> Vec:
-        """Least change of the velocity with which it satisfies all rows."""
+        """Least change of the velocity such that it satisfies all rows."""
         motion = self.motion_at(body, chart, velocity, time)
         relatives = self.relatives(body, motion)
         wanted = []
@@ -98,7 +98,7 @@ class Projection(TreeAccelerations):
     def _displaced(
         self, motion: TreeMotion, relatives: Relatives, wanted: list[Any], biases: list[Vec]
     ) -> Vec:
-        """Smallest motion, in the kinetic metric, whose components along the rows are `wanted`."""
+        """Smallest motion, in the kinetic metric, with the components `wanted` along the rows."""
         rows = [each._replace(fall=None) for each in self.equations(relatives, wanted)]
         openness = partial(self.off_rows, motion)
         solution = solved(bodies_of(motion, rows), rows, {}, biases, openness=openness)

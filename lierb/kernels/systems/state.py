@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.numbers.zero import ZERO
 
-Weights = tuple[Any, ...]  # one for each stage: floats, or numbers that depend on θ
-Factors = tuple[Weights, ...]  # of the exponentials of a commutator-free method, one row each
+Weights = tuple[Any, ...]  # one weight for each stage: floats, or numbers that depend on θ
+Factors = tuple[Weights, ...]  # weights of a commutator-free method, one row for each exponential
 
 
 class State(NamedTuple):
     """Pose, velocity, work and extra states; n = 6 for a body, 6 for each node of a mechanism.
 
-    chart : C₀, a unit quaternion and a position (m); of a mechanism a tuple of one for each node.
+    chart : C₀, a unit quaternion and a position (m); for a mechanism, a tuple with one per node.
     x : X/2 (n,), rad and m, with the pose C = C₀ exp X; structurally zero in a local update.
     v_or_mu : V (n,), rad/s and m/s; on a subgroup the momentum μ.
-    work : of all forces without potential, J; structurally zero where there are none.
-    states : the user's extra states, side by side.
+    work : work of all forces without potential, J; structurally zero if there are none.
+    states : the user's extra states, concatenated.
     """
 
     chart: Any
@@ -32,7 +32,7 @@ class Rates(NamedTuple):
     """Time derivatives of a state.
 
     x : Ẋ (n,), rad/s and m/s.   v_or_mu : V̇ or μ̇ (n,).   power : derivative of the work, W.
-    singular : 1 in a singular configuration.   states : of the extra states.
+    singular : 1 in a singular configuration.   states : derivatives of the extra states.
     """
 
     x: Vec
@@ -43,9 +43,9 @@ class Rates(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """Rates of the stages of a step, each field with one entry a stage.
+    """Rates of the stages of a step; each field has one entry for each stage.
 
-    x : Ẋ, or V of a commutator-free method.
+    x : Ẋ, or V for a commutator-free method.
     """
 
     x: tuple[Vec, ...] = ()
@@ -62,10 +62,10 @@ class Slopes(NamedTuple):
 class Units(NamedTuple):
     """Factors of the weighted sums of slopes: h for slopes by the second.
 
-    x : of Ẋ, half of it as X/2 is the state.   v_or_mu : of V̇ or μ̇.   other : of all else.
-    sums_first : whether slopes are summed before the factor multiplies them, which saves products
-        where each lane has its own h. Otherwise each weight is multiplied by the factor: one h for
-        all lanes makes that a constant.
+    x : factor of Ẋ, halved as the state is X/2.   v_or_mu : of V̇ or μ̇.   other : of other slopes.
+    sums_first : True to multiply the sum of weighted slopes by the factor, which saves products if
+        each lane has its own h. Otherwise each weight is multiplied by the factor; with one h for
+        all lanes the product is a constant.
     """
 
     x: Any
@@ -75,9 +75,9 @@ class Units(NamedTuple):
 
 
 class Stabilised(NamedTuple):
-    """A state put back on its constraints; empty corrections where nothing stabilises it.
+    """A state projected onto its constraints; corrections are empty without stabilisation.
 
-    singular : 1 where that fails.   x, v_or_mu : the corrections of the pose, X, and of V.
+    singular : 1 where projection fails.   x, v_or_mu : corrections of the pose, X, and of V.
     """
 
     state: State

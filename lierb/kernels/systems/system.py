@@ -1,7 +1,7 @@
-"""Protocol of a system: everything that steppers, loops and results need of what is integrated.
+"""Protocol of a system: the interface that steppers, loops and results use.
 
-Numbers are floats, arrays, lanes of a pack or duals, of one type throughout a call. n is 6 for one
-body and 6 for each node of a mechanism.
+Numbers are floats, arrays, lanes of a pack or duals, of one type in each call. n is 6 for one body,
+and 6 times the number of nodes for a mechanism.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ class System(Protocol[Body, Motion]):
 
     @property
     def joints(self) -> tuple[Connection, ...]:
-        """Joints whose errors have columns of their own."""
+        """Joints whose errors have separate columns."""
 
     @property
     def inputs(self) -> Columns:
-        """Columns of a trajectory's inputs, a state to resume from last."""
+        """Columns of a trajectory's inputs; a state to continue from comes last."""
 
     @property
     def state(self) -> Columns:
@@ -58,19 +58,19 @@ class System(Protocol[Body, Motion]):
 
     @property
     def invariant(self) -> tuple[int, ...]:
-        """Components of V that stay zero once they are, exactly."""
+        """Components of V that stay exactly zero if they are zero."""
 
     @property
     def is_homogeneous(self) -> bool:
-        """True where the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
+        """True if the rates of s V under s² times gravity are s Ẋ and s² V̇, for any s."""
 
     @property
     def is_light(self) -> bool:
-        """True where a step is so little work that registers hold two packs of it."""
+        """True if a step is so simple that registers hold two packs of its numbers."""
 
     @property
     def takes_small_angle_steps(self) -> bool:
-        """True where steps without branches, for small angles, are worth a second kernel."""
+        """True if a second kernel, for small-angle steps without branches, pays."""
 
     # ---- start ----
 
@@ -78,16 +78,16 @@ class System(Protocol[Body, Motion]):
         """Constants in joint axes, from the numbers of all inputs but a state (SI)."""
 
     def placed(self, body: Body, numbers: list[Any]) -> Any:
-        """Part of a start that all twists in one pose share."""
+        """Part of a start that depends on the pose only, not on the twist."""
 
     def start(self, body: Body, placed: Any, numbers: list[Any]) -> State:
         """State at the start, from poses and twists in the user's frames."""
 
     def state_of(self, numbers: Sequence[Any], body: Body | None = None) -> State:
-        """State from its numbers side by side, with the structural zeros of the plan."""
+        """State from its concatenated numbers, with the structural zeros of the plan."""
 
     def pose_check(self, numbers: list[Any], time: Any) -> Any:
-        """Part of the start's check that all twists in one pose share.   time : s."""
+        """Part of the check of a start that depends on the pose only.   time : s."""
 
     def is_on_joint(self, check: Any, numbers: list[Any], time: Any) -> Any:
         """1 where the start satisfies the joint's rows within the tolerances, else 0."""
@@ -98,10 +98,10 @@ class System(Protocol[Body, Motion]):
         """Gravity in the axes of C₀, (3,) m/s², shared by all stages on one chart; or None."""
 
     def rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
-        """Rates at C₀ exp X.   gravity : that of the chart.   time : s."""
+        """Rates at C₀ exp X.   gravity : see `chart_gravity`.   time : s."""
 
     def stage_rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
-        """Rates at C₀ exp X, those of the extra states included."""
+        """Rates at C₀ exp X, including those of the extra states."""
 
     def combine(
         self,
@@ -118,13 +118,13 @@ class System(Protocol[Body, Motion]):
         """
 
     def move(self, state: State) -> State:
-        """Move C₀ along X: in a local update always, in a global one where X is large."""
+        """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
 
     def tidied(self, body: Body, chart: Any) -> Any:
-        """Chart freed of rounding: quaternions of unit length, screws on their subgroup."""
+        """Chart without accumulated rounding: unit quaternions, screw joints on their subgroup."""
 
     def stabilised(self, body: Body, before: State, state: State, time: Any, h: Any) -> Stabilised:
-        """State put back on its constraints.   before : h seconds earlier.   time : s."""
+        """Project a state onto its constraints.   before : state h seconds earlier.   time : s."""
 
     # ---- error control ----
 
@@ -135,10 +135,10 @@ class System(Protocol[Body, Motion]):
         """V (n,), rad/s and m/s, from V or μ."""
 
     def places(self, chart: Any) -> Vec:
-        """Positions of the chart, m, side by side."""
+        """Positions of the chart, m, concatenated."""
 
     def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
-        """Numbers that are finite where all rotations are; positions, m."""
+        """Numbers that are finite if all rotations are, and positions, m."""
 
     def angular_speeds_squared(self, body: Body, state: State) -> list[Any]:
         """‖ω‖² of each node, rad²/s²."""
@@ -154,7 +154,7 @@ class System(Protocol[Body, Motion]):
     def measured(
         self, body: Body, state: State, motion: Motion, time: Any, first_energy: Any = ...
     ) -> Observed:
-        """Value or square of every measure.   first_energy : at the start of the run, J."""
+        """Value or square of every measure.   first_energy : energy at the start of the run, J."""
 
     def in_user_frames(self, body: Body, numbers: list[Any], state: State) -> list[Vec]:
         """R (9,) row by row, r (3,), ω (3,), v (3,) of every link, in the user's frames."""

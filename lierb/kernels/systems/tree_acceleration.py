@@ -37,7 +37,7 @@ from lierb.kernels.systems.tree_inputs import charts_of, sixes
 class TreeAcceleration(NamedTuple):
     """Solution of the equations of motion.
 
-    rates : V̇ of all nodes, side by side, as their c-spaces have it.
+    rates : V̇ of all nodes, concatenated, in their c-spaces.
     power : of forces and motors, W.   singular : 1 in a singular configuration.
     dropped : number of dependent rows.
     """
@@ -56,7 +56,7 @@ class TreeAccelerations(TreeCharts):
 
     @property
     def rows(self) -> tuple[tuple[int, Row], ...]:
-        """Rows that have a multiplier, with the numbers of their connections."""
+        """Rows that have a multiplier, with the index of their connection."""
         return self.plan.rows_with_multipliers
 
     def relatives(self, body: TreeConstants, motion: TreeMotion) -> Relatives:
@@ -75,7 +75,7 @@ class TreeAccelerations(TreeCharts):
         motion = self.motion_at(body, moved, velocity, time)
         found = self.accelerate(body, motion)
         singular = found.singular
-        if self.rows:  # another rank is another mechanism
+        if self.rows:  # a mechanism of another rank is another mechanism
             singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
         for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
@@ -111,7 +111,7 @@ class TreeAccelerations(TreeCharts):
 
     def off_rows(self, motion: TreeMotion) -> Any:
         """Residual δ of pose and velocity for `lierb.kernels.mechanics.saddle.multipliers_of`."""
-        again = motion.again()  # its values are computed in a branch, and are not there elsewhere
+        again = motion.again()  # values computed in a branch are not valid outside it
         relatives = self.relatives(motion.body, again)
         length, pose = length_of(motion.body), relatives.openness()
         rates: Any = ZERO
@@ -125,7 +125,7 @@ class TreeAccelerations(TreeCharts):
         return sqrt(pose + rates / where(whole > 0.0, whole, 1.0))
 
     def equations(self, relatives: Relatives, wanted: list[Any]) -> list[NodeRow]:
-        """Equations of all rows in the motions of the nodes, those of the tree's joints stiff."""
+        """Equations of all rows in the nodes' accelerations, stiff for joints of the tree."""
         equations = []
         for (number, r), value in zip(self.rows, wanted, strict=True):
             each = relatives.equation(number, r, value)
@@ -166,7 +166,7 @@ class TreeAccelerations(TreeCharts):
         return fma(-kept.beta * kept.beta, relatives.residual(number, row), wanted)
 
     def _damped(self, i: int, motion: TreeMotion) -> Vec:
-        """Baumgarte's term in a node's acceleration on its joint."""
+        """Baumgarte's term in the acceleration of a node on its joint."""
         kept = self.plan.stabilisation
         if kept.kind != "baumgarte":
             return ZERO6
@@ -184,7 +184,7 @@ class TreeAccelerations(TreeCharts):
         return turn + mat_t_vec(x.q, d)
 
     def _state_rates(self, motion: TreeMotion, solution: Solved, damped: list[Vec]) -> Vec:
-        """V̇_rel of reduced nodes, V̇ of others as their c-space has it."""
+        """V̇_rel of reduced nodes; V̇ of other nodes, in their c-space."""
         rates: list[Any] = []
         for i, node in enumerate(self.plan.tree):
             if node.is_reduced:

@@ -1,7 +1,7 @@
 """Poses and velocities of a mechanism's nodes, and their arithmetic.
 
-The state is that of `lierb.kernels.mechanics.tree`: a chart, X and a velocity for every node, side
-by side. On reduced coordinates they have the structural zeros of the joint's subgroup.
+The state has a chart, X and a velocity for every node (`lierb.kernels.mechanics.tree`). On reduced
+coordinates they have the structural zeros of the joint's subgroup.
 """
 
 from __future__ import annotations
@@ -73,14 +73,14 @@ class TreeCharts(StateArithmetic):
         return State(tuple(charts), tuple(xs), tuple(velocities), work, state.states)
 
     def chart_gravity(self, body: TreeConstants, chart: Charts) -> None:
-        """Return nothing: gravity enters at the nodes on the ground."""
+        """Return None: gravity enters at the nodes on the ground."""
 
     def velocity(self, body: TreeConstants, v_or_mu: Vec) -> Vec:
-        """Return the twists of the nodes as they are, side by side."""
+        """Return the concatenated twists of the nodes unchanged."""
         return v_or_mu
 
     def angular_speeds_squared(self, body: TreeConstants, state: State) -> list[Any]:
-        """‖ω‖² of each node on its joint, or of its own, rad²/s²."""
+        """‖ω‖² of each node, on its joint if reduced, rad²/s²."""
         return [dot(v[:3], v[:3]) for v in sixes(state.v_or_mu)]
 
     def places(self, chart: Charts) -> Vec:
@@ -129,7 +129,7 @@ class TreeCharts(StateArithmetic):
     def motion_at(
         self, body: TreeConstants, chart: Charts, velocity: Vec | None, time: Any
     ) -> TreeMotion:
-        """Motion of the tree at a chart, at rest where there is no velocity."""
+        """Motion of the tree at a chart; at rest if velocity is None."""
         poses = [
             (turns if charts_of(node) is turns else quaternion).pose(each)
             for node, each in zip(self.plan.tree, chart, strict=True)

@@ -1,4 +1,4 @@
-"""Inputs of a mechanism: columns, and the tree's constants and start, turned to joint axes."""
+"""Inputs of a mechanism: columns; constants and start of the tree, in joint axes."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.layout import POSE, Columns, Field, pose_of
 from lierb.kernels.systems.plan import MechanismPlan
 
-LINK = (  # of each
+LINK = (  # fields of each link
     Field("mass", (), "kg"),
     Field("inertia", (3, 3), "kg m²"),
     Field("com", (3,), "m"),
 )
-JOINT = (  # of each link and of each loop
+JOINT = (  # fields of the joint of each link and each loop
     Field("ground_frame", (4, 4), "1, m", POSE),
     Field("body_frame", (4, 4), "1, m", POSE),
     Field("pitch", (), "m/rad"),
@@ -64,7 +64,7 @@ GRAVITY = Field("gravity", (3,), "m/s²")
 def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
     """Columns of a mechanism: f"{link}.mass", f"{joint}.pitch", f"element{k}.{name}", …
 
-    Joints are numbered as the plan's connections are: those of links, then those of loops.
+    Joints are numbered like the plan's connections: those of links, then those of loops.
     """
     own = (f._replace(name=f"{i}.{f.name}") for i in range(links) for f in LINK)
     held = (f._replace(name=f"{i}.{f.name}") for i in range(links + loops) for f in JOINT)
@@ -78,7 +78,7 @@ def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
 
 
 def charts_of(node: Node) -> Any:
-    """Group of a node's chart, as a module of formulas."""
+    """Module with the formulas of the group of a node's chart."""
     if (
         node.is_reduced
         and sum(slot != FIXED for slot in node.slots) == 1
@@ -99,7 +99,7 @@ def sixes(numbers: Vec) -> list[Vec]:
 def with_burdens(
     tree: tuple[Node, ...], nodes: tuple[NodeConstants, ...]
 ) -> tuple[NodeConstants, ...]:
-    """Add the mass and inertia that each node carries, in the pose where all slides are 0."""
+    """Add each node's `burden`, computed in the pose where all slides are 0."""
     burdens = [(n.rigid.mass, 0.5 * sum(n.rigid.inertia[::4], start=ZERO)) for n in nodes]
     for i in reversed(range(len(tree))):
         mass, inertia = burdens[i]
@@ -111,7 +111,7 @@ def with_burdens(
 
 
 def first_of_joint(plan: MechanismPlan, i: int) -> int:
-    """First of the nodes that make up the joint of a link's node."""
+    """Index of the first of the nodes that form the joint of a link's node."""
     parent = plan.tree[i].parent
     return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
 
@@ -149,7 +149,7 @@ def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeCon
 def joint_ends(
     plan: MechanismPlan, nodes: tuple[NodeConstants, ...], number: int, read: dict[str, Vec]
 ) -> Ends:
-    """Frames of joint `number` on both its nodes."""
+    """Frames of joint `number` on its two nodes."""
     joint = plan.joints[number]
     (pitch,), (length,) = read[f"{number}.pitch"], read[f"{number}.length"]
     inner = se3.compose(se3.inverse(nodes[joint.node].frame), pose_of(read[f"{number}.body_frame"]))
@@ -164,7 +164,7 @@ def joint_ends(
 def placed_element(
     element: Element, k: int, c: Connection, nodes: tuple[NodeConstants, ...], read: dict[str, Vec]
 ) -> Any:
-    """Parameters of an element in the frames between which it acts."""
+    """Parameters of an element in the two frames between which it acts."""
     given = {
         name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
         for name, shape in element.shapes.items()
@@ -187,7 +187,7 @@ def placed_element(
 
 
 def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
-    """Pose of a node, seen from the ground, and its twist."""
+    """Pose of a node in the ground frame, and its twist."""
     pose = se3.compose(pose_of(read[f"{link}.pose"]), constants.frame)
     return pose, twist_at(constants.frame, read[f"{link}.twist"])
 
@@ -195,7 +195,7 @@ def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tu
 def apart(
     node: Node, constants: NodeConstants, root: Pose, place: Pose, twist: Vec
 ) -> tuple[Chart, Vec]:
-    """Chart and velocity of a node on an absolute c-space.   root : frame of its tree's root."""
+    """Chart and velocity of an absolute node.   root : frame of the root of its tree."""
     q, d = se3.compose(se3.inverse(root), place)
     if node.cspace == "SE3":
         return quaternion.from_pose((q, d)), twist
@@ -205,7 +205,7 @@ def apart(
 
 
 def chart_of(node: Node, d: Pose) -> Chart:
-    """Chart of a reduced node, at the pose D on its joint."""
+    """Chart of a reduced node with the pose D on its joint."""
     if charts_of(node) is turns:
         return turns.from_pose(d, node.slots.index(0))
     return quaternion.from_pose(d)
@@ -238,7 +238,9 @@ def factored(first: Slots, last: Slots, d: Pose, relative: Vec) -> list[tuple[Po
 
 
 def _turn(about: int, axis: int, image: Vec) -> Mat:
-    """Turn about one axis that takes another to its image, times the image's length there."""
+    """Rotation about one axis that maps another axis to the direction of its image, times the
+    length of the image's projection.
+    """
     third = 3 - about - axis
     sign = 1.0 if axis == (about + 1) % 3 else -1.0
     c, s = image[axis], sign * image[third]

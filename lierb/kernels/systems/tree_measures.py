@@ -31,7 +31,7 @@ class TreeMeasures(TreeAccelerations):
 
     @property
     def joints(self) -> tuple[Connection, ...]:
-        """Joints, whose errors have columns of their own."""
+        """Joints, whose errors have separate columns."""
         return self.plan.joints
 
     def dropped(self, body: TreeConstants, state: State) -> Any:
@@ -47,7 +47,7 @@ class TreeMeasures(TreeAccelerations):
         time: Any,
         first_energy: Any = ZERO,
     ) -> Observed:
-        """Value or square of every measure; of errors the largest over all connections."""
+        """Value or square of every measure; errors are the largest over all connections."""
         plan, relatives = self.plan, self.relatives(body, motion)
         errors = []
         for number, connection in enumerate(plan.connections):
@@ -72,11 +72,11 @@ class TreeMeasures(TreeAccelerations):
 
     @property
     def _link_nodes(self) -> list[int]:
-        """Numbers of the nodes that are links, in the order of these."""
+        """Index of each link's node, in the order of the links."""
         return [joint.node for joint in self.plan.connections[: self.plan.links]]
 
     def _energy(self, body: TreeConstants, relatives: Relatives) -> Any:
-        """Kinetic energy, and the potentials of gravity and all forces that have one, J."""
+        """Kinetic energy plus the potential energies of gravity and all applied forces, J."""
         total, motion = ZERO, relatives.motion
         for i in self._link_nodes:
             constants, twist = body.nodes[i], motion.twists[i]
@@ -91,7 +91,7 @@ class TreeMeasures(TreeAccelerations):
         pairs = zip(self.plan.elements, body.elements, strict=True)
         for number, (element, placed) in enumerate(pairs, first):
             if not (element.is_passive or element.rows):
-                timeless = relatives[number].x._replace(time=ZERO)  # no potential depends on it
+                timeless = relatives[number].x._replace(time=ZERO)  # no potential depends on time
                 total = total + element.energy(placed, timeless.motion)
         return total
 
@@ -113,7 +113,7 @@ class TreeMeasures(TreeAccelerations):
     def forces(self, body: TreeConstants, state: State, time: Any) -> tuple[Vec, list[Vec]]:
         """λ of all rows, and every joint's wrench on its body, about its frame there.
 
-        The wrench includes that of a motor that prescribes the joint's speed.
+        The wrench includes that of a motor that prescribes the speed of the joint.
         """
         found = self.accelerate(body, self.motion(body, state, time))
         solution = dict(zip(self.rows, found.solved.multipliers, strict=True))

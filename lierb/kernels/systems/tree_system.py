@@ -1,4 +1,4 @@
-"""System of a mechanism: inputs and start; states, accelerations and measures are its bases'."""
+"""System of a mechanism: inputs and start. States, rates and measures are in base classes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from lierb.kernels.systems.tree_inputs import (
 )
 from lierb.kernels.systems.tree_measures import TreeMeasures
 
-SMALL_ANGLE_STAGES = 8  # nodes times stages, at most: more of them compile for long
+SMALL_ANGLE_STAGES = 8  # largest nodes × stages; with more, compilation takes long
 
 
 class TreeFormulation(Projection, TreeMeasures):
@@ -37,14 +37,14 @@ class TreeFormulation(Projection, TreeMeasures):
 
     invariant = ()
     is_homogeneous = False
-    is_light = False  # of many bodies, registers never hold two packs
+    is_light = False  # registers never hold two packs of several bodies
 
     @property
     def takes_small_angle_steps(self) -> bool:
         """True for small mechanisms on absolute c-spaces.
 
-        With two links on SE(3) such steps save a sixth; on reduced coordinates nothing. Compiling
-        the step twice takes half as long again.
+        With two links on SE(3) such steps save a sixth of the time; on reduced coordinates they
+        save nothing. The second step adds half to the compile time.
         """
         plan = self.plan
         is_small = len(plan.tree) * len(plan.stages) <= SMALL_ANGLE_STAGES
@@ -80,7 +80,7 @@ class TreeFormulation(Projection, TreeMeasures):
         )
 
     def placed(self, body: TreeConstants, numbers: list[Any]) -> tuple[()]:
-        """Return nothing: starts of links depend on twists and poses together."""
+        """Return an empty tuple: starts of links depend on twists and poses together."""
         return ()
 
     def start(self, body: TreeConstants, placed: tuple[()], numbers: list[Any]) -> State:
