@@ -23,7 +23,7 @@ from lierb.model.functions.wrenches import Force
 from lierb.model.joints.joint import Joint
 from lierb.support.shown import quantity
 
-# Arguments of a problem and a mechanism that are elements, in the order of all elements.
+# Arguments of problems and mechanisms that are elements, in the order of all elements.
 ELEMENTS: dict[str, type[Element]] = {
     "forces": Force,
     "constraints": Constraint,
@@ -64,8 +64,8 @@ def _checked(argument: str, given: Any, kind: type[Element], joint: Joint) -> tu
 def bind(problem: Any) -> None:
     """Bind functions of a problem or a mechanism to its states and controllers.
 
-    Raises ForceError for a function of states or outputs that do not exist, ArgumentError for names
-    that columns have already.
+    Raises ForceError for a function of states or outputs that do not exist, ArgumentError for
+    column names that exist already.
     """
     labels = ("states", "controllers", "forces", "observables", "events")
     parts = bound(*(getattr(problem, label) for label in labels))
@@ -76,7 +76,7 @@ def bind(problem: Any) -> None:
 
 
 def require_fit(element: Element, joint: Joint) -> None:
-    """Raise ForceError for an element that has changed, or that cannot act at the joint."""
+    """Raise ForceError if the element has changed or cannot act at the joint."""
     element.require_unchanged()
     if not element.kind.needs_axis:
         return

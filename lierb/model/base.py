@@ -39,19 +39,19 @@ from lierb.support.arrays import (
 )
 from lierb.support.shown import Shown
 
-DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even where there are none
+DESCRIBED = ("forces", "constraints", "observables")  # in metadata, even if there are none
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Model(Shown):
     """Rigid bodies, their joints, and the elements that act on them; one model or a batch.
 
-    A `Problem` is a model of one link, whose name is "" and whose joint has no name. Its poses and
-    twists are arrays; those of a `Mechanism` are dictionaries by link.
+    A `Problem` is a model of one link, which has the name "" and a joint without a name. Its poses
+    and twists are arrays; those of a `Mechanism` are dictionaries by link.
     """
 
     default_cspace: ClassVar[str]
-    flags_starts: ClassVar[bool]  # True where the kernels flag starts that are off the joint
+    flags_starts: ClassVar[bool]  # True if the kernels flag starts that violate the joint
 
     gravity: Array
     forces: tuple[Force, ...]
@@ -74,21 +74,21 @@ class Model(Shown):
     # ---- implemented by problems and mechanisms ----
 
     def _fitted(self, label: str, given: Any, kind: type[Element]) -> tuple[Any, ...]:
-        """Check elements; raise where they do not act on this model."""
+        """Check elements; raise if they cannot act on this model."""
         raise NotImplementedError
 
     @property
     def _structure(self) -> tuple[Any, ...]:
-        """Arguments of the constructor that come before the elements."""
+        """Arguments of the constructor before the elements."""
         raise NotImplementedError
 
     def _structure_of(self, which: Which) -> tuple[Any, ...]:
-        """Arguments of the constructor that come before the elements, for part of the batch."""
+        """Arguments of the constructor before the elements, for part of the batch."""
         raise NotImplementedError
 
     @property
     def _arguments(self) -> dict[str, tuple[Array, int]]:
-        """Arrays that may be batched by name, with the number of an item's axes."""
+        """Arrays that may be batched, by name, with the number of axes of one item."""
         raise NotImplementedError
 
     # ---- elements ----
@@ -105,17 +105,17 @@ class Model(Shown):
 
     @cached_property
     def kinds(self) -> tuple[kinds.Element, ...]:
-        """Kinds of the elements, on which compiled code is specialised."""
+        """Kernel element of each element, on which compiled code is specialised."""
         return tuple(element.kind for element in self.elements)
 
     def require_unchanged(self) -> None:
-        """Raise ForceError where a variable that a function refers to has changed."""
+        """Raise ForceError if a variable that a function refers to has changed."""
         for element in self.elements:
             if element.references:
                 element.require_unchanged()
 
     def with_events(self, events: Event | Iterable[Event]) -> Self:
-        """Return the same model with further events after its own."""
+        """Return the model with further events, after those that it has."""
         elements = {label: getattr(self, label) for label in ELEMENTS}
         elements["events"] = (*self.events, *self._fitted("events", events, Event))
         return type(self)(*self._structure, **elements)
@@ -152,7 +152,7 @@ class Model(Shown):
         Parameters
         ----------
         body : int
-            Number of the member.
+            Index of the member.
 
         Returns
         -------
@@ -162,7 +162,7 @@ class Model(Shown):
         Raises
         ------
         ArgumentError
-            The batch has no member of that number.
+            The batch has no member with that index.
         """
         return self.part(member_of(body, self.batch_size()))
 
@@ -175,22 +175,22 @@ class Model(Shown):
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints of links and loops; none of a single body."""
+        """Names of the joints of links and loops; empty for a single body."""
         return tuple(at.name for at in self.joints if at.name)
 
     @cached_property
     def topology(self) -> tuple[Any, ...]:
-        """Names, ends and rows of the joints; equal where a state means the same."""
+        """Names, ends and rows of the joints; models with equal ones can exchange states."""
         return tuple((at.name, at.body, at.parent, at.rows) for at in self.joints)
 
     @cached_property
     def has_jumps(self) -> bool:
-        """True where a force may jump at times that are parameters of it."""
+        """True if a force may jump at times that are among its parameters."""
         return any(element.kind.discontinuities for element in self.elements)
 
     @cached_property
     def has_own_time(self) -> bool:
-        """True where each trajectory needs a clock: for events, states, controllers or jumps."""
+        """True if each trajectory needs a clock, for events, states, controllers or jumps."""
         return bool(self.events or self.states or self.controllers) or self.has_jumps
 
     @property
@@ -213,20 +213,20 @@ class Model(Shown):
 
     @property
     def joints(self) -> tuple[Connection, ...]:
-        """Joints of the links, in their order, then of the loops."""
+        """Joints of the links, in order, then of the loops."""
         raise NotImplementedError
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Numbers of the links, parents before their children."""
+        """Indices of the links, parents before their children."""
         raise NotImplementedError
 
     def parameters(self, at: Connection) -> Parameters:
-        """Return the numbers of a joint's body and frames, one array per component."""
+        """Return the parameters of a joint's body and frames, one array per component."""
         raise NotImplementedError
 
     def constants(self, at: Connection) -> BodyConstants:
-        """Return the body of a joint in its axes, with the elements that act there."""
+        """Return the constants of a joint's body, with the elements that act there."""
         raise NotImplementedError
 
     @property
@@ -241,7 +241,7 @@ class Model(Shown):
 
     @property
     def inputs(self) -> dict[str, Array]:
-        """Numbers that the kernels read, by field."""
+        """Input numbers of the kernels, by field."""
         raise NotImplementedError
 
     @property
@@ -251,29 +251,29 @@ class Model(Shown):
 
     @property
     def description(self) -> dict[str, Any]:
-        """Contents of the metadata, in their order."""
+        """Contents of the metadata, in order."""
         raise NotImplementedError
 
     def by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
-        """Return an argument's value of each link."""
+        """Return an argument's value for each link, by name."""
         raise NotImplementedError
 
     def from_links(self, values: dict[str, Any]) -> Any:
-        """Return values of all links as arguments take them, the inverse of `by_link`."""
+        """Convert values of all links to the form of arguments; the inverse of `by_link`."""
         raise NotImplementedError
 
     def label(self, argument: str, link: str) -> str:
-        """Return the name of an argument's part in messages."""
+        """Return the name of an argument's value for one link, for messages."""
         return f"{argument}[{link!r}]" if link else argument
 
     def default_pose(self) -> Any:
-        """Return pose0 where none is given; None stands for the closed joint."""
+        """Return the default of pose0; None stands for the closed joint."""
         raise NotImplementedError
 
     def formulation(
         self, *, cspace: Any, update: str, check: str, solver: str, stabilise: Any
     ) -> Formulation:
-        """Validate the options that choose the equations. Raises ArgumentError."""
+        """Validate the options that select the equations. Raises ArgumentError."""
         raise NotImplementedError
 
     def plan(self, formulation: Formulation, **described: Any) -> AnyPlan:
@@ -283,15 +283,15 @@ class Model(Shown):
     def violation(
         self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None
     ) -> LierbError | None:
-        """Return the error of the first member whose start violates its joints, None without one.
+        """Return the error of the first member whose start violates its joints, or None.
 
-        number : the only member to check. Default: all.
+        number : index of the only member to check. Default: check all.
         """
         raise NotImplementedError
 
 
 def parameters_of(body: Body, joint: Joint | None, gravity: Array) -> Parameters:
-    """Return the numbers of a body as formulas take them; without a joint, in the body frame."""
+    """Return the parameters of a body for formulas; without a joint, its frame is the body's."""
     own: Pose = (IDENTITY, ZERO3)
     return Parameters(
         mass=body.mass,

@@ -1,4 +1,4 @@
-"""Connections of links: the ends, frames and rows of a joint or an element."""
+"""Connections of links: ends, frames and rows of joints and elements."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import NamedTuple
 from lierb.kernels.mechanics.rows import Rows
 from lierb.model.joints.joint import Joint
 
-NOWHERE = -1  # number of the ground
+NOWHERE = -1  # index of the ground
 
 
 class Connection(NamedTuple):
     """Joint or element between two links.
 
     name : name of the link or loop with the joint, or of the element.
-    body, parent : numbers of the links; NOWHERE is the ground.
+    body, parent : indices of the links; NOWHERE is the ground.
     joint : joint with the two frames; None for an element between the body frames.
     rows : rows of the joint or the element.
-    elements : number of the element; empty for a joint.
+    elements : index of the element; empty for a joint.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Equations of a run: configuration spaces, solver of a single body, stabilisation of a tree."""
+"""Options that select the equations: configuration space, solver, stabilisation."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ CSPACE_NAMES = (*CSPACES, "reduced")
 
 
 class Formulation(NamedTuple):
-    """Validated choice of the equations.
+    """Validated options that select the equations.
 
-    cspaces : configuration space of each link.   solver : "saddle" or "subgroup" of a single body,
-    "auto" of a mechanism.   stabilisation : None of a single body.
+    cspaces : configuration space of each link.   solver : "saddle" or "subgroup" for a single body,
+    "auto" for a mechanism.   stabilisation : None for a single body.
     """
 
     cspaces: tuple[str, ...]
@@ -32,7 +32,7 @@ class Formulation(NamedTuple):
 
 
 def described_cspace(given: CSpace) -> str:
-    """Return the text of a c-space in metadata."""
+    """Return the text for a c-space in metadata."""
     return given if isinstance(given, str) else ", ".join(f"{k}: {v}" for k, v in given.items())
 
 
@@ -78,7 +78,7 @@ def formulation_of_body(
     solver: str,
     stabilise: Any,
 ) -> Formulation:
-    """Validate the options that choose the equations of a single body. Raises ArgumentError.
+    """Validate the options that select the equations of a single body. Raises ArgumentError.
 
     constraints : names of the elements that have rows.
     """
@@ -104,8 +104,8 @@ def formulation_of_body(
 def baumgarte(alpha: float, beta: float) -> Stabilisation:
     """Baumgarte's stabilisation, for `lierb.integrate(…, stabilise=…)`.
 
-    In place of ḧ = 0 the constraints obey ḧ + 2α ḣ + β² h = 0, so that errors decay like e^(−αt)
-    where β = α.
+    The constraints obey ḧ + 2α ḣ + β² h = 0 instead of ḧ = 0, so that errors decay like e^(−αt) if
+    β = α.
 
     Parameters
     ----------
@@ -151,6 +151,6 @@ def stabilisation_of(given: Any) -> Stabilisation:
 
 
 def described_stabilisation(given: Stabilisation) -> str | None:
-    """Return the text of a stabilisation in metadata."""
+    """Return the text for a stabilisation in metadata."""
     rates = f"({given.alpha!r}, {given.beta!r})" if given.kind == "baumgarte" else ""
     return None if given.kind == "none" else f"{given.kind}{rates}"

@@ -1,4 +1,4 @@
-"""Problem of one body: the body, its joint to the ground, and the forces on it, in SI units."""
+"""Problem of one body: the body, its joint to the ground, and forces on it, in SI units."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ from lierb.support.arrays import (
 from lierb.support.shown import Lines, counted, quantity
 
 AT_REST = Load(ZERO3, ZERO3, ZERO3)
-CLOSED_POSE = np.full((4, 4), np.nan)  # input that stands for the pose of the closed joint
+CLOSED_POSE = np.full((4, 4), np.nan)  # input value that represents the pose of the closed joint
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
@@ -70,22 +70,22 @@ class Problem(Model):
     body : Body
         The body or the batch of bodies.
     joint : Joint
-        Its joint to the ground; `lierb.joints.free()` for none.
+        Joint to the ground; `lierb.joints.free()` for an unconstrained body.
     gravity : array_like, shape (3,) or (n, 3), optional
         Acceleration of gravity in the ground frame, m/s². Default: none.
     forces : Force or iterable of Force, optional
         Forces made by `lierb.forces` and `lierb.wrench`.
     constraints : Constraint or iterable of Constraint, optional
-        Constraints made by `lierb.constraint`, beside the joint's own.
+        Constraints made by `lierb.constraint`, in addition to the joint.
     observables : Observable or iterable of Observable, optional
         Columns of the results, made by `lierb.observable`.
     events : Event or iterable of Event, optional
         Crossings of zero to be located, made by `lierb.event`.
     states : ExtraStates or iterable of ExtraStates, optional
-        Further states, made by `lierb.states` and integrated with the body's.
+        Further states, made by `lierb.states` and integrated with those of the body.
     controllers : Controller or iterable of Controller, optional
-        Sampled controllers, made by `lierb.controller`: called once a period, with constant outputs
-        in between.
+        Sampled controllers, made by `lierb.controller`: called once per period, with constant
+        outputs in between.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class Problem(Model):
 
     @cached_property
     def rows(self) -> Rows:
-        """Constraint rows: of the joint, then of the elements."""
+        """Constraint rows of the joint, then of the elements."""
         added = (
             element.kind.row(place, i)
             for place, element in enumerate(self.elements)
@@ -158,7 +158,7 @@ class Problem(Model):
 
     @cached_property
     def quantities(self) -> dict[str, Array]:
-        """Numbers of body, joint and gravity by name, batched or not."""
+        """Parameters of body, joint and gravity, by name, batched or not."""
         owners = {"gravity": self, **dict.fromkeys(("mass", "inertia", "com"), self.body)}
         given = (f.name for f in INPUTS.fields if f.name not in ("pose", "twist"))
         return {name: getattr(owners.get(name, self.joint), name) for name in given}
@@ -248,20 +248,20 @@ class Problem(Model):
         return violation_of_body(self, poses, twists, t0, number)
 
     def parameters(self, at: Connection | None = None) -> Parameters:
-        """Return the problem's numbers as formulas take them, one array per component."""
+        """Return the problem's parameters for formulas, one array per component."""
         return parameters_of(self.body, self.joint, self.gravity)
 
     def in_joint_axes(self, space: type[SE3] | type[SO3xR3]) -> BodyConstants:
-        """Return the body, with its elements, as that c-space's formulas take it."""
+        """Return the constants of the body and its elements for the formulas of a c-space."""
         return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
 
     def close(self, pose: Any) -> Array:
         """Find a pose that closes the joint near a given one, by Newton's method on its rows.
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
-        constraints' values; a body that is small beside its lever arm counts as larger there, so
-        that it does not turn by a radian to move by a hair. The iteration ends at rounding,
-        relative to the problem's own length.
+        constraint residuals. For a body that is small relative to its lever arm the metric has a
+        larger inertia, so that a small displacement does not cause a large rotation. The iteration
+        ends at rounding, relative to the characteristic length of the problem.
 
         Parameters
         ----------
@@ -290,7 +290,7 @@ class Problem(Model):
         """
         poses = as_poses("pose", pose)
         self.batch_size(pose=(poses, 2))
-        with np.errstate(all="ignore"):  # an overflow does not converge
+        with np.errstate(all="ignore"):  # with an overflow it does not converge
             return self._closed(poses)
 
     def _closed(self, poses: Array) -> Array:
@@ -305,7 +305,7 @@ class Problem(Model):
             x = SE3.kinematics(body, placed, at_rest)
             off = residuals(rows, x, body)
             here = ROUNDING * norm((0.0, *placed[1]))
-            closed = np.isfinite(small)  # an infinite length would accept any residual
+            closed = np.isfinite(small)  # infinite lengths would accept any residual
             for r, h in zip(rows, off, strict=True):
                 near = small + (here if r.is_of_joint else rounding)
                 closed = closed & (absolute(h) <= (near if r.is_translational else CLOSED))
@@ -343,7 +343,7 @@ class Problem(Model):
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         t0 : float, optional
-            Time at which a motor has its speed, s.
+            Time at which the speed of a motor is evaluated, s.
 
         Returns
         -------
@@ -383,7 +383,7 @@ class Problem(Model):
 
 
 def _stout(body: BodyConstants, length: Any) -> BodyConstants:
-    """Return the body with a radius of gyration of at least LEAST_GYRATION of the length."""
+    """Return the body with a radius of gyration of at least LEAST_GYRATION · length."""
     least = body.mass * (LEAST_GYRATION * length) ** 2
     trace = body.inertia[0] + body.inertia[4] + body.inertia[8]
     added = where(trace < least, least, 0.0 * least)

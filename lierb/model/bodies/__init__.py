@@ -1,7 +1,7 @@
-"""Homogeneous solids as bodies: mass and inertia from their dimensions, or from a mesh.
+"""Homogeneous solids as bodies: mass and inertia from dimensions, or from a mesh.
 
-The body frame is at the centre of mass, its axes along those of the solid; a mesh keeps its own
-frame. Each function takes either `mass` or `density`. Arguments may be batched.
+The body frame is at the centre of mass, with axes along those of the solid; for a mesh it is the
+frame of the mesh. Each function takes either `mass` or `density`. Arguments may be batched.
 """
 
 from lierb.model.bodies.solids import box, cylinder, from_mesh, rod, sphere

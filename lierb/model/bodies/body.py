@@ -27,16 +27,16 @@ class Body(Shown):
         Mass, kg.
     inertia : array_like, shape (3,), (n, 3), (3, 3) or (n, 3, 3)
         Principal moments or inertia matrices, kg m², about the body frame's origin and in its axes.
-        A shape (3, 3) is one matrix, and refused where mass or com are those of three bodies.
+        A shape (3, 3) is one matrix, and is refused if mass or com are those of three bodies.
     com : array_like, shape (3,) or (n, 3), optional
         Centre of mass in the body frame, m. Default: its origin.
 
     Raises
     ------
     InertiaError
-        No body has such a mass or inertia.
+        No rigid body can have this mass or inertia.
     ArgumentError
-        A shape is wrong.
+        An array has a wrong shape.
 
     Examples
     --------
@@ -70,10 +70,10 @@ class Body(Shown):
             object.__setattr__(self, name, value)
 
     def of(self, which: Which) -> Body:
-        """Return one body of the batch, or a part of it."""
+        """Return one body of the batch, or part of the batch."""
         inertia = taken(self.inertia, which, 2)
         if inertia.ndim == 2 and not isinstance(which, int):
-            inertia = inertia[None]  # or a part of three bodies might be read in two ways
+            inertia = inertia[None]  # without it, a part of three bodies would be ambiguous
         return Body(taken(self.mass, which), inertia, taken(self.com, which, 1))
 
     def _shown(self) -> tuple[str, Lines]:
@@ -111,13 +111,13 @@ def _checked_symmetric(moments: Array) -> Array:
             "give (I + I.T) / 2. A shape (3, 3) is read as one matrix, not as three bodies: "
             f"give {MOMENTS_OF_EACH} for the principal moments of three"
         )
-    half = 0.5 * flat  # first: the sum of two of the largest numbers overflows
+    half = 0.5 * flat  # before summing, since the sum of two large numbers may overflow
     return (half + half.transpose(0, 2, 1)).reshape(moments.shape)
 
 
 @np.errstate(all="ignore")
 def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
-    """Inertia about the centre of mass; raises InertiaError where it overflows."""
+    """Inertia about the centre of mass; raises InertiaError if it overflows."""
     shift = unit_inertia(components(centre))
     parts = zip(components(moments, 2), shift, strict=True)
     about_com = assembled(tuple(i - masses * s for i, s in parts), 3, 3)
@@ -132,7 +132,7 @@ def _about_com(masses: Array, moments: Array, centre: Array) -> Array:
 
 
 def _check_physical(about_com: Array) -> None:
-    """Raise InertiaError unless positive definite with moments that satisfy A + B ≥ C."""
+    """Raise InertiaError unless the inertia is positive definite with moments A + B ≥ C."""
     flat = about_com.reshape(-1, 3, 3)
     principal = np.linalg.eigvalsh(flat)
     for body in np.flatnonzero(principal[:, 0] <= 0.0)[:1]:
@@ -155,7 +155,7 @@ def _listed(numbers: Array) -> str:
 
 @np.errstate(over="ignore")
 def _check_gyration(masses: Array, moments: Array) -> None:
-    """Raise InertiaError where tr Θ/m, the unit of lengths squared, overflows."""
+    """Raise InertiaError if tr Θ/m, the square of the unit of length, overflows."""
     traces = np.trace(moments, axis1=-2, axis2=-1)
     squares = np.atleast_1d(traces / masses)
     for body in np.flatnonzero(~np.isfinite(squares))[:1]:

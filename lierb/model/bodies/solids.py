@@ -1,4 +1,4 @@
-"""Functions that make a body of a homogeneous solid."""
+"""Functions that make bodies of homogeneous solids."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_positive, assembled, batch_size
 from lierb.support.extras import remedy
 
-_quiet = np.errstate(all="ignore")  # Body refuses a mass or an inertia that overflows
+_quiet = np.errstate(all="ignore")  # `Body` raises for a mass or an inertia that overflows
 
 
 @_quiet
@@ -107,7 +107,7 @@ def rod(
     mass: ArrayLike | None = None,
     density: ArrayLike | None = None,
 ) -> Body:
-    """Make a slender cylinder along e₃. Its radius gives it an inertia about its own axis.
+    """Make a slender cylinder along e₃. Its radius determines the inertia about its axis.
 
     Parameters
     ----------
@@ -177,10 +177,10 @@ def sphere(
 
 @_quiet
 def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = None) -> Body:
-    """Make the homogeneous solid that a closed surface encloses, in the mesh's own frame.
+    """Make the homogeneous solid that a closed surface encloses, in the frame of the mesh.
 
-    The body's `com` is the mesh's. SO(3)×R³ requires it at the origin: move the mesh there first,
-    by `mesh.apply_translation(-mesh.center_mass)`. Needs trimesh (the extra `lierb[mesh]`).
+    The body's `com` is that of the mesh. SO(3)×R³ requires it at the origin: move the mesh first,
+    by `mesh.apply_translation(-mesh.center_mass)`. Requires trimesh (the extra `lierb[mesh]`).
 
     Parameters
     ----------
@@ -227,14 +227,14 @@ def from_mesh(mesh: Any, *, mass: float | None = None, density: float | None = N
 def _loaded(path: Any, load: Callable[[Any], Any]) -> Any:
     try:
         return load(path)
-    except Exception as error:  # each format's reader raises errors of its own
+    except Exception as error:  # the reader of each format raises different errors
         raise ArgumentError(
             f"mesh={brief(path)} cannot be loaded: {type(error).__name__}: {brief(str(error))}"
         ) from error
 
 
 def _diagonal(*moments: Array) -> Array:
-    """Inertia matrices; principal moments of three bodies would be read as one matrix."""
+    """Inertia matrices, since principal moments of three bodies would be read as one matrix."""
     return assembled(moments)[..., None] * np.eye(3)
 
 

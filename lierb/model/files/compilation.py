@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mujoco import MjModel, MjSpec
 
 CONTACT = ("geom_contype", "geom_conaffinity")
-DISABLED = {  # fields of the model that each bit of mjtDisableBit sets to zero
+DISABLED = {  # by bit of mjtDisableBit, fields of the model to be set to zero
     "GRAVITY": ("opt.gravity",),
     "PASSIVE": ("jnt_stiffness", "jnt_stiffnesspoly", "dof_damping", "dof_dampingpoly"),
     "SPRING": ("jnt_stiffness", "jnt_stiffnesspoly"),
@@ -33,7 +33,7 @@ DISABLED = {  # fields of the model that each bit of mjtDisableBit sets to zero
 
 
 def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
-    """Return the model of a file, and the elements of the file that it lacks.
+    """Return the model of a file, and the elements of the file that the model lacks.
 
     language : "MJCF" or "URDF".   Raises ArgumentError for a file that MuJoCo refuses.
     """
@@ -49,7 +49,7 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
         spec = mujoco.MjSpec.from_file(fspath(path)) if robot is None else robot.spec
         spec.compiler.fusestatic = False  # `welded_bodies` merges them
         model = inertials.compiled(spec)
-    except Exception as error:  # the readers of XML, URDF and MJCF raise errors of their own
+    except Exception as error:  # the readers of XML, URDF and MJCF raise different errors
         message = " ".join(str(error).split())
         at = _elements_at_line(path, message) + _bodies_with_mesh(spec, message)
         raise ArgumentError(
@@ -65,9 +65,9 @@ def compiled(path: Any, language: str) -> tuple[MjModel, list[str]]:
 
 
 def _elements_at_line(path: Any, message: str) -> str:
-    """Names of the elements on a line, if MuJoCo's message has the line and no name.
+    """Names of the elements on a line of the file, if MuJoCo's message has a line and no name.
 
-    An element without a name has the name of the one that encloses it.
+    An element without a name is described by the element that encloses it.
     """
     at = re.search(r"Element (?:'(\w+)'|name ''.*), line (\d+)", message)
     if at is None:
@@ -90,7 +90,7 @@ def _elements_at_line(path: Any, message: str) -> str:
 
 
 def _bodies_with_mesh(spec: MjSpec | None, message: str) -> str:
-    """Names of the bodies whose mesh file is in MuJoCo's message."""
+    """Names of the bodies whose mesh file occurs in MuJoCo's message."""
     if spec is None:
         return ""
     names = {mesh.name for mesh in spec.meshes if mesh.file and mesh.file in message}
@@ -100,9 +100,9 @@ def _bodies_with_mesh(spec: MjSpec | None, message: str) -> str:
 
 
 def _apply_disable_flags(model: MjModel, bits: Any) -> None:
-    """Set the fields to zero that the flags of the file disable."""
+    """Set the fields that the file's flags disable to zero."""
     for name, fields in DISABLED.items():
-        bit = getattr(bits, f"mjDSBL_{name}", None)  # releases differ
+        bit = getattr(bits, f"mjDSBL_{name}", None)  # not in all releases
         if bit is not None and model.opt.disableflags & int(bit):
             for path in fields:
                 with suppress(AttributeError):

@@ -1,8 +1,8 @@
 """Composition of the simple joints of a body into one joint of the catalogue.
 
-Files describe a joint of several freedoms as hinges, slides and balls one after another,
+Files describe a joint with several degrees of freedom as a sequence of hinges, slides and balls,
 C = C₀ exp(S₁q₁) exp(S₂q₂) …, all in the axes of the body at q = 0. lierb has no massless bodies
-between them, so that the sequence has to be one joint with the same motions.
+between them; the sequence is replaced by one joint with the same motions.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from lierb.model import joints
 from lierb.model.joints.joint import Joint
 from lierb.support.arrays import Array
 
-PARALLEL = 1e-9  # sine of the angle, or cosine of a right one, between axes of a file
-MEETING = 1e-9  # m, between axes that meet: files have rounded numbers
+PARALLEL = 1e-9  # largest sine of the angle between parallel axes, cosine for right angles
+MEETING = 1e-9  # m, largest distance between axes that meet: files have rounded numbers
 
 
 class SimpleJoint(NamedTuple):
@@ -50,7 +50,7 @@ def composed(sequence: list[SimpleJoint], placed: Array) -> Joint:
 
 
 def _of_catalogue(sequence: list[SimpleJoint]) -> tuple[str, Array] | None:
-    """Return the joint's name and its frame in the body, (4, 4); None where there is none."""
+    """Return the name of the joint and its frame in the body, (4, 4); None if there is none."""
     if not sequence:
         return "fixed", np.eye(4)
     if len(sequence) == 1:
@@ -59,7 +59,7 @@ def _of_catalogue(sequence: list[SimpleJoint]) -> tuple[str, Array] | None:
     hinges = [x for x in sequence if x.kind == "hinge"]
     slides = [x.axis for x in sequence if x.kind == "slide"]
     if len(slides) > 1 and np.linalg.svd(slides, compute_uv=False)[-1] < 1e-6:
-        return None  # two of them along one line, or three in a plane
+        return None  # two along one line, or three in a plane
     turns = [*hinges, *(x for x in sequence if x.kind == "ball")]
     if "free" in kinds or len(turns) + len(slides) != len(sequence):
         return None
@@ -121,7 +121,7 @@ def _is_right(a: Array, b: Array) -> bool:
 
 
 def _meeting_point(hinges: list[SimpleJoint]) -> Array | None:
-    """Point x common to all axes, Σ (I − aaᵀ)(x − p) = 0; None where they do not meet."""
+    """Point x common to all axes, Σ (I − aaᵀ)(x − p) = 0; None if they do not meet."""
     across = [np.eye(3) - np.outer(x.axis, x.axis) for x in hinges]
     right = sum(A @ x.point for A, x in zip(across, hinges, strict=True))
     point = np.asarray(np.linalg.solve(np.sum(across, axis=0), right))

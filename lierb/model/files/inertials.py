@@ -1,8 +1,9 @@
 """Compilation of a model with inertials that MuJoCo refuses.
 
 MuJoCo checks each body without the bodies welded to it, and refuses a moving body below mjMINVAL
-(1e-15 kg or kg m²). Such inertials are taken out of the specification and put into the compiled
-model. `lierb.model.files.welded_bodies` checks each moving body with all that is welded to it.
+(1e-15 kg or kg m²). Such inertials are removed from the specification and inserted into the
+compiled model. `lierb.model.files.welded_bodies` checks each moving body together with those
+welded to it.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ if TYPE_CHECKING:
     from mujoco import MjModel, MjsBody, MjsCompiler, MjSpec
 
 SMALL = 1e-12  # kg or kg m², well above mjMINVAL
-HEAVIER = 2.0**60  # a power of two, so that nothing is rounded
-TRIANGLE = 1e-6  # well above the rounding by which flat bodies break A + B ≥ C
+HEAVIER = 2.0**60  # factor, a power of two to avoid rounding
+TRIANGLE = 1e-6  # well above the rounding by which flat bodies violate A + B ≥ C
 
 
 class SetAside(NamedTuple):
-    """Inertial of the file. inertia : (3, 3), about the centre of mass, in the inertial frame."""
+    """Inertial of a file. inertia : (3, 3), about the centre of mass, in the inertial frame."""
 
     body: MjsBody
     mass: float
@@ -30,11 +31,11 @@ class SetAside(NamedTuple):
 
 
 def compiled(spec: MjSpec) -> MjModel:
-    """Compile a specification to a model with the specification's own inertials."""
+    """Compile a specification to a model with exactly the specification's inertials."""
     import mujoco
 
     total, spec.compiler.settotalmass = spec.compiler.settotalmass, -1.0
-    # A springdamper takes its stiffness from the inertia that MuJoCo compiles.
+    # MuJoCo computes the stiffness of a springdamper from the inertia that it compiles.
     is_free = not any(np.any(joint.springdamper) for joint in spec.joints)
     aside = _set_aside(spec) if is_free else []
     try:
@@ -52,7 +53,7 @@ def compiled(spec: MjSpec) -> MjModel:
 
 
 def _set_aside(spec: MjSpec) -> list[SetAside]:
-    """Replace inertials that MuJoCo may refuse, or round, by a unit one, and return them."""
+    """Replace inertials that MuJoCo may refuse or round by unit ones; return the originals."""
     from mujoco import mjtInertiaFromGeom
 
     is_of_geoms = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -61,7 +62,7 @@ def _set_aside(spec: MjSpec) -> list[SetAside]:
         if body.geoms and (is_of_geoms or not body.explicitinertial):
             continue
         mass, inertia = _inertial(body)
-        is_full = not np.isnan(body.fullinertia[0])  # earlier releases find its axes to 1e-9
+        is_full = not np.isnan(body.fullinertia[0])  # earlier releases compute its axes to 1e-9
         if is_full or _is_doubtful(mass, inertia):
             aside.append(SetAside(body, mass, inertia))
             body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
@@ -85,13 +86,13 @@ def _is_doubtful(mass: float, inertia: Array) -> bool:
 
 
 def _adopt(spec: MjSpec) -> bool:
-    """Turn the inertias of geoms into inertials; return False in releases that cannot."""
+    """Convert the inertias of geoms to inertials; return False if the release cannot."""
     from mujoco import mjtInertiaFromGeom
 
     is_automatic = spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
     if not (is_automatic and hasattr(spec, "adopt_inertial")):
         return False
-    for geom in spec.geoms:  # MuJoCo skips those below mjMINVAL
+    for geom in spec.geoms:  # MuJoCo skips geoms below mjMINVAL
         geom.mass, geom.density = geom.mass * HEAVIER, geom.density * HEAVIER
     for body in spec.bodies[1:]:
         if body.geoms and not body.explicitinertial:
@@ -101,7 +102,7 @@ def _adopt(spec: MjSpec) -> bool:
 
 
 def _put_back(model: MjModel, compiler: MjsCompiler, aside: SetAside) -> None:
-    """Give a compiled body its own inertial, within the bounds that the file sets."""
+    """Insert a body's original inertial, within the bounds that the file sets."""
     from mujoco import mju_mat2Quat, mju_mulQuat
 
     i, turn = aside.body.id, np.empty(4)

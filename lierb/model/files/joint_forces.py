@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mujoco import MjModel
 
 KINDS = ("free", "ball", "slide", "hinge")  # by mjtJoint
-WITH_FORCES = {  # kinds of MuJoCo's joints, and joints about or along whose axis forces act
+WITH_FORCES = {  # kind of MuJoCo's joint: lierb's joints about or along whose axis forces act
     "hinge": ("revolute", "cylindrical", "planar", "schoenflies"),
     "slide": ("prismatic", "cylindrical"),
 }
@@ -24,7 +24,7 @@ WITH_FORCES = {  # kinds of MuJoCo's joints, and joints about or along whose axi
 
 @dataclass(frozen=True)
 class JointForces:
-    """Forces in joint j of the model, which is part of the joint of a link."""
+    """Forces in joint j of the MuJoCo model, which is part of the joint of a link."""
 
     model: MjModel
     j: int
@@ -42,7 +42,7 @@ class JointForces:
 
     @property
     def has_force(self) -> bool:
-        """True where a force of `lierb.forces` acts about or along the axis."""
+        """True if a force of `lierb.forces` can act about or along the axis."""
         return self.joint.name in WITH_FORCES.get(self.kind, ())
 
     @property
@@ -53,7 +53,7 @@ class JointForces:
 
     @property
     def is_polynomial(self) -> bool:
-        """True where stiffness or damping have coefficients beyond the first."""
+        """True if stiffness or damping is a polynomial with more than one coefficient."""
         dof = self.model.jnt_dofadr[self.j]
         return any(
             np.any(getattr(self.model, name)[at])
@@ -68,7 +68,7 @@ class JointForces:
 
     @property
     def _is_wound(self) -> bool:
-        """True where the spring is slack beyond half a turn, which a pose does not determine."""
+        """True if the spring is slack at more than half a turn, which a pose cannot represent."""
         stiffness, _ = self.spring
         return self.kind == "hinge" and stiffness > 0.0 and abs(self._slack) > np.pi
 
@@ -76,7 +76,7 @@ class JointForces:
     def range(self) -> tuple[float, float] | None:
         """Limits relative to qpos0 along the axis of the catalogue's joint.
 
-        They are those of the file where the joint has no such coordinate.
+        If the joint has no such coordinate, they are those of the file.
         """
         if not self.model.jnt_limited[self.j]:
             return None
@@ -88,7 +88,7 @@ class JointForces:
 
     @property
     def _direction(self) -> float:
-        """−1 where the axis of the file points against that of the catalogue's joint."""
+        """−1 if the axis of the file is opposite to that of the catalogue's joint, else 1."""
         return float(np.sign(self.model.jnt_axis[self.j] @ self.joint.body_frame[:3, 2]))
 
     def _on_axis(self, q: float) -> float:
@@ -96,7 +96,7 @@ class JointForces:
 
     @property
     def _stops(self) -> tuple[float, float] | None:
-        """Limits at which stops act: the shorter way back to them must be that of the file."""
+        """Limits at which stops act, if the shorter way back to them is that of the file."""
         if self.range is None or self.limit_stiffness is None or not self.has_force:
             return None
         lower, upper = self.range
@@ -121,7 +121,7 @@ class JointForces:
             yield stop(lower=lower, upper=upper, stiffness=self.limit_stiffness)  # type: ignore[arg-type]
 
     def left_out(self) -> Iterator[str]:
-        """Messages on what the mechanism lacks of the joint."""
+        """Messages on properties of the joint that the mechanism lacks."""
         model, label, at = self.model, self.label, self.model.jnt_dofadr[self.j]
         if any(self.spring) and not self.has_force:
             yield f"{label}: stiffness and damping of a {self.kind} joint"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
-    """Add a loop for each equality/connect and weld. placed : by number of the body."""
+    """Add a loop for each equality/connect and weld. placed : by index of the body."""
     import mujoco
 
     makers = {int(mujoco.mjtEq.mjEQ_CONNECT): _connect, int(mujoco.mjtEq.mjEQ_WELD): _weld}
@@ -47,7 +47,7 @@ def add_loops(model: MjModel, placed: list[Placed], parts: Parts) -> None:
 
 
 def _end(model: MjModel, i: int, placed: list[Placed], is_by_sites: bool) -> Placed:
-    """Return the link, and in it the frame, of body or site i."""
+    """Return the link of body or site i, and the frame in the link."""
     if not is_by_sites:
         return placed[i]
     on = placed[model.site_bodyid[i]]

@@ -1,7 +1,7 @@
 """Reader of mechanisms in MJCF and URDF files, both compiled by MuJoCo.
 
 MuJoCo's compiler resolves defaults, includes, orientation conventions and inertias of geoms, and
-reports where a file is wrong. A simulation of the mechanism does not use MuJoCo.
+reports errors in files. Simulation of the mechanism does not use MuJoCo.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def read(path: Any, language: str, merge_fixed: bool, limit_stiffness: float | N
 
     language : "MJCF" or "URDF".   limit_stiffness : N m/rad or N/m.
 
-    Raises ArgumentError for a file that MuJoCo refuses, or that has no mechanism of lierb's.
+    Raises ArgumentError for a file that MuJoCo refuses, or that lierb cannot represent.
     """
     model, left_out = compiled(path, language)
     parts = Parts(np.array(model.opt.gravity))
@@ -95,7 +95,7 @@ def _simple_joint(model: MjModel, j: int) -> SimpleJoint:
 
 
 def _lacking(model: MjModel) -> Iterator[str]:
-    """Elements of the file that the mechanism lacks, with their numbers."""
+    """Elements of the file that the mechanism lacks, with their counts."""
     import mujoco
 
     collides = (model.geom_contype != 0) | (model.geom_conaffinity != 0)

@@ -1,4 +1,4 @@
-"""Parts of a mechanism that is read from a file."""
+"""Parts of a mechanism read from a file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GROUND = "ground"
 
 
 class Placed(NamedTuple):
-    """Body of the file, as part of a link. pose : (4, 4), in the link's body frame."""
+    """Body of the file as part of a link. pose : (4, 4), in the link's body frame."""
 
     link: str
     pose: Array
@@ -32,12 +32,12 @@ class Parts:
     left_out: list[str] = field(default_factory=list)
 
     def free_name(self, given: str, default: str) -> str:
-        """Return a free identifier for a name of the file; list the name if it differs."""
+        """Return an unused identifier for a name of the file; list the name if it differs."""
         taken = {GROUND, *(x[0].lower() for x in (*self.links, *self.loops))}
         name = re.sub(r"\W", "_", given, flags=re.ASCII) or default
         name = name if name.isidentifier() else f"_{name}"
         unique, number = name, 2
-        while unique.lower() in taken:  # columns are named after links, and SQL is blind to case
+        while unique.lower() in taken:  # columns are named after links, and SQL ignores case
             unique, number = f"{name}_{number}", number + 1
         if unique != given and given:
             self.left_out.append(f"the name {given!r}: it is {unique}")

@@ -1,7 +1,7 @@
-"""Reader of URDF that writes a specification for MuJoCo's compiler.
+"""Reader of URDF that builds a specification for MuJoCo's compiler.
 
-MuJoCo's own reader of URDF ignores limits that lock a joint, takes a negative mass for zero, and
-names neither link nor joint in most of its errors.
+MuJoCo's reader of URDF ignores limits that lock a joint, treats a negative mass as zero, and names
+neither link nor joint in most of its errors.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Element = ElementTree.Element
 TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical")
-SHORT = 1e-10  # length of an axis, MuJoCo's own bound
+SHORT = 1e-10  # least length of an axis, as in MuJoCo
 MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # in the order of MuJoCo's fullinertia
 READ = {  # elements that are read, or that do not affect the motion
     "robot": {"link", "joint", "material", "mujoco"},
@@ -36,8 +36,8 @@ READ = {  # elements that are read, or that do not affect the motion
 class Robot:
     """Robot as a specification for MuJoCo's compiler, and data that the specification lacks.
 
-    limits : lower and upper end by joint, rad or m.   world_mass : kg, of a root called world.
-    left_out : messages on elements that no mechanism has.
+    limits : lower and upper end by joint, rad or m.   world_mass : kg, of a root named world.
+    left_out : messages on elements that mechanisms do not have.
     """
 
     spec: MjSpec
@@ -63,7 +63,7 @@ def read(path: str | PathLike[str]) -> Robot:
         if joint is not None:
             parent = bodies[_end(joints[joint], "parent", joint, links)]
             bodies[link] = _add_body(robot, parent, link, joint, joints[joint])
-        elif link == "world":  # MuJoCo's name of the ground
+        elif link == "world":  # MuJoCo's name for the ground
             bodies[link], robot.world_mass = robot.spec.worldbody, inertial.get("mass", 0.0)
             continue
         else:
@@ -94,9 +94,9 @@ def _by_name(root: Element, tag: str) -> dict[str, Element]:
 def _in_order(
     links: dict[str, Element], joints: dict[str, Element]
 ) -> Iterator[tuple[str, str | None]]:
-    """Links after their parents, each with the joint to its parent; None for the root.
+    """Links, each after its parent, with the joint to its parent; None for the root.
 
-    The order is that of MuJoCo's reader: depth first, children by their joints' order in the file.
+    The order is that of MuJoCo's reader: depth first, children in the order of their joints.
     """
     held: dict[str, str] = {}
     children: dict[str, list[str]] = {link: [] for link in links}
@@ -163,7 +163,7 @@ def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Ele
     for ending, motion, along in _motions(kind, axis):
         motion = getattr(mujoco.mjtJoint, f"mjJNT_{motion}")
         added = body.add_joint(name=joint + ending, type=motion, axis=along)
-        # a polynomial's coefficients in newer releases, a number in older ones
+        # coefficients of a polynomial in newer releases, a number in older ones
         added.damping = (damping, 0.0, 0.0) if np.ndim(added.damping) else damping
         added.frictionloss = friction
     _read_limit(robot, joint, kind, _only(element, "limit", label))
@@ -174,7 +174,7 @@ def _add_body(robot: Robot, parent: MjsBody, link: str, joint: str, element: Ele
 
 
 def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:
-    """MuJoCo's joints for a joint of URDF: suffixes of their names, types and axes."""
+    """MuJoCo's joints for a joint of URDF: name suffix, type and axis of each."""
     along = np.eye(3)
     if kind in ("revolute", "continuous"):
         return [("", "HINGE", axis)]
@@ -185,7 +185,7 @@ def _motions(kind: str, axis: Array) -> list[tuple[str, str, Array]]:
     if kind == "planar":
         first, second = _across(axis)
         return [("_TX", "SLIDE", first), ("_TY", "SLIDE", second), ("_RZ", "HINGE", axis)]
-    if kind == "floating":  # MuJoCo's free joint would have to hang on the ground
+    if kind == "floating":  # MuJoCo allows free joints on the ground only
         slides = zip(("_TX", "_TY", "_TZ"), along, strict=True)
         return [*((ending, "SLIDE", e) for ending, e in slides), ("", "BALL", along[2])]
     return []
@@ -230,7 +230,7 @@ def _inertial(label: str, link: Element) -> dict[str, Any]:
 
 
 def _origin(element: Element, label: str) -> tuple[Array, Array]:
-    """Position and quaternion of an element's <origin>; rpy are turns about fixed x, y and z."""
+    """Position and quaternion of an element's <origin>; rpy rotate about fixed x, y and z."""
     from mujoco import mju_euler2Quat
 
     origin, quaternion = _only(element, "origin", label), np.empty(4)
@@ -294,7 +294,7 @@ def _listed(numbers: Array) -> str:
 
 
 def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element]) -> Iterator[str]:
-    """Elements of the file that the mechanism lacks, with their numbers."""
+    """Elements of the file that the mechanism lacks, with their counts."""
     collisions = sum(len(link.findall("collision")) for link in links.values())
     if collisions:
         yield f"{collisions} geoms that collide"
@@ -306,7 +306,7 @@ def _lacking(root: Element, links: dict[str, Element], joints: dict[str, Element
     if bounded:
         yield f"limits of effort and velocity of {bounded} joints"
     unread = Counter(
-        element.tag.rpartition("/")[2].replace("}", ":")  # last word of a name space
+        element.tag.rpartition("/")[2].replace("}", ":")  # last part of a name space
         for parent in (root, *links.values(), *joints.values())
         for element in parent
         if element.tag not in READ[parent.tag]

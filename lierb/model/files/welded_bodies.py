@@ -13,7 +13,7 @@ from lierb.support.arrays import Array
 if TYPE_CHECKING:
     from mujoco import MjModel
 
-WORLD = 0  # MuJoCo's number of the ground
+WORLD = 0  # MuJoCo's index of the ground
 
 
 def label_of(model: MjModel, i: int) -> str:
@@ -34,7 +34,7 @@ def pose_of(position: Array, quaternion: Array) -> Array:
 def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
     """Return the body of a link. members : i, and the bodies merged with it.
 
-    Raises ArgumentError with the names where the mass is zero or the inertia is not physical.
+    Raises ArgumentError with their names if the mass is zero or the inertia is not physical.
     """
     label = label_of(model, i)
     if not model.body_mass[members].sum():
@@ -51,7 +51,7 @@ def moving_body(model: MjModel, i: int, members: list[int]) -> Body:
 
 
 def _sum(model: MjModel, i: int, members: list[int]) -> Body:
-    """Sum of the members in the frame of body i."""
+    """Sum of the members' masses and inertias, as a body in the frame of body i."""
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
     for k in members:
         frame = _pose_in(model, i, k) @ pose_of(model.body_ipos[k], model.body_iquat[k])
@@ -87,7 +87,7 @@ def _weighs(model: MjModel, i: int) -> bool:
 
 
 def rigid_groups(model: MjModel, merge_fixed: bool) -> tuple[dict[int, list[int]], dict[int, str]]:
-    """Return the bodies of each link by the number of its first body, and messages on merging.
+    """Return the bodies of each link by the index of its first body, and messages on merging.
 
     Each welded body is a link unless `merge_fixed`. A welded body without mass, or with an inertia
     that no rigid body has, is merged with its parent. Bodies welded to such a moving body are

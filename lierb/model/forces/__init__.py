@@ -1,15 +1,15 @@
-"""Applied forces beside gravity: springs, limits, friction, drag, constant wrenches and motors.
+"""Applied forces other than gravity: springs, limits, friction, drag, constant wrenches and motors.
 
 ::
 
     problem = lierb.Problem(body, joint, forces=[lierb.forces.drag(linear=0.1)])
 
 Every parameter is one value for all bodies or one for each: (n,), (n, 3). The name of a point or
-direction includes its frame; the default point is that frame's origin. `lierb.wrench` makes a
-force of a function.
+direction includes its frame; the default point is the origin of that frame. `lierb.wrench` makes
+a force from a function.
 
-A force is a class with its name, its parameters and its formulas, and the function of that name
-that makes it. Studies use the same names.
+Each force is a class with name, parameters and formulas, and a function of that name makes it.
+Studies use the same names.
 """
 
 from lierb.model.forces import friction, limits, motors, springs, wrenches

@@ -1,4 +1,4 @@
-"""Base of lierb's own forces: parameters, units and frames."""
+"""Base class of the forces in `lierb.forces`: parameters, units and frames."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 class Parameter(NamedTuple):
     """Parameter of a force.
 
-    unit : unit.   shape : shape for one body.   is_signed : True if it may be negative.
+    unit : unit, as text.   shape : shape for one body.   is_signed : True if it may be negative.
     to_joint_axes : function that transforms it to joint axes.
     """
 
@@ -40,9 +40,9 @@ UNITS: dict[str, dict[str, str]] = {}  # units of parameters, by force
 
 @dataclass(frozen=True)
 class BuiltIn(Element):
-    """Force of lierb's own.
+    """Base class of the forces in `lierb.forces`.
 
-    name : name of the function that makes it, and of its type in a study.
+    name : name of the function that makes the force, and of its type in a study.
     """
 
     name: ClassVar[str]

@@ -54,9 +54,9 @@ def joint_friction(
 ) -> Force:
     """Apply friction in a joint that turns: −(viscous + coulomb/√(ω² + speed²))·ω about its axis.
 
-    Coulomb's friction is smoothed: it is 71 % of `coulomb` at ω = speed, all of it far above, and
-    viscous below, so that a joint that should stick creeps. Near ω = 0 its damping is
-    coulomb/speed: keep steps short beside the inertia over that. It is for joints that keep the
+    Coulomb's friction is smoothed: it is 71 % of `coulomb` at ω = speed, 100 % far above, and
+    viscous far below, so that a joint that should stick creeps. Near ω = 0 its damping is
+    coulomb/speed: steps must be short relative to inertia·speed/coulomb. The joint must keep the
     axis e₃.
 
     Parameters
@@ -88,8 +88,8 @@ def slide_friction(
 ) -> Force:
     """Apply friction in a joint that slides: −(viscous + coulomb/√(u² + speed²))·u along its axis.
 
-    Coulomb's friction is smoothed as in `joint_friction`. It is for joints that keep the axis e₃
-    and slide along it.
+    Coulomb's friction is smoothed as in `joint_friction`. The joint must keep the axis e₃ and slide
+    along it.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from lierb.model.forces.built_in import BuiltIn
 
 
 class AtJoint(BuiltIn, is_abstract=True):
-    """Force about the joint axis e₃, a function of the rate and the angle there."""
+    """Force about the joint axis e₃, a function of the angle and its rate."""
 
     needs_axis: ClassVar = True
 
@@ -22,7 +22,7 @@ class AtJoint(BuiltIn, is_abstract=True):
         return x.omega[2]
 
     def place(self, x: Motion, middle: Any) -> Any:
-        """Angle from the middle, or coordinate along the axis."""
+        """Angle relative to `middle`, or, for a slide, coordinate along the axis."""
         turn = atan2(x.q[3], x.q[0]) - middle
         return fma(-2.0 * PI, rint(turn * (0.5 / PI)), turn)  # in [−π, π]
 

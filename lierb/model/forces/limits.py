@@ -1,4 +1,4 @@
-"""Limits of joints: a spring and damper beyond each stop."""
+"""Joint limits: a spring and damper beyond each stop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["joint_limit", "slide_limit"]
 
 
 class JointLimit(AtJoint):
-    """Stop at either end of an angle: a spring and damper beyond it."""
+    """Stops at both ends of an angle: a spring and damper beyond each."""
 
     name = "joint_limit"
     bounds_steps: ClassVar = True
@@ -55,7 +55,7 @@ class JointLimit(AtJoint):
         return (travel_to_kink(place, self.rate(end), (-half, half, *self.farther(half))),)
 
     def farther(self, half: Any) -> tuple[Any, ...]:
-        """Kinks beyond the upper stop: half a turn from the middle, and the lower stop again."""
+        """Kinks beyond the upper stop: half a turn from the middle, and then the lower stop."""
         return PI, 2.0 * PI - half
 
     def energy(self, placed: Any, x: Motion) -> Any:
@@ -68,7 +68,7 @@ class JointLimit(AtJoint):
 
 
 class SlideLimit(AlongJoint, JointLimit):
-    """Stop at either end of a slide along the joint axis."""
+    """Stops at both ends of a slide along the joint axis."""
 
     name = "slide_limit"
     parameters: ClassVar = {
@@ -79,7 +79,7 @@ class SlideLimit(AlongJoint, JointLimit):
     }
 
     def farther(self, half: Any) -> tuple[Any, ...]:
-        """No kink beyond the upper stop."""
+        """Return no kinks beyond the upper stop."""
         return (np.inf,)
 
 
@@ -88,10 +88,10 @@ def joint_limit(
 ) -> Force:
     """Apply stops to a joint that turns: a spring and a damper about its axis beyond either one.
 
-    The spring counts in the energy, the damper's power in the work. A stop depends on the pose, not
-    on the path to it: beyond it the shorter way back counts, so that lower and upper must be less
-    than 2π apart. Keep steps short beside √(inertia/stiffness); the step in which a stop is met is
-    of lower order. It is for joints that keep the axis e₃.
+    The energy includes the spring, the work the damper's power. A stop depends on the pose, not on
+    the path to it: the spring turns back the shorter way, so that upper − lower must be less
+    than 2π. Steps must be short relative to √(inertia/stiffness); a step across a stop is of lower
+    order. The joint must keep the axis e₃.
 
     Parameters
     ----------
@@ -124,8 +124,8 @@ def slide_limit(
 ) -> Force:
     """Apply stops to a joint that slides: a spring and a damper along its axis beyond either one.
 
-    Energy, work and steps are as for `joint_limit`. It is for joints that keep the axis e₃ and
-    slide along it.
+    Energy, work and steps are as for `joint_limit`. The joint must keep the axis e₃ and slide along
+    it.
 
     Parameters
     ----------

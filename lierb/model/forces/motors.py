@@ -1,4 +1,4 @@
-"""Motors at joint axes: given torques, speeds and forces."""
+"""Motors at joint axes: prescribed torques, speeds and forces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Motor(BuiltIn):
     needs_axis: ClassVar = True
 
     def at(self, placed: Any, time: Any) -> Any:
-        """Torque, force or speed at a time."""
+        """Torque, force or speed at a time, s."""
         return placed[0] if self.function is None else self.function(placed, time)
 
     def wrench(self, placed: Any, x: Motion) -> Wrench:
@@ -55,7 +55,7 @@ class SlideMotor(Motor):
 
 @dataclass(frozen=True)
 class SpeedMotor(Motor):
-    """Given speed about the joint axis, rad/s: a constraint row in place of a force."""
+    """Prescribed speed about the joint axis, rad/s: a constraint row instead of a force."""
 
     parameters: ClassVar = {"speed": Parameter("rad/s")}
     rows: int = 1
@@ -97,20 +97,20 @@ def motor(
 ) -> Force:
     """Drive the joint axis by a torque or a speed about it, or by a force along it.
 
-    One of `torque`, `speed` and `force` is given: a number, one for each body, or a function (t) or
-    (t, params), or with a further argument `body`, with t in s. `lierb.wrench` describes what such
-    a function may do. The joint must keep the axis e₃: revolute, cylindrical, screw, planar and the
-    like.
+    Exactly one of `torque`, `speed` and `force` must be given: a number, one number for each body,
+    or a function of (t) or (t, params), t in s, or with a further argument `body`. `lierb.wrench`
+    describes the operations allowed in a function. The joint must keep the axis e₃, such as
+    revolute, cylindrical, screw and planar.
 
     Parameters
     ----------
     torque : float, array_like of shape (n,), or callable, optional
         Torque about the axis, N m.
     speed : float, array_like of shape (n,), or callable, optional
-        Speed about the axis, rad/s. It is a constraint of its own, which the twist at the start
-        must satisfy; −λ of its row is the torque that the motor needs.
+        Speed about the axis, rad/s. It is a further constraint, which the initial twist must
+        satisfy; −λ of its row is the torque of the motor.
     force : float, array_like of shape (n,), or callable, optional
-        Force along the axis, N. The joint must slide along e₃, such as prismatic.
+        Force along the axis, N. The joint must slide along e₃, such as a prismatic one.
     **parameters : float or array_like, shape (n,)
         Parameters of the function, by name.
 

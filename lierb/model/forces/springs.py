@@ -1,4 +1,4 @@
-"""Springs and dampers: between two points, about and along joint axes."""
+"""Springs and dampers: between two points, and about or along joint axes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SpringDamper(BuiltIn):
     working: ClassVar = ("damping",)
 
     def _line(self, placed: Any, x: Motion) -> tuple[Vec, Any, Any]:
-        """Vector from anchor to point in body axes, 1/ℓ and ℓ̇."""
+        """Vector from the ground's point to the body's in body axes, 1/ℓ and ℓ̇."""
         point, anchor = placed[:2]
         line = mat_t_vec(x.q, sub(x.place_of(point), anchor))
         inverse = inverse_norm(line)
@@ -49,7 +49,7 @@ class SpringDamper(BuiltIn):
     def wrench(self, placed: Any, x: Motion) -> Wrench:
         point, _, stiffness, damping, length = placed
         line, inverse, rate = self._line(placed, x)
-        # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: no direction is needed where ℓ = 0
+        # k (ℓ − ℓ₀)/ℓ + c ℓ̇/ℓ: needs no direction where ℓ = 0
         tension = fma(inverse, fma(damping, rate, -(stiffness * length)), stiffness)
         force = scale(-tension, line)
         return cross(point, force), force
@@ -87,7 +87,7 @@ def spring_damper(
     """Apply a linear spring and damper between a point of the body and one of the ground.
 
     The force on the body is −(k (ℓ − length) + c ℓ̇) along the line between the points, and zero
-    where ℓ = 0. The spring's ½k(ℓ − length)² counts in the energy, the damper's power in the work.
+    where ℓ = 0. The energy includes the spring's ½k(ℓ − length)², the work the damper's power.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def spring_damper(
 
 
 class JointSpring(AtJoint, is_abstract=True):
-    """Spring and damper at a joint axis; its last parameter is where the spring is slack."""
+    """Spring and damper at a joint axis; the spring is slack at the last parameter."""
 
     is_conservative: ClassVar = True
     working: ClassVar = ("damping",)
@@ -143,7 +143,7 @@ class JointSpring(AtJoint, is_abstract=True):
 
 
 class TorsionalSpring(JointSpring):
-    """Spring and damper about the joint axis, which turn back the shorter way."""
+    """Spring and damper about the joint axis; the spring turns back the shorter way."""
 
     name = "torsional_spring"
     bounds_steps: ClassVar = True
@@ -164,8 +164,8 @@ def torsional_spring(
     """Apply a spring and damper about the joint axis.
 
     The spring depends on the pose, not on the path to it: it turns back to `angle` the shorter way,
-    and its torque jumps half a turn from there. It counts in the energy, ½kφ². It is for joints
-    that keep the axis e₃: revolute, prismatic, cylindrical, screw, planar and the like.
+    and its torque jumps at half a turn from there. The energy includes ½kφ², φ from `angle`. The
+    joint must keep the axis e₃, such as revolute, prismatic, cylindrical, screw and planar.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def slide_spring(
 ) -> Force:
     """Apply a spring and damper along the joint axis.
 
-    The spring's ½k(d₃ − position)² counts in the energy, the damper's power in the work. It is for
-    joints that keep the axis e₃ and slide along it: prismatic, cylindrical, screw and the like.
+    The energy includes the spring's ½k(d₃ − position)², the work the damper's power. The joint must
+    keep the axis e₃ and slide along it, such as prismatic, cylindrical and screw.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ __all__ = ["constant_wrench", "drag"]
 
 
 class BodyWrench(BuiltIn):
-    """Wrench that is constant in body axes, such as a thruster's."""
+    """Wrench that is constant in body axes, such as that of a thruster."""
 
     name = "constant_wrench"
     parameters: ClassVar = {
@@ -80,8 +80,8 @@ def constant_wrench(
 ) -> Force:
     """Apply a constant torque, and a constant force at a point of the body.
 
-    A force that is constant in the ground has a potential, −force·x, which counts in the energy. A
-    torque, or a force in the body's axes, counts in the work.
+    A force that is constant in ground axes has a potential, −force·x, included in the energy. The
+    work includes the power of a torque, and of a force in body axes.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def constant_wrench(
     point : array_like, shape (3,) or (n, 3), optional
         Point of the body where the force acts, m, in the body frame.
     frame : {"ground", "body"}, optional
-        Axes of torque and force. A thruster's are "body".
+        Axes of torque and force; "body" for a thruster.
 
     Returns
     -------
@@ -130,7 +130,7 @@ class Drag(BuiltIn):
     def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
         linear, quadratic, angular, point = placed
         moving = x.velocity_of(point)
-        more = quadratic * norm(moving)  # q‖u‖ across u, and twice that along it
+        more = quadratic * norm(moving)  # q‖u‖ across u, and 2q‖u‖ along u
         ahead = scale(inverse_norm(moving), moving)
         return (
             Tangent(unit_force_at(point, ahead), damping=more),

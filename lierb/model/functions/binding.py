@@ -1,4 +1,4 @@
-"""Binding of a problem's functions to its extra states and to the outputs of its controllers."""
+"""Binding of a problem's functions to its extra states and controllers' outputs."""
 
 from __future__ import annotations
 
@@ -46,8 +46,9 @@ def bound(
 ) -> tuple[Elements, ...]:
     """Bind states, controllers and other elements to the problem's states and outputs.
 
-    Raises ForceError for a function that takes states or outputs that do not exist, that cannot
-    run, or that returns a condition for an event; ArgumentError for a name that occurs twice.
+    Raises ForceError for a function that takes states or outputs that do not exist, for one that
+    cannot run, and for an event that returns a condition; ArgumentError for a name that occurs
+    twice.
     """
     _require_different(states)
     state_columns = tuple(pair for each in states for pair in each.columns)
@@ -62,7 +63,7 @@ def bound(
 
 
 def _require_number(event: Event) -> None:
-    """Raise ForceError for an event that is a condition, which jumps and crosses no zero."""
+    """Raise ForceError if an event is a condition, which jumps instead of crossing zero."""
     if any(f.is_traced and returns_condition(f) for f in event.kind.functions):
         raise ForceError(
             f"{event.name} returns whether something is so; an event is where a number crosses "
@@ -71,7 +72,7 @@ def _require_number(event: Event) -> None:
 
 
 def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
-    """Raise ArgumentError for a name that occurs twice, upper and lower case being equal in SQL."""
+    """Raise ArgumentError for a name that occurs twice; SQL ignores case."""
     owners: dict[str, str] = {}
     for each in elements:
         for name, _ in each.columns:
@@ -84,7 +85,7 @@ def _require_different(elements: Iterable[ExtraStates | Controller]) -> None:
 
 
 def require_different_events(events: Iterable[Event]) -> None:
-    """Raise ArgumentError for two events of one name."""
+    """Raise ArgumentError if two events have the same name."""
     seen: set[str] = set()
     for each in events:
         if each.name.lower() in seen:
@@ -96,7 +97,7 @@ def require_different_events(events: Iterable[Event]) -> None:
 
 
 def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[Controller, ...]:
-    """Controllers with the names and shapes of their outputs."""
+    """Copies of the controllers with the names and shapes of their outputs."""
     unbound = (
         replace(seeing(f, states, ()), outputs=((), *f.outputs[1:]))
         for f in (each.kind.function for each in controllers)
@@ -107,7 +108,7 @@ def _with_outputs(controllers: tuple[Controller, ...], states: Shapes) -> tuple[
 
 @lru_cache(64)  # each part of a batch is a problem
 def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
-    """Outputs of controllers, each traced with those outputs of the others that are known."""
+    """Shapes of all controllers' outputs, each traced with the known outputs of the others."""
     outputs: dict[int, Shapes] = {}
     while len(outputs) < len(functions):
         known = tuple(pair for i in sorted(outputs) for pair in outputs[i])
@@ -122,9 +123,9 @@ def _outputs_together(functions: tuple[Function, ...]) -> tuple[Shapes, ...]:
 
 
 def _outputs_or_unknown(function: Function, known: Shapes) -> tuple[Shapes | None, str]:
-    """Outputs of a controller by tracing; None and the name of an unknown output that it takes.
+    """Outputs of a controller by tracing, or None and the name of an unknown output that it takes.
 
-    known : outputs of controllers.
+    known : known outputs of all controllers.
     """
     controlled = seeing(function, function.states, known)
     unknown = ""
@@ -146,13 +147,14 @@ def _outputs_or_unknown(function: Function, known: Shapes) -> tuple[Shapes | Non
     return None, unknown
 
 
-TRIES = 10  # guesses at shapes that depend on each other
+TRIES = 10  # largest number of guesses at shapes that depend on each other
 
 
 def _outputs_in_a_ring(functions: dict[int, Function], known: Shapes) -> dict[int, Shapes]:
     """Outputs of controllers that take their own outputs, or each other's.
 
-    Shapes are guessed, at first as numbers, until tracing returns those that were guessed.
+    The first guess is that all outputs are numbers. Tracing is repeated with the shapes that it
+    returns, until they no longer change.
     """
     guessed: dict[str, Shape] = {}
     names = ", ".join(function.name for function in functions.values())

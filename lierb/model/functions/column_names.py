@@ -1,4 +1,4 @@
-"""Reserved names of a run's columns, which no observable, state or output may have."""
+"""Names of a run's columns, which observables, states and outputs must not use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.model.functions.observables import Observable
 from lierb.model.joints.joint import MOST_ROWS
 
 AXES = ("x", "y", "z")
-COMPONENTS = {  # suffixes of vectors' components in data frames
+COMPONENTS = {  # suffixes of the components of vectors in data frames
     "rotation": tuple(i + j for i in AXES for j in AXES),
     "position": AXES,
     "omega": AXES,
@@ -39,9 +39,9 @@ TAKEN = frozenset(_taken())
 
 
 def require_free(observables: Iterable[Observable], signals: Iterable[Column] = ()) -> None:
-    """Raise ArgumentError for a name of a column that exists, upper and lower case being equal.
+    """Raise ArgumentError if a column name exists already; case is ignored.
 
-    signals : columns of extra states and controllers' outputs, of different names.
+    signals : columns of extra states and controllers' outputs, whose names differ.
     """
     owners: dict[str, str] = {}
     for each in observables:
@@ -57,7 +57,7 @@ def require_free(observables: Iterable[Observable], signals: Iterable[Column] = 
 def _require_free(
     what: str, name: str, columns: tuple[str, ...], owners: dict[str, str], remedy: str
 ) -> None:
-    """Raise ArgumentError for an owned column; enter the columns among the owned ones."""
+    """Raise ArgumentError if a column has an owner; enter the new owner of the columns."""
     for column in columns:
         owner = "lierb's own" if column.lower() in TAKEN else owners.get(column.lower())
         if owner:

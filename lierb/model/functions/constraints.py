@@ -18,7 +18,7 @@ from lierb.model.functions.tracing import DERIVATIVES, POSE, user_function
 
 
 class Constraint(Element):
-    """Constraint rows beside those of the joint, made by `lierb.constraint`."""
+    """Constraint rows in addition to those of the joint, made by `lierb.constraint`."""
 
     words: ClassVar = "a constraint", "constraints"
 
@@ -33,7 +33,7 @@ class ConstraintFunction(Decorated):
         self.is_translational = unit == "m"
 
     def __call__(self, **parameters: ArrayLike) -> Constraint:
-        """Make the constraint with these parameters, each for all bodies or for each."""
+        """Make the constraint with these parameters, one value for all bodies or one for each."""
         shapes = self._shapes(parameters)
         function = user_function(self.function, POSE, shapes, (ANY,), because=DERIVATIVES)
         rows = trial(function)
@@ -49,17 +49,17 @@ def constraint(
     *, unit: str = "m", **defaults: ArrayLike
 ) -> Callable[[UserFunction], ConstraintFunction]: ...
 def constraint(function: UserFunction | None = None, /, **defaults: Any) -> Any:
-    """Make a function a constraint: `@lierb.constraint`, or with defaults as `lierb.wrench`.
+    """Make a constraint from a function: `@lierb.constraint`, or with defaults as `lierb.wrench`.
 
-    The function is called with (R, r, params), and `body` as in `lierb.wrench`, and returns h, one
-    number or several, which must stay zero; each becomes a row beside the joint's. Its Jacobian
-    and acceleration term come from the same function, differentiated exactly. It cannot branch on
-    numbers except by `lierb.where`.
+    The function is called with (R, r, params), and `body` as in `lierb.wrench`. It returns h, one
+    number or several, which must remain zero; each is a further row, in addition to the joint's.
+    Jacobian and acceleration term are computed from the function by exact differentiation. It
+    cannot branch on numbers except by `lierb.where`.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     unit : {"m", "1"}, optional
         Unit of h: position error or rotation error.
     **defaults : array_like
@@ -74,7 +74,7 @@ def constraint(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Sampled controllers that are users' functions: `lierb.controller`."""
+"""Sampled controllers made from users' functions: `lierb.controller`."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ from lierb.support.arrays import as_positive
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Controller(NamedValues):
-    """Sampled controller, made by `lierb.controller`: its outputs are held for a period."""
+    """Sampled controller, made by `lierb.controller`; outputs are constant for a period."""
 
     words: ClassVar = "a controller", "controllers"
     because: ClassVar = "it is called for many at once, each at its own time"
 
     @property
     def columns(self) -> Shapes:
-        """Names and shapes of the outputs; known in a problem."""
+        """Names and shapes of the outputs; they are known once it is part of a problem."""
         return tuple(self.kind.outputs)
 
     def with_outputs(self, outputs: Shapes) -> Self:
-        """Copy of the controller with outputs of these names and shapes."""
+        """Copy of the controller with these names and shapes of outputs."""
         for name, shape in outputs:
             require_attribute(f"{self.name}: an output", name)
             if len(shape) > 1 or math.prod(shape) == 0:
@@ -81,7 +81,7 @@ class ControllerFunction(Decorated):
     def __call__(self, **arguments: ArrayLike) -> Controller:
         """Make the controller with this period, initial memory and parameters.
 
-        Each is a value for all bodies or for each.
+        Each is one value for all bodies, or one for each.
         """
         every = arguments.pop("every", self.every)
         name = self.function.__name__
@@ -126,27 +126,27 @@ def controller(
     **defaults: ArrayLike,
 ) -> Callable[[UserFunction], ControllerFunction]: ...
 def controller(function: UserFunction | None = None, /, **given: Any) -> Any:
-    """Make a function a sampled controller: `@lierb.controller(every=0.1)`.
+    """Make a sampled controller from a function: `@lierb.controller(every=0.1)`.
 
     The function takes any of t, R, r, omega, v, params, body, states, controls and memory, by these
     names and in any order, each as in `lierb.wrench`. It returns its outputs, a dictionary of
     numbers and vectors by name; with memory (outputs, memory), two dictionaries.
 
-    It is called at the multiples of its period, 0, T, 2T, …, from the start of the run on. Outputs
-    are held until the next call, and are zero before the first one; wrenches, observables, events,
-    states and controllers have them as `controls.NAME`. They are columns of `history` and
-    `summary`. Tracing the function once gives the names and shapes of outputs. It cannot branch on
-    numbers except by `lierb.where`; `lierb.noise.normal` draws random numbers.
+    The function is called at multiples of its period, 0, T, 2T, …, from the start of the run on.
+    Outputs are constant until the next call, and zero before the first one. Wrenches, observables,
+    events, states and controllers read them as `controls.NAME`. They are columns of `history` and
+    `summary`. Their names and shapes are determined by tracing the function once. It cannot branch
+    on numbers except by `lierb.where`; `lierb.noise.normal` draws random numbers.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     every : float or array_like, shape (n,), optional
-        Period T, s. It may be left to the call.
+        Period T, s. It can also be an argument of the call.
     memory : dict of array_like, optional
-        Initial values of what it keeps from call to call, by name: a number or a vector each. In
-        the function they are `memory.NAME`.
+        Initial value of each variable that persists from call to call, by name: a number or a
+        vector. In the function they are `memory.NAME`.
     unit : dict of str, optional
         Unit of each output, by name, for the columns' metadata. Default: "1".
     **defaults : array_like
@@ -155,13 +155,13 @@ def controller(function: UserFunction | None = None, /, **given: Any) -> Any:
     Returns
     -------
     callable
-        Function that makes a controller for `Problem(controllers=…)`. Its keyword `every` is the
-        period, one with a memory's name its initial value, any other one a parameter.
+        Function that makes a controller for `Problem(controllers=…)`. The keyword `every` is the
+        period; keywords with names of memory are initial values; all others are parameters.
 
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
     ArgumentError
         Columns of that name exist already.
 

@@ -1,4 +1,4 @@
-"""Decorated functions: a user's function with defaults of its parameters."""
+"""Decorated functions: users' functions with defaults for their parameters."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from lierb.errors import ArgumentError, ForceError, brief, unknown_name
 from lierb.kernels.functions.shapes import Shape, UserFunction
 from lierb.support.arrays import as_floats
 
-MOST_NAME, MOST_UNIT = 100, 40  # characters
+MOST_NAME, MOST_UNIT = 100, 40  # largest numbers of characters
 
 
 class Decorated:
-    """User's function with defaults of its parameters; a call with parameters makes an element.
+    """User's function with defaults for its parameters; a call with parameters makes an element.
 
-    own : keywords of the call that are no parameters.
+    own : keywords of the call that are not parameters.
     """
 
     own: tuple[str, ...] = ()
@@ -32,9 +32,9 @@ class Decorated:
         return f"<{kind} {name}: {', '.join(self.defaults) or 'no parameters'}>"
 
     def _shapes(self, parameters: dict[str, ArrayLike]) -> dict[str, Shape]:
-        """Shapes of the parameters of one body: those of the defaults, or numbers.
+        """Shapes of the parameters for one body: those of the defaults, or numbers.
 
-        Their order, part of the kernel's name, does not depend on that of the call.
+        Their order, which is part of the kernel's name, does not depend on the order in the call.
         """
         takes_any = not self.defaults and (
             not self.own or "params" in inspect.signature(self.function).parameters
@@ -61,7 +61,7 @@ def require_function(function: Any) -> UserFunction:
 
 
 def reject_functions(argument: str, element: Any) -> None:
-    """Raise ArgumentError for a decorated function that was not called with its parameters."""
+    """Raise ArgumentError for a decorated function that was not called to make an element."""
     if isinstance(element, Decorated):
         name = element.function.__name__
         raise ArgumentError(
@@ -71,7 +71,7 @@ def reject_functions(argument: str, element: Any) -> None:
 
 
 def column_name(argument: str, name: Any) -> str:
-    """Return the name of a column; raise ArgumentError unless columns may have it."""
+    """Return the name; raise ArgumentError unless it is valid for a column."""
     if not (isinstance(name, str) and name.isidentifier() and len(name) <= MOST_NAME):
         raise ArgumentError(
             f"{argument} is {brief(name)}; expected letters, digits and _, at most {MOST_NAME} of "
@@ -81,7 +81,7 @@ def column_name(argument: str, name: Any) -> str:
 
 
 def require_unit(argument: str, unit: Any) -> str:
-    """Return the unit; raise ArgumentError unless it is one, as text."""
+    """Return the unit; raise ArgumentError unless it is the text of a unit."""
     if not (isinstance(unit, str) and unit.isprintable() and 0 < len(unit) <= MOST_UNIT):
         raise ArgumentError(
             f'{argument}={brief(unit)}; expected the unit as text, such as "rad", or "1"'

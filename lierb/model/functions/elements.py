@@ -1,4 +1,4 @@
-"""Elements of a model beside bodies, joints and gravity: parameters, and what computes them."""
+"""Elements of a model other than bodies, joints and gravity: parameters and kernel elements."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Element:
     name : str
         Name of the function that makes such elements.
     parameters : dict of ndarray
-        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+        Parameters by name, each with its shape for one body, or with a leading axis for bodies.
     made_by : callable or None
         Decorated user's function; None for a force of `lierb.forces`.
     at : tuple of str
@@ -65,13 +65,13 @@ class Element:
             Name of the link. For an element that acts about a joint axis, the name of the link or
             loop whose joint it is.
         other : str, optional
-            Link in place of the ground: the element's points and directions of the ground, R and r
-            are in its body frame, and it receives the reaction of a force.
+            Link that replaces the ground: points and directions on the ground, R and r are then in
+            the body frame of this link, and the reaction of a force acts on it.
 
         Returns
         -------
         Element
-            The element in that place.
+            The element, placed there.
 
         Examples
         --------
@@ -89,13 +89,13 @@ class Element:
         return replace(self, at=at)
 
     def of_body(self, which: Which) -> Self:
-        """Element of one body of the batch, or of a part of the batch."""
+        """Element for one body of the batch, or for part of the batch."""
         shapes = self.kind.shapes
         parameters = {n: taken(a, which, len(shapes[n])) for n, a in self.parameters.items()}
         return replace(self, parameters=parameters)
 
     def batched(self) -> dict[str, tuple[Array, int]]:
-        """Arguments of `batch_size`: each parameter with its number of item axes."""
+        """Arguments for `batch_size`: each parameter with its number of item axes."""
         return {
             f"{self.name}.{name}": (array, len(self.kind.shapes[name]))
             for name, array in self.parameters.items()
@@ -118,7 +118,7 @@ class Element:
     def bound(self, states: Shapes, controls: Shapes) -> Self:
         """Element bound to a problem's extra states and outputs of controllers.
 
-        Raises ForceError where its function uses states or outputs that the problem lacks.
+        Raises ForceError if its function uses states or outputs that the problem lacks.
         """
         function = getattr(self.kind, "function", None)
         if self.made_by is None or not (isinstance(function, Function) and function.takes_signals):
@@ -132,13 +132,13 @@ class Element:
         return self.of_kind(function=runnable(seeing_them, self.made_by.function))
 
     def of_kind(self, **changed: Any) -> Self:
-        """Copy of the element with other fields of its kind."""
+        """Copy of the element with changed fields of its kernel element."""
         kind: Any = self.kind
         return replace(self, kind=replace(kind, **changed))
 
 
 def seeing(function: Function, states: Shapes, controls: Shapes) -> Function:
-    """Copy of the function with those of a problem's states and controls that it takes."""
+    """Copy of the function, bound to those of a problem's states and controls that it takes."""
     return replace(
         function,
         states=states if "states" in function.form else (),

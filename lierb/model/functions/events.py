@@ -1,4 +1,4 @@
-"""Events that are users' functions: `lierb.event`."""
+"""Events made from users' functions: `lierb.event`."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from lierb.model.functions.tracing import MOTION, by_name, user_function
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Event(Element):
-    """Zero crossing of a number along the motion, made by `lierb.event`.
+    """Zero crossing of a function of the motion, made by `lierb.event`.
 
     Attributes
     ----------
     name : str
         Name in the table of events.
     parameters : dict of ndarray
-        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+        Parameters by name, each with its shape for one body, or with a leading axis for bodies.
     made_by : callable or None
         Decorated user's function.
     at : tuple of str
-        Place in a mechanism: a link or two.
+        Place in a mechanism: one or two links.
     direction : {-1, 0, 1}
         Crossings that count: 1 rising, −1 falling, 0 both.
     terminal : bool
@@ -41,7 +41,7 @@ class Event(Element):
     words: ClassVar = "an event", "events"
 
     def named(self, name: str) -> Self:
-        """Rename the event: a problem may have one function several times.
+        """Rename the event, so that a problem can use one function several times.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class Event(Element):
         Returns
         -------
         Event
-            The event of that name.
+            The event with that name.
 
         Examples
         --------
@@ -80,7 +80,7 @@ class EventFunction(Decorated):
         self.direction, self.terminal = int(direction), terminal
 
     def __call__(self, **parameters: ArrayLike) -> Event:
-        """Make the event with these parameters, each for all bodies or for each."""
+        """Make the event with these parameters, one value for all bodies or one for each."""
         shapes = self._shapes(parameters)
         function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
         return Event.of(
@@ -97,16 +97,16 @@ def event(
     *, direction: int = 0, terminal: bool = False, **defaults: ArrayLike
 ) -> Callable[[UserFunction], EventFunction]: ...
 def event(function: UserFunction | None = None, /, **defaults: Any) -> Any:
-    """Make a function an event: `@lierb.event(terminal=True)`, with defaults as in `wrench`.
+    """Make an event from a function: `@lierb.event(terminal=True)`, with defaults as in `wrench`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns one number, which should be smooth. The
-    event is where that number crosses zero. The crossings are in `result.events`.
+    and in any order, each as in `lierb.wrench`, and returns one number, which should be smooth. An
+    event occurs when this number crosses zero. The crossings are in `result.events`.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     direction : {-1, 0, 1}, optional
         Crossings that count: 1 rising, −1 falling, 0 both.
     terminal : bool, optional
@@ -123,9 +123,9 @@ def event(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
     ArgumentError
-        The direction is another number.
+        The direction is not −1, 0 or 1.
 
     Examples
     --------

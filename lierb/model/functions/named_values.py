@@ -1,6 +1,6 @@
 """Elements with named values: extra states and outputs of controllers.
 
-Other functions of a problem take these values by their names; so functions are tried when the
+Other functions of a problem read these values by name. Functions are therefore tried when the
 problem is made.
 """
 
@@ -23,14 +23,14 @@ from lierb.support.arrays import as_floats
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NamedValues(Element):
-    """Element with named values, which are columns.
+    """Element with named values, which are columns of results.
 
-    units : of the values, by name; "1" where none is given.
+    units : unit of each value, by name; "1" by default.
     """
 
     kind: Any
     units: Mapping[str, str] = field(default_factory=dict)
-    because: ClassVar[str]  # why its function must run for many bodies at once
+    because: ClassVar[str]  # reason why the function must be traced
 
     @property
     def columns(self) -> Shapes:
@@ -44,7 +44,7 @@ class NamedValues(Element):
 
 
 def require_attribute(what: str, name: Any) -> None:
-    """Raise ArgumentError unless a column and an attribute may have the name."""
+    """Raise ArgumentError unless the name is valid for a column and an attribute."""
     column_name(f"{what}'s name", name)
     if iskeyword(name) or name.startswith("_"):
         raise ArgumentError(f"{what} is named {name}, which no attribute can be; give another name")
@@ -75,7 +75,7 @@ def mapping_of(argument: str, values: Any, expected: str) -> dict[str, Any]:
 def checked_units(units: Any, names: Iterable[str] | None) -> dict[str, str]:
     """Check units by name.
 
-    names : of the values, None before they are known.
+    names : names of the values; None if they are not yet known.
     """
     checked = mapping_of("unit", units, 'units by name, such as {"wheel": "N m s"}')
     for name, unit in checked.items():
@@ -86,7 +86,7 @@ def checked_units(units: Any, names: Iterable[str] | None) -> dict[str, str]:
 
 
 def parameter_defaults(defaults: Any, initial: Iterable[str]) -> dict[str, Any]:
-    """Check defaults of parameters, whose names must not be those of initial values."""
+    """Check defaults of parameters; their names must differ from those of initial values."""
     checked = mapping_of("params", defaults, 'defaults by name, such as {"tau": 0.5}')
     for name in checked:
         if name in initial:
@@ -99,7 +99,7 @@ def values_of(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Split a call's arguments into initial values and parameters.
 
-    Returns the parameters, and all values of the element with defaults and prefixed names.
+    Returns the parameters, and all values of the element, including defaults, by prefixed names.
     """
     parameters = {name: value for name, value in arguments.items() if name not in initial}
     starts = {f"{kinds.INITIAL}{name}": arguments.get(name, x) for name, x in initial.items()}

@@ -1,8 +1,8 @@
 """Random numbers for controllers, addressed by seed, trajectory, name, tick and component.
 
-`normal` draws inside functions of `@lierb.controller`; `sample` computes the same bits elsewhere.
-No draw depends on an earlier one: a trajectory's noise is the same alone and in a batch of a
-million, on one lane or eight, when it is resumed and on another machine.
+`normal` draws in functions of `@lierb.controller`; `sample` computes the same bits elsewhere.
+No draw depends on an earlier one: a trajectory has the same noise alone and in a batch of a
+million, on one lane or eight, in a continued run and on another machine.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lierb.kernels.functions.noise import MOST, normal, normals
 from lierb.kernels.functions.signals import Noise
 from lierb.support.arrays import Array, as_floats
 
-LARGEST = 2**53 - 1  # largest integer that no other number rounds to
+LARGEST = 2**53 - 1  # largest integer to which no other integer rounds
 
 __all__ = ["normal", "sample"]
 
@@ -32,19 +32,19 @@ def sample(
     seed : int
         Seed of the run, `lierb.integrate(seed=…)`, 0 to 2⁵³ − 1.
     trajectory : int or array_like of int
-        Number of the trajectory, `lierb.integrate(trajectories=…)`, 0 to 2⁵³ − 1.
+        Index of the trajectory, `lierb.integrate(trajectories=…)`, 0 to 2⁵³ − 1.
     name : str
         Name of the noise.
     tick : int or array_like of int
-        Number of the call, which is at tick·T for a controller of period T.
+        Index of the call; a controller with period T is called at tick·T.
     size : int or (), optional
         Number of components; () for a single number.
 
     Returns
     -------
     ndarray
-        Numbers in the shapes of trajectory and tick, broadcast, followed by (size,) where it is a
-        count.
+        Numbers; the shape is that of trajectory and tick, broadcast, followed by (size,) unless
+        size is ().
 
     Examples
     --------
@@ -74,7 +74,7 @@ def sample(
 
 
 def _whole(argument: str, value: Any, least: int) -> Array:
-    """Check for whole numbers from `least` to `LARGEST`."""
+    """Check that a value is whole numbers from `least` to `LARGEST`; return them."""
     numbers = as_floats(argument, value)
     if np.any((numbers != np.floor(numbers)) | ~(numbers >= least) | ~(numbers <= LARGEST)):
         raise ArgumentError(

@@ -1,4 +1,4 @@
-"""Observables that are users' functions: `lierb.observable`."""
+"""Observables made from users' functions: `lierb.observable`."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Observable(Element):
     name : str
         Name of its column in a history.
     parameters : dict of ndarray
-        Parameters by name, each in its own shape, or with an axis for the bodies before it.
+        Parameters by name, each with its shape for one body, or with a leading axis for bodies.
     made_by : callable or None
         Decorated user's function.
     at : tuple of str
-        Place in a mechanism: a link or two.
+        Place in a mechanism: one or two links.
     unit : str
-        Unit of its numbers.
+        Unit of the observable.
     """
 
     unit: str = "1"
     words: ClassVar = "an observable", "observables"
 
     def named(self, name: str) -> Self:
-        """Rename the observable: a problem may have one function several times.
+        """Rename the observable, so that a problem can use one function several times.
 
         Parameters
         ----------
@@ -47,7 +47,7 @@ class Observable(Element):
         Returns
         -------
         Observable
-            The observable of that name.
+            The observable with that name.
 
         Examples
         --------
@@ -70,7 +70,7 @@ class ObservableFunction(Decorated):
         self.unit = unit
 
     def __call__(self, **parameters: ArrayLike) -> Observable:
-        """Make the observable with these parameters, each for all bodies or for each."""
+        """Make the observable with these parameters, one value for all bodies or one for each."""
         name = column_name("the observable's name", self.function.__name__)
         shapes = self._shapes(parameters)
         function = user_function(self.function, MOTION, shapes, ((),), form=by_name)
@@ -85,23 +85,25 @@ def observable(
     *, unit: str = "1", **defaults: ArrayLike
 ) -> Callable[[UserFunction], ObservableFunction]: ...
 def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
-    """Make a function an observable: `@lierb.observable(unit="rad")`, with defaults as in `wrench`.
+    """Make an observable from a function: `@lierb.observable(unit="rad")`.
+
+    Defaults of parameters are as in `lierb.wrench`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns one number. It is evaluated where
-    measures are taken (`measure_every`, `save_every`), and does not change the motion. Adaptive
-    steps are long: for a fine mean give `dt_max`, or integrate the number as a state
+    and in any order, each as in `lierb.wrench`, and returns one number. It is evaluated at the
+    times of measurement (`measure_every`, `save_every`), and does not change the motion. Adaptive
+    steps are long: for an accurate mean set `dt_max`, or integrate the number as a state
     (`lierb.states`).
 
-    `history` has its values in a column of its name. `summary` has, under that name and over the
-    measured times, `…_min` and `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
-    `…_final`. After a failure the extremes are those up to it, and the others NaN. A value that is
-    NaN makes the extremes and the mean NaN, and is no failure.
+    `history` has the values in a column with the observable's name. `summary` has statistics over
+    the measured times: `…_min`, `…_max`, `…_mean`, the mean over time by the trapezoidal rule, and
+    `…_final`. After a failure the extremes are those before it, and the others NaN. A value that is
+    NaN makes the extremes and the mean NaN, but is not a failure.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     unit : str, optional
         Unit of the number, for the columns' metadata.
     **defaults : array_like
@@ -116,7 +118,7 @@ def observable(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
     ArgumentError
         Columns of that name exist already.
 

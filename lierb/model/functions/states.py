@@ -1,4 +1,4 @@
-"""Extra states by users' functions, integrated with the motion: `lierb.states`."""
+"""Extra states, integrated with the motion by users' functions: `lierb.states`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lierb.model.functions.tracing import MOTION, by_name, described, runnable
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExtraStates(NamedValues):
-    """Extra states beside the bodies' own, made by `lierb.states`."""
+    """Extra states in addition to those of bodies, made by `lierb.states`."""
 
     words: ClassVar = "states", "states"
     because: ClassVar = "it is integrated with the motion, of many at once"
@@ -52,7 +52,10 @@ class StatesFunction(Decorated):
         super().__init__(function, parameter_defaults(parameters, initial))
 
     def __call__(self, **arguments: ArrayLike) -> ExtraStates:
-        """Make the states with these initial values and parameters, for all bodies or for each."""
+        """Make the states with these initial values and parameters.
+
+        Each is one value for all bodies, or one for each.
+        """
         parameters, values = values_of(arguments, self.initial, self.defaults)
         shapes, outputs = self._shapes(parameters), (self.states,)
         function = described(self.function, MOTION, shapes, (), by_name, outputs=outputs)
@@ -72,18 +75,18 @@ def states(
     **initial: ArrayLike,
 ) -> Callable[[UserFunction], StatesFunction]: ...
 def states(function: UserFunction | None = None, /, **given: Any) -> Any:
-    """Make a function the equations of extra states: `@lierb.states(wheel=(0.0, 0.0, 0.0))`.
+    """Make extra states from a function: `@lierb.states(wheel=(0.0, 0.0, 0.0))`.
 
     The function takes any of t, R, r, omega, v, params, body, states and controls, by these names
-    and in any order, each as in `lierb.wrench`, and returns the states' derivatives, a dictionary
-    by their names. The states are integrated with the motion; wrenches, observables, events,
-    controllers and other states have them as `states.NAME`. They are columns of `history` and
+    and in any order, each as in `lierb.wrench`, and returns the derivatives of the states, a
+    dictionary by name. The states are integrated with the motion; wrenches, observables, events,
+    controllers and other states read them as `states.NAME`. They are columns of `history` and
     `summary`. The function cannot branch on numbers except by `lierb.where`.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     unit : dict of str, optional
         Unit of each state, by name, for the columns' metadata. Default: "1".
     params : dict of array_like, optional
@@ -94,13 +97,13 @@ def states(function: UserFunction | None = None, /, **given: Any) -> Any:
     Returns
     -------
     callable
-        Function that makes states for `Problem(states=…)`. A keyword with a state's name is its
-        initial value, any other one a parameter.
+        Function that makes states for `Problem(states=…)`. Keywords with names of states are
+        initial values; all others are parameters.
 
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
     ArgumentError
         Columns of that name exist already.
 

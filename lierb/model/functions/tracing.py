@@ -1,4 +1,4 @@
-"""Functions for kernels made of users' functions: their form, their trial, their refusal."""
+"""Conversion of users' functions to functions for kernels: arguments, trial, errors."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def user_function(
     because: str | None = None,
     form: Callable[[UserFunction, str, bool], tuple[str, ...]] | None = None,
 ) -> Function:
-    """Make a user's function one for kernels: traced if it can be, else compiled by Numba.
+    """Convert a user's function to one for kernels: traced if possible, else compiled by Numba.
 
     A function of states or controls is tried when it is bound to those of a problem.
 
-    because : why it must be traced, if it must.   form : finds its arguments, as `form_of` does.
+    because : reason why it must be traced, or None.   form : returns its arguments, see `form_of`.
     """
     made = described(function, arguments, shapes, results, form or partial(form_of, arguments))
     return made if made.takes_signals else runnable(made, function, because)
@@ -56,7 +56,7 @@ def described(
     form: Callable[[UserFunction, str, bool], tuple[str, ...]],
     **fields: Any,
 ) -> Function:
-    """Make a user's function one to be traced, without a trial.
+    """Convert a user's function to one that is traced, without a trial.
 
     fields : further fields of a Function.
     """
@@ -77,7 +77,7 @@ def described(
 def runnable(traced: Function, function: UserFunction, because: str | None = None) -> Function:
     """Try the function: return it if it can be traced, else one that Numba compiles.
 
-    function : user's function that `traced` is made of.   because : as for `user_function`.
+    function : the user's function of `traced`.   because : see `user_function`.
     """
     name = traced.name
     reason = why_untraced(traced, trial)
@@ -108,13 +108,14 @@ def runnable(traced: Function, function: UserFunction, because: str | None = Non
 def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str | None:
     """Reason why `attempt`, such as `trial`, cannot trace the function; None if it can.
 
-    Raises ForceError for a function of more than its arguments, which is not compiled either.
+    Raises ForceError for a function that depends on more than its arguments; Numba must not
+    compile it either.
     """
     try:
         attempt(function)
     except UnfitFunctionError as error:
         raise ForceError(f"{function.name} cannot be compiled: {_described(error)}") from None
-    except Exception as error:  # any that the user's function raises
+    except Exception as error:  # the user's function may raise any
         if isinstance(error, ValueError) and "read-only" in str(error):
             raise ForceError(
                 f"{function.name} cannot be compiled: {where_it_was(error)}: it changes an array "
@@ -125,7 +126,7 @@ def why_untraced(function: Function, attempt: Callable[[Function], Any]) -> str 
 
 
 def _frames_of_lierb() -> int:
-    """Number of frames of lierb above the caller's, for a warning."""
+    """Number of frames of lierb above the caller's, for the stack level of a warning."""
     frame, count = inspect.currentframe(), 0
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "lierb":
         frame, count = frame.f_back, count + 1
@@ -135,7 +136,7 @@ def _frames_of_lierb() -> int:
 def form_of_any(
     signals: tuple[str, ...], function: UserFunction, name: str, has_parameters: bool
 ) -> tuple[str, ...]:
-    """Arguments of the function in its order: any of ARGUMENTS, params, body and signals."""
+    """Names of the function's arguments in its order: any of ARGUMENTS, params, body, signals."""
     signature, known = inspect.signature(function), (*ARGUMENTS, "params", "body", *signals)
     expected = f"any of ({', '.join(known)}) by these names"
     form: list[str] = []
@@ -163,7 +164,7 @@ def form_of(
     has_parameters: bool,
     others: tuple[str, ...] = ("body",),
 ) -> tuple[str, ...]:
-    """Arguments of the function in its order: `others` at any place, by their names.
+    """Names of the function's arguments in its order; `others` may be in any position, by name.
 
     A function without parameters need not take `params`.
     """
@@ -177,7 +178,7 @@ def form_of(
                 "states and controllers do"
             )
     forms = [(*arguments, "params")]
-    if not has_parameters:  # first: a further argument may be a default and not params
+    if not has_parameters:  # checked first: a further argument may have a default and not be params
         forms.insert(0, arguments)
     for form in forms:
         arranged = [*form]
@@ -198,14 +199,14 @@ BY_PLACE = (POSITIONAL, inspect.Parameter.POSITIONAL_ONLY)
 
 
 def _described(error: Exception) -> str:
-    """Describe an error of a trace and the line of the user's where it occurred."""
+    """Describe an error of a trace, with the line of the user's function where it occurred."""
     line, sentence = where_it_was(error), _sentence(error)
     if isinstance(error, (AttributeError, NameError, KeyError, IndexError)):
         sentence = f"{type(error).__name__}: {sentence}"
     return sentence if line is None or sentence.startswith("line ") else f"{line}: {sentence}"
 
 
-# Sentences for what Numba reports in its own terms.
+# Sentences for Numba's error messages.
 _IN_PLAIN_WORDS = {
     "yield in a closure": "it has a generator expression, such as sum(… for …), which Numba does "
     "not compile: write a list, sum([… for …])",

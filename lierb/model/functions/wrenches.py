@@ -1,4 +1,4 @@
-"""Forces, and wrenches that are users' functions: `lierb.wrench`."""
+"""Forces, and wrenches made from users' functions: `lierb.wrench`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WRENCH: tuple[Shape, ...] = ((3,), (3,))
 
 
 class Wrench(Decorated):
-    """Function decorated by `lierb.wrench`: the torque and the force on a body."""
+    """Function decorated by `lierb.wrench`: torque and force on a body."""
 
     _potential: UserFunction | None = None
 
@@ -39,7 +39,7 @@ class Wrench(Decorated):
         super().__init__(function, defaults)
 
     def __call__(self, **parameters: ArrayLike) -> Force:
-        """Make the force with these parameters, each for all bodies or for each."""
+        """Make the force with these parameters, one value for all bodies or one for each."""
         shapes = self._shapes(parameters)
         form = partial(form_of, MOTION, others=("body", *SIGNALS))
         function = user_function(self.function, MOTION, shapes, WRENCH, form=form)
@@ -51,10 +51,10 @@ class Wrench(Decorated):
         return Force.of(self.function.__name__, kind, values, made_by=self)
 
     def potential(self, function: UserFunction) -> UserFunction:
-        """Decorate the wrench's potential, (R, r, params) → J, which counts in the energy.
+        """Decorate the wrench's potential, (R, r, params) → J, which is included in the energy.
 
-        It may be the potential of a part of the wrench; the rest counts as work. It is
-        differentiated, and so must run for many bodies at once, as a constraint does.
+        It may be the potential of a part of the wrench; the power of the rest is included in the
+        work. The potential is differentiated, and so cannot branch on numbers, like a constraint.
         """
         self._potential = require_function(function)
         return function
@@ -67,33 +67,33 @@ def wrench(
     *, discontinuities: str | Iterable[str] = (), **defaults: ArrayLike
 ) -> Callable[[UserFunction], Wrench]: ...
 def wrench(function: UserFunction | None = None, /, **defaults: Any) -> Any:
-    """Make a function a force: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
+    """Make a force from a function: `@lierb.wrench`, or `@lierb.wrench(name=default, …)`.
 
     The function is called with (t, R, r, omega, v, params) and returns (torque, force): t in s, R
     3×3 and r the pose in the ground frame, ω and v the body-fixed twist, all as arrays of numbers;
     torque (N m) and force (N) are in body axes, about the body frame's origin.
 
-    An argument named `body`, after `params`, has the body: `body.mass`, `body.inertia` (3×3, about
-    the centre of mass, in body axes) and `body.com`. `params` may be left out where there are none.
-    Arguments named `states` and `controls` have the problem's extra states (`lierb.states`) and the
-    last outputs of its controllers (`lierb.controller`), each by its name.
+    An argument named `body`, after `params`, is the body: `body.mass`, `body.inertia` (3×3, about
+    the centre of mass, in body axes) and `body.com`. `params` may be omitted if there are none.
+    Arguments named `states` and `controls` are the problem's extra states (`lierb.states`) and the
+    last outputs of its controllers (`lierb.controller`), as attributes.
 
-    The function is written for one body and compiled for many at once: operators, `math`, NumPy,
-    and `lierb.where(condition, a, b)` in place of `if`. A function that branches on a number runs
-    body by body, 10 to 60 times slower; a warning says so once. It must be a function of its
-    arguments: other objects that it refers to are compiled as they were when the force was made,
-    and a force whose objects have changed cannot be used any more.
+    The function is written for one body and compiled for many at once. It may use operators,
+    `math`, NumPy, and `lierb.where(condition, a, b)` instead of `if`. A function that branches on a
+    number runs body by body, 10 to 60 times slower, with one warning. The result must depend on
+    the arguments alone: other objects that it refers to are compiled as they were when the force
+    was made, and a force whose objects have changed raises an error.
 
     Parameters
     ----------
     function : callable, optional
-        The function; left out where there are defaults or settings.
+        The function; omitted if the decorator has arguments.
     discontinuities : str or iterable of str, optional
         Names of parameters that are times, s, at which the function jumps or has a kink, such as
-        those at which a thruster is switched. Steps end there, as at the times of the argument of
-        that name of `lierb.integrate`.
+        the switching times of a thruster. Steps end there, as for the argument `discontinuities`
+        of `lierb.integrate`.
     **defaults : array_like
-        Default of each parameter, whose shape is that for one body. In the function they are
+        Default of each parameter, which determines its shape for one body. In the function they are
         `params.name`. Without defaults all parameters are numbers.
 
     Returns
@@ -104,7 +104,7 @@ def wrench(function: UserFunction | None = None, /, **defaults: Any) -> Any:
     Raises
     ------
     ForceError
-        The function has another form, or cannot be compiled.
+        The function's arguments are wrong, or it cannot be compiled.
 
     Examples
     --------

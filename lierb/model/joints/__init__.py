@@ -3,7 +3,7 @@
 The rows are those of `lierb.kernels.mechanics.rows`, in the order of λ. They act on D = G⁻¹CB =
 (Q, d), with G the joint frame in the ground and B in the body: `d1` d_i = 0, `Qtd1`
 (Qᵀd)_i = 0, `Q32` Q_ij = 0, `Omega1` Ω_k = 0, `screw` d₃ − pitch·φ = 0, `rod` ‖d‖ = length, `cv`
-Q turns about an axis ⊥ e₃.
+rotation axis of Q ⊥ e₃.
 """
 
 from lierb.model.joints.catalogue import *  # noqa: F403

@@ -109,14 +109,14 @@ def from_rows(
 ) -> Joint:
     """Make a joint from rows: `d1`, `Qtd1`, `Q32`, `Omega1` (axes 1 to 3), `screw`, `rod` or `cv`.
 
-    `Omega` rows come in twos or threes: one alone is a condition on velocity that fixes no
-    orientation. A `screw` row needs `pitch`, and Omega1 and Omega2; a `rod` row needs `length`, and
-    goes with Omega, Q and cv rows only.
+    A single `Omega` row is refused, since it is a condition on velocity that fixes no orientation.
+    A `screw` row needs `pitch`, Omega1 and Omega2. A `rod` row needs `length`, and can be combined
+    with Omega, Q and cv rows only.
 
-    Rows may be redundant. A row given twice is used once; of rows that depend on others at the
-    body's pose, the solver drops the last ones, whose multipliers are then 0 (the `reaction` is
-    their common wrench). Where the joint drifts, as on SO(3)×R³, such rows come to contradict each
-    other, and the body is marked `singular`.
+    Rows may be redundant. Duplicates are used once. If rows depend on each other at the body's
+    pose, the solver drops the last ones, and their multipliers are 0 (`reaction` is the common
+    wrench of all rows). If the joint drifts, as on SO(3)×R³, dependent rows eventually contradict
+    each other, and the body is marked `singular`.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ def from_rows(
     UnknownNameError
         A row does not exist.
     ArgumentError
-        There are more than twelve rows, or the rows make no joint.
+        There are more than twelve rows, or they cannot be combined to a joint.
 
     Examples
     --------
@@ -192,5 +192,5 @@ def from_rows(
 def _row(name: str | Row) -> JointRow:
     try:
         return JOINT_ROWS[str(name) if isinstance(name, Row) else name.replace("Ω", "Omega")]
-    except Exception:  # an object of the user's may raise any
+    except Exception:  # a user's object may raise any
         raise unknown_name("row", name, JOINT_ROWS) from None

@@ -1,4 +1,4 @@
-"""Coordinates of one link of a mechanism: numbers, a rotation or the link's whole pose."""
+"""Coordinates of one link of a mechanism: numbers, a rotation, or the pose of the link."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def is_rigid(joint: Joint) -> bool:
 
 
 def is_pose(argument: str, given: Any, joint: Joint) -> bool:
-    """Return whether a link's coordinates are its pose: matrices (4, 4), and not of a rotation."""
+    """Return whether a link's coordinates are its pose: (4, 4) matrices, not a rotation."""
     array = as_floats(argument, as_matrix(argument, given))
     if hasattr(given, "as_matrix"):
         return array.shape[-1:] == (4,)
@@ -51,7 +51,7 @@ def is_pose(argument: str, given: Any, joint: Joint) -> bool:
 def relative_of(
     argument: str, given: Any, joint: Joint
 ) -> tuple[Pose, dict[str, tuple[Array, int]]]:
-    """Return D of a joint's coordinates or rotation, and the batched argument by name."""
+    """Return D for a joint's coordinates or rotation, and the argument for `batch_size`."""
     motions = motions_of(joint)
     if motions is None:
         if given is not None:

@@ -60,7 +60,7 @@ def ground_frame_of(
     parent_point: ArrayLike | None,
     body_frame: Array,
 ) -> Array:
-    """Return the joint frame on the ground or parent; without `frame`, turned as the body's."""
+    """Return the joint frame on the ground or parent; by default parallel to the body's."""
     point = _one_of("point", point, parent_point)
     frame = _one_of("frame", frame, parent_frame)
     if frame is not None:
@@ -86,12 +86,12 @@ def _direction(argument: str, value: ArrayLike) -> Vec:
     if zero.size:
         label = body_label(argument, int(zero[0]), largest.size)
         raise ArgumentError(f"{label} is the zero vector; expected a direction")
-    exponent = np.frexp(largest)[1]  # a power of two: exact, and no square overflows
+    exponent = np.frexp(largest)[1]  # scaling by a power of two is exact, and no square overflows
     return _unit(components(np.ldexp(array, -exponent[..., None])))
 
 
 def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
-    """Unit vector along `value`, which is perpendicular to e₃."""
+    """Unit vector along `value`; raises unless it is perpendicular to e₃."""
     e = _direction(argument, value)
     slant = dot(e, e3)
     cosines = np.atleast_1d(np.abs(slant))
@@ -105,7 +105,7 @@ def _perpendicular(argument: str, value: ArrayLike, e3: Vec) -> Vec:
 
 
 def _any_perpendicular(e3: Vec) -> Vec:
-    """Unit vector ⊥ e₃: x's part across e₃, or y's where e₃ is near x (|cos| ≥ 0.9)."""
+    """Unit vector ⊥ e₃: the part of x normal to e₃, or of y if e₃ is near x (|cos| ≥ 0.9)."""
     x_fits = np.abs(e3[0]) < 0.9
     chosen = (np.where(x_fits, 1.0, 0.0), np.where(x_fits, 0.0, 1.0), np.zeros_like(e3[2]))
     return _unit(sub(chosen, scale(dot(chosen, e3), e3)))

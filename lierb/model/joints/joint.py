@@ -1,4 +1,4 @@
-"""Joints: constraint rows between two frames, and coordinates of the motions that they allow."""
+"""Joints: constraint rows between two frames, and coordinates of the allowed motions."""
 
 from __future__ import annotations
 
@@ -34,34 +34,34 @@ from lierb.support.arrays import (
 )
 from lierb.support.shown import Lines, Shown, quantity
 
-_quiet = np.errstate(all="ignore")  # an overflow is reported from the result
-MOST_ROWS = 12  # twice the freedoms of a body: a joint may be given twice, in two ways
+_quiet = np.errstate(all="ignore")  # overflow is detected in the result
+MOST_ROWS = 12  # twice the freedoms of a body: a joint may be stated twice, in two ways
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Joint(Shown):
-    """A joint between the ground and the body; made by the entries of this module.
+    """A joint between the ground and the body; made by the entries of `lierb.joints`.
 
     Attributes
     ----------
     name : str
         Name of the entry of the catalogue.
     rows : tuple of JointRow
-        Constraint rows, in the order in which λ has them.
+        Constraint rows, in the order of λ.
     ground_frame : ndarray, shape (4, 4) or (n, 4, 4)
         Joint frame in the ground frame.
     body_frame : ndarray, shape (4, 4) or (n, 4, 4)
         Joint frame in the body frame.
     pitch : ndarray, shape () or (n,)
-        Pitch, m/rad; 0 where the joint has none.
+        Pitch, m/rad; 0 if the joint has none.
     length : ndarray, shape () or (n,)
-        Length of a rod, m; 0 where the joint has none.
+        Length of a rod, m; 0 if the joint has none.
     subgroup : str or None
         Motion group of the joint as a subgroup of SE(3), if it is one.
     factors : tuple of Factor
         Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
     summary : str
-        Description in a line; empty for a joint made from rows.
+        Description in one line; empty for a joint made from rows.
     """
 
     name: str
@@ -75,17 +75,17 @@ class Joint(Shown):
     summary: str = ""
 
     def of(self, which: Which) -> Joint:
-        """Return the joint of one body of the batch, or of a part of it.
+        """Return the joint of one body of the batch, or of part of the batch.
 
         Parameters
         ----------
         which : int, slice or array of int
-            Number of the body, or the part.
+            Index of the body, or the part.
 
         Returns
         -------
         Joint
-            Its joint.
+            The joint.
         """
         return replace(
             self,
@@ -108,15 +108,14 @@ class Joint(Shown):
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
-        """Kinds of constraint error of the joint, of "position" and "rotation"."""
+        """Kinds of constraint errors of the joint: "position", "rotation" or both."""
         return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property
     def closed_pose(self) -> Array:
         """Pose C = G B⁻¹ in which the two joint frames coincide, (4, 4) or (n, 4, 4).
 
-        The ends of a rod do not coincide: there the body's joint frame is at length·e₃ of the
-        ground's.
+        For a rod they do not coincide: the body's joint frame is at length·e₃ in the ground's.
         """
         ground, body = pose_components(self.ground_frame), pose_components(self.body_frame)
         with np.errstate(all="ignore"):
@@ -145,16 +144,17 @@ class Joint(Shown):
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
         velocities : array_like, shape (k,) or (n, k), optional
-            Rates of the joint's coordinates, rad/s and m/s, in place of `omega` and
+            Rates of the joint's coordinates, rad/s and m/s, instead of `omega` and
             `point_velocity`.
         coordinates : array_like, shape (k,) or (n, k), optional
-            Coordinates of the joint, in place of `pose`.
+            Coordinates of the joint, instead of `pose`.
 
         Returns
         -------
         ndarray, shape (6,) or (n, 6)
-            Twist, rad/s and m/s. From ω and a point's velocity it is v = p×ω + Rᵀ·point_velocity,
-            which need not satisfy the joint. From rates it does; `velocities` is the inverse.
+            Twist, rad/s and m/s. From ω and a point's velocity, v = p×ω + Rᵀ·point_velocity; this
+            twist need not satisfy the joint. From rates, the twist satisfies it; `velocities` is
+            the inverse.
 
         Examples
         --------
@@ -212,7 +212,7 @@ class Joint(Shown):
         Parameters
         ----------
         twist : array_like, shape (6,) or (n, 6)
-            Body-fixed twist (ω, v), rad/s and m/s. That it satisfies the joint is not checked.
+            Body-fixed twist (ω, v), rad/s and m/s. It is not checked against the joint.
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), optional
             Pose of the body. Default: the closed joint.
 
@@ -245,11 +245,11 @@ class Joint(Shown):
     def coordinate_names(self) -> tuple[str, ...]:
         """Names of the joint's coordinates, for the lower pairs, all motion groups, and products.
 
-        `phi`: the turn about e₃, rad; `xi1` … `xi3`: the rotation vector, rad, in the ground's
-        joint frame; `d1` … `d3`: the position of the body's joint frame in the ground's, m. A
-        universal joint has `alpha`, the turn about e₃ of the ground, and `beta`, that about e₂ of
-        the body; a hook joint those about e₂ and e₃. A pin in a slot has `d1` and `phi`; one whose
-        slot is on the body `phi` and `s`, the position of the body's joint frame along its own e₁.
+        `phi`: angle about e₃, rad; `xi1` … `xi3`: rotation vector, rad, in the ground's joint
+        frame; `d1` … `d3`: position of the body's joint frame in the ground's, m. A universal joint
+        has `alpha`, the angle about e₃ of the ground, and `beta`, the angle about e₂ of the body; a
+        hook joint has the angles about e₂ and e₃. A pin in a slot has `d1` and `phi`; with the slot
+        on the body, `phi` and `s`, the position of the body's joint frame along its own e₁.
         """
         return self.motions.names
 
@@ -257,12 +257,12 @@ class Joint(Shown):
     def coordinates(self, pose: Any) -> Array:
         """Compute the joint's coordinates at a pose, in the order of `coordinate_names`.
 
-        Angles are in [−π, π], except for a screw with a pitch, whose slide counts whole turns.
+        Angles are in [−π, π], except for a screw with a pitch: its slide determines whole turns.
 
         Parameters
         ----------
         pose : array_like or RigidTransform, shape (4, 4) or (n, 4, 4)
-            Pose of the body. That it closes the joint is not checked.
+            Pose of the body. It is not checked whether it closes the joint.
 
         Returns
         -------
@@ -288,13 +288,13 @@ class Joint(Shown):
     def pose(
         self, place: Any = None, /, *, coordinates: ArrayLike | None = None, rotation: Any = None
     ) -> Array:
-        """Compute the pose with these coordinates, or turned by this rotation.
+        """Compute the pose for coordinates, or for a rotation.
 
         Parameters
         ----------
         place : array_like or Rotation, optional
-            Coordinates or rotation. A shape that may be both is refused: a matrix, and the rotation
-            vectors of three bodies, are (3, 3).
+            Coordinates or rotation. An ambiguous shape is refused: (3, 3) is a matrix, or the
+            rotation vectors of three bodies.
         coordinates : array_like, shape (k,) or (n, k), optional
             Coordinates, rad and m; see `coordinate_names`.
         rotation : array_like or Rotation, shape (3, 3) or (n, 3, 3), optional
@@ -311,7 +311,7 @@ class Joint(Shown):
         ArgumentError
             The joint has no coordinates: its motions are neither a group nor a product.
         PoseError
-            A matrix is no rotation.
+            A matrix is not a rotation.
 
         Examples
         --------
@@ -367,7 +367,7 @@ class Joint(Shown):
 
     @property
     def _frames(self) -> dict[str, tuple[Array, int]]:
-        """Arguments of `batch_size`."""
+        """Arguments for `batch_size`."""
         return {"ground_frame": (self.ground_frame, 2), "body_frame": (self.body_frame, 2)}
 
     def _placed(self, pose: Any) -> Array:
@@ -381,7 +381,7 @@ class Joint(Shown):
 
     @cached_property
     def motions(self) -> Motions:
-        """Coordinates of the relative pose D; raises ArgumentError for a joint without any."""
+        """Coordinates of the relative pose D; raises ArgumentError if the joint has none."""
         if self.subgroup:
             return SubgroupMotions(slots_of(self.rows), self.pitch)
         if self.factors:

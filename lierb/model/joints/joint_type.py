@@ -1,4 +1,4 @@
-"""Joint types: entries of the catalogue, which make joints from points and axes, or from frames."""
+"""Joint types: catalogue entries that make joints from points and axes, or from frames."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class JointType:
     name : str
         Name of the entry.
     rows : tuple of JointRow
-        Constraint rows, in the order in which λ has them.
+        Constraint rows, in the order of λ.
     summary : str
-        Description in a line.
+        Description in one line.
     subgroup : str or None
         Motion group of the joint as a subgroup of SE(3), if it is one.
     options : frozenset of str
-        Further arguments that the entry takes: "pitch", "length", "slot", "second_axis".
+        Further arguments of the entry: "pitch", "length", "slot", "second_axis".
     factors : tuple of Factor
         Factors of its motions, if they are a product D = F₁(a) F₂(b) of two instead of a group.
     """
@@ -57,10 +57,10 @@ class JointType:
         parent_point: ArrayLike | None = None,
         parent_frame: Any = None,
     ) -> Joint:
-        """Make the joint, its frames given by points and axes, or as 4×4 matrices.
+        """Make the joint, with frames from points and axes, or from 4×4 matrices.
 
-        All arguments may be batched. Without `ground_frame` the ground's joint frame is turned like
-        the body's: the joint closes at R = I.
+        All arguments may be batched. By default the ground's joint frame is parallel to the body's:
+        the joint is closed at R = I.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class JointType:
         ArgumentError
             The entry does not take an argument, or its shape or value is wrong.
         PoseError
-            A frame is no rigid motion.
+            A frame is not a rigid motion.
 
         Examples
         --------

@@ -1,7 +1,7 @@
-"""Motions of joints that have coordinates: maps from coordinates to D and from rates to D⁻¹Ḋ.
+"""Motions of joints with coordinates: maps from coordinates to D and from rates to D⁻¹Ḋ.
 
-A subgroup of SE(3) has a rotation vector or one angle, and positions. Other joints have a product
-of two motions of one freedom each, such as the two turns of a universal joint.
+Coordinates of a subgroup of SE(3) are a rotation vector or one angle, and positions. The motions of
+other joints are a product of two with one freedom each, such as the two turns of a universal joint.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from lierb.kernels.numbers.vec import ZERO3, Vec, add, dot, mat_t_vec, mat_vec, 
 from lierb.kernels.numbers.zero import ZERO
 from lierb.support.arrays import Array, Pose
 
-TURNS = ("xi1", "xi2", "xi3")  # coordinates of a rotation
+TURNS = ("xi1", "xi2", "xi3")  # names of the components of a rotation vector
 
 
 class Factor(NamedTuple):
-    """Motion of one freedom about or along an axis of the joint frame.
+    """Motion with one freedom, about or along an axis of the joint frame.
 
     name : name of the coordinate.   kind : "turn" or "slide".   axis : 0, 1 or 2.
     """
@@ -38,18 +38,18 @@ class Factor(NamedTuple):
 
     @property
     def rows(self) -> Rows:
-        """Rows of the joint with this motion alone."""
+        """Rows of the joint that has this motion only."""
         positions = [f"d{i + 1}" for i in range(3) if self.kind == "turn" or i != self.axis]
         turns = [f"Omega{i + 1}" for i in range(3) if self.kind == "slide" or i != self.axis]
         return tuple(JOINT_ROWS[name] for name in (*positions, *turns))
 
     def motion(self, number: Any) -> Pose:
-        """Factor F of a coordinate."""
+        """Factor F at a coordinate."""
         along = tuple(number if i == self.axis else ZERO for i in range(3))
         return (so3.exp(along), ZERO3) if self.kind == "turn" else (so3.identity, along)
 
     def twist(self, rate: Any) -> Vec:
-        """Twist F⁻¹Ḟ of a rate."""
+        """Twist F⁻¹Ḟ for a rate."""
         return tuple(rate if i == self.slot else ZERO for i in range(6))
 
 
@@ -71,7 +71,7 @@ class SubgroupMotions:
         return so3.exp(turning), position
 
     def coordinates(self, relative: Pose) -> Vec:
-        """Coordinates of a D in H."""
+        """Coordinates of a relative pose D in H."""
         q, d = relative
         turning: Vec = ()
         if self.slots[0] >= 0:
@@ -81,7 +81,7 @@ class SubgroupMotions:
         return turning + tuple(d[i] for i in range(3) if self.slots[3 + i] >= 0)
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """Twist D⁻¹Ḋ of rates at coordinates, whose rotation vector may exceed π."""
+        """Twist D⁻¹Ḋ for rates at coordinates, whose rotation vector may exceed π."""
         xi, _ = self._lifted(numbers)
         return self._twist(rates, xi, so3.exp(xi))
 
@@ -108,7 +108,7 @@ class SubgroupMotions:
         return rates + tuple(drift[i] for i in range(3) if self.slots[3 + i] >= 0)
 
     def _lifted(self, numbers: Vec) -> tuple[Vec, Vec]:
-        """Rotation vector and position of coordinates, or the rates of both of rates."""
+        """Rotation vector and position for coordinates; for rates, the rates of both."""
         turning = tuple(numbers[slot] if slot >= 0 else ZERO for slot in self.slots[:3])
         position = tuple(
             numbers[slot] if slot >= 0 else self.pitch * turning[2] if slot == PITCHED else ZERO
@@ -117,7 +117,7 @@ class SubgroupMotions:
         return turning, position
 
     def _turn(self, angle: Any, slide: Any) -> Any:
-        """Angle of a turn; for a screw with the whole turns that fit its slide."""
+        """Angle about e₃; for a screw, including the whole turns that its slide determines."""
         if self.slots[5] != PITCHED:
             return angle
         turned = slide / np.where(self.pitch == 0.0, 1.0, self.pitch)
@@ -128,7 +128,7 @@ class SubgroupMotions:
 class ProductMotions:
     """Motions D = F₁(a) F₂(b) of two factors with different axes, at least one of them a turn.
 
-    a is read off D in the ground's axes, b in the body's.
+    a is computed from D in the ground's axes, b from D in the body's.
     """
 
     def __init__(self, factors: tuple[Factor, ...]) -> None:
@@ -160,13 +160,13 @@ class ProductMotions:
 
     @staticmethod
     def _axes(turning: Factor, other: Factor) -> tuple[int, int, int, float]:
-        """Axes: of the turn, of the other factor, the third; and their sign, 1 if right-handed."""
+        """Axis of the turn, of the other factor, and the third; their sign, 1 if right-handed."""
         i = turning.axis
         j = other.axis if other.kind == "turn" else (i + 1) % 3
         return i, j, 3 - i - j, 1.0 if j == (i + 1) % 3 else -1.0
 
     def twist_at(self, rates: Vec, numbers: Vec) -> Vec:
-        """Twist D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ of rates at coordinates."""
+        """Twist D⁻¹Ḋ = Ad(F₂⁻¹) (ȧ e₁) + ḃ e₂ for rates at coordinates."""
         back = se3.inverse(self.last.motion(numbers[1]))
         return add(se3.Ad(back, self.first.twist(rates[0])), self.last.twist(rates[1]))
 

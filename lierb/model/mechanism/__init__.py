@@ -1,1 +1,1 @@
-"""Mechanisms: links, tree, coordinates, closing of loops, and their rows."""
+"""Mechanisms: links, tree, coordinates, closing of loops, and constraint rows."""

@@ -1,9 +1,9 @@
 """Closed poses, projected twists and freedoms of a mechanism.
 
 All rows together are J V = ḣ, V the twists of all links. The nearest V is that of least kinetic
-energy (`lierb.model.mechanism.row_system.DecomposedRows`), also for redundant rows, which every
-planar loop of revolute joints has. Each member of a batch is decomposed alone: its bits do not
-depend on its neighbours.
+energy (`lierb.model.mechanism.row_system.DecomposedRows`), even for redundant rows, which every
+planar loop of revolute joints has. Each member of a batch is decomposed separately: its bits do not
+depend on the other members.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Damping of Newton's steps, relative to the squared residual. Of 240 starts (four-bars, a
-# Bricard linkage, up to 0.8 off in every coordinate) all close with 0.1 to 1e-4, 229 with 1, 224
-# with none.
+# Bricard linkage, up to 0.8 off in every coordinate) all converge with 0.1 to 1e-4, 229 with 1,
+# 224 without damping.
 DAMPING = 1e-2
 MISSED = 0.1 * START_TOLERANCE  # largest residual of a projected twist, relative to the speed
-CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to the rates
-MOST_NUMBERS = 2**22  # in the matrices that are decomposed at once
+CONTRADICTION = 1e-6  # largest residual of rows with prescribed rates, relative to these
+MOST_NUMBERS = 2**22  # largest number of entries of the matrices that are decomposed at once
 
 
 class Mobility(NamedTuple):
     """Numbers of freedoms and of redundant rows, each an integer or (n,).
 
-    freedoms : of the links' velocities.   redundant : rows that others imply.
+    freedoms : freedoms of the links' velocities.   redundant : rows that are implied by others.
     """
 
     freedoms: Any
@@ -63,8 +63,8 @@ class Mobility(NamedTuple):
 class Part:
     """Range of a batch, which has at least one member.
 
-    arrays : arguments of its members.   first : number of its first member.
-    count : number of members of the whole batch.   is_batch : False where nothing is batched.
+    arrays : arguments of its members.   first : index of its first member.
+    count : size of the whole batch.   is_batch : False if nothing is batched.
     """
 
     mechanism: TreeKinematics
@@ -119,10 +119,10 @@ def closed(mechanism: TreeKinematics, poses: list[Array]) -> list[Array]:
 
 
 def _closed(part: Part) -> tuple[list[Array], bool]:
-    """Return the closed poses of a part, and whether any had to move.
+    """Return the closed poses of a part, and whether any pose has changed.
 
-    Newton's steps are damped by the squared residual (Levenberg, Marquardt): convergence stays
-    quadratic where rows are redundant, which they are only nearly away from closed poses.
+    Newton's steps are damped by the squared residual (Levenberg, Marquardt). Convergence is then
+    quadratic for redundant rows too, which are only nearly redundant away from closed poses.
     """
     system = System(part.mechanism, len(part.arrays[0]), is_stout=True)
     poses = [pose_components(pose) for pose in part.arrays]
@@ -161,7 +161,7 @@ def _closed(part: Part) -> tuple[list[Array], bool]:
 
 
 def _without_velocity_rows(states: list[ConnectionState]) -> list[ConnectionState]:
-    """Connections without the rows of motors."""
+    """Connections without rows on velocities, such as those of motors."""
     return [
         s._replace(at=s.at._replace(rows=tuple(r for r in s.at.rows if r.is_holonomic)))
         for s in states
@@ -169,7 +169,7 @@ def _without_velocity_rows(states: list[ConnectionState]) -> list[ConnectionStat
 
 
 def _excesses(s: ConnectionState, values: list[Any]) -> Iterator[Any]:
-    """Residual of each row relative to rounding; up to 1 it is closed."""
+    """Residual of each row relative to rounding; a row is closed up to 1."""
     small = CLOSED * s.length + s.rounding
     for r, value in zip(s.at.rows, values, strict=True):
         excess = absolute(plain(value)) / (small if r.is_translational else CLOSED)
@@ -179,7 +179,7 @@ def _excesses(s: ConnectionState, values: list[Any]) -> Iterator[Any]:
 def _no_convergence(
     system: System, states: list[ConnectionState], off: list[list[Any]], member: int, label: str
 ) -> str:
-    """Message with the connection of the largest residual."""
+    """Message that names the connection with the largest residual."""
 
     def largest(pair: tuple[ConnectionState, list[Any]]) -> float:
         return max((float(one_of(x, member)) for x in _excesses(*pair)), default=0.0)
@@ -240,7 +240,7 @@ def _projected(part: Part, t0: float) -> list[Array]:
 
     is_driven = np.any(goal, axis=1)
     twists = nearest(start)
-    # Near a singular pose a row that is nearly redundant decides whether a start is accepted.
+    # Near a singular pose, nearly redundant rows decide whether a start is accepted.
     missed = np.max(np.abs(goal - rates(twists)), axis=1) > MISSED * decomposed.speed(twists)
     missed &= ~is_driven
     if missed.any():

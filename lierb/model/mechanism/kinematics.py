@@ -1,6 +1,6 @@
 """Kinematics of a mechanism: motions of its links and joints, and coordinates of the joints.
 
-A joint acts between a frame B on its body and a frame G on its parent, the ground or another link:
+A joint acts between a frame B on its body and a frame G on its parent, another link or the ground:
 D = G⁻¹ C_parent⁻¹ C B. Its rows act on D⁻¹Ḋ = Ad(B⁻¹) V − Ad(D⁻¹G⁻¹) V_parent.
 """
 
@@ -34,20 +34,20 @@ from lierb.support.arrays import (
     pose_matrix,
 )
 
-_quiet = np.errstate(all="ignore")  # an overflow is reported from the result
+_quiet = np.errstate(all="ignore")  # overflow is detected in the result
 
 
 class TreeKinematics(Tree):
-    """Tree of links with poses and twists, which coordinates of the joints and rates determine."""
+    """Tree of links with maps between joint coordinates and poses, and between rates and twists."""
 
     # ---- connections -----------------------------------------------------------------------------
 
     def parameters(self, at: Connection) -> Parameters:
-        """Return the numbers of a connection's body and frames; gravity is in the ground's axes."""
+        """Return the parameters of a connection's body and frames; gravity is in ground axes."""
         return parameters_of(self.links[at.body].body, at.joint, self.gravity)
 
     def constants(self, at: Connection) -> BodyConstants:
-        """Return the body of a connection in its joint's axes, with the elements that act there."""
+        """Return the constants of a connection's body, with the elements that act there."""
         elements = [self.elements[i] for i in at.elements]
         given = tuple(element.kind for element in elements)
         return kinds.body_with(SE3, self.parameters(at), given, numbers_of(elements))
@@ -95,7 +95,7 @@ class TreeKinematics(Tree):
         return [components(twist) for twist in self.twist_arrays(argument, given)]
 
     def by_link(self, argument: str, given: Any, is_whole: bool = True) -> dict[str, Any]:
-        """Check a dictionary by names of links; `is_whole`: it has an entry for every link."""
+        """Check a dictionary by link.   is_whole : True if every link must have an entry."""
         if given is None and not is_whole:
             return {}
         if not isinstance(given, Mapping):
@@ -117,18 +117,17 @@ class TreeKinematics(Tree):
 
     @_quiet
     def pose(self, coordinates: ByLink | None = None) -> dict[str, Array]:
-        """Compute the poses of all links from the coordinates of their joints; loops may stay open.
+        """Compute the poses of all links from joint coordinates.
 
-        `close` then closes the loops.
+        Loops may remain open; `close` closes them.
 
         Parameters
         ----------
         coordinates : dict, optional
-            Coordinates of each link's joint, as `lierb.joints.Joint.pose` takes them: (k,) or (n,
-            k), a number or (n,) where there is one, or a rotation. Coordinates left out are 0. Any
-            link may be given its pose in the ground frame instead, (4, 4) or (n, 4, 4). A link
-            whose joint has no coordinates, such as point_on_line, and that is left out has
-            coinciding joint frames.
+            Coordinates of each link's joint, as for `lierb.joints.Joint.pose`: (k,) or (n, k); a
+            number or (n,) for a single coordinate; or a rotation. A link's pose in the ground
+            frame, (4, 4) or (n, 4, 4), can replace them. Default: 0 for each missing link; if its
+            joint has no coordinates, as point_on_line, the joint frames coincide.
 
         Returns
         -------
@@ -172,13 +171,13 @@ class TreeKinematics(Tree):
         Parameters
         ----------
         pose : dict
-            Poses of all links; that they close the joints is not checked.
+            Poses of all links. It is not checked whether they close the joints.
 
         Returns
         -------
         dict of ndarray, shape (k,) or (n, k)
-            Coordinates of each link's joint. A joint without coordinates has the link's pose in the
-            ground frame instead, as `pose` takes it; the link of a fixed joint is left out.
+            Coordinates of each link's joint. For a joint without coordinates, the pose of the link
+            in the ground frame, as an argument of `pose`. Links of fixed joints are omitted.
         """
         poses = self.poses("pose", pose)
         coordinates = {}
@@ -194,16 +193,17 @@ class TreeKinematics(Tree):
     def twist(
         self, velocities: ByLink | None = None, pose: ByLink | None = None
     ) -> dict[str, Array]:
-        """Compute the twists of all links from the rates of their joints' coordinates.
+        """Compute the twists of all links from the rates of joint coordinates.
 
-        `project` then satisfies the loops.
+        Twists may violate the loops; `project` makes them satisfy all loops.
 
         Parameters
         ----------
         velocities : dict, optional
-            Rates of each link's joint, rad/s and m/s, (k,) or (n, k), or a number or (n,) where
-            there is one. Rates left out are 0. A link whose joint has no coordinates may be given
-            its body-fixed twist, (6,) or (n, 6); left out, it moves with its parent.
+            Rates of each link's joint, rad/s and m/s: (k,) or (n, k), or a number or (n,) for a
+            single coordinate. For a link whose joint has no coordinates, its body-fixed twist, (6,)
+            or (n, 6). Default: 0 for each missing link; without coordinates, it moves with its
+            parent.
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
 
@@ -254,15 +254,15 @@ class TreeKinematics(Tree):
         Parameters
         ----------
         twist : dict
-            Body-fixed twists of all links; that they satisfy the joints is not checked.
+            Body-fixed twists of all links. They are not checked against the joints.
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
 
         Returns
         -------
         dict of ndarray, shape (k,) or (n, k)
-            Rates of each link's joint, rad/s and m/s. A joint without coordinates has the link's
-            twist instead, as `twist` takes it; the link of a fixed joint is left out.
+            Rates of each link's joint, rad/s and m/s. For a joint without coordinates, the twist of
+            the link, as an argument of `twist`. Links of fixed joints are omitted.
         """
         poses = self.poses("pose", self.pose() if pose is None else pose)
         twists = self.twists("twist", twist)

@@ -24,7 +24,7 @@ class Link(Shown):
     Parameters
     ----------
     name : str
-        Name of the link and of its columns in the results: letters, digits and _.
+        Name of the link and prefix of its columns in the results: letters, digits and _.
     body : Body
         The body or the batch of bodies.
     joint : Joint
@@ -59,12 +59,12 @@ class Link(Shown):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Loop(Shown):
-    """Joint beside those of the links, which closes a loop.
+    """Joint that closes a loop, in addition to the joints of the links.
 
     Parameters
     ----------
     name : str
-        Name of the loop and of its columns in the results: letters, digits and _.
+        Name of the loop and prefix of its columns in the results: letters, digits and _.
     joint : Joint
         Joint between the two links.
     body : str

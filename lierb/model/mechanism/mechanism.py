@@ -1,4 +1,4 @@
-"""Mechanism: rigid bodies in a tree of joints, with loops that close it."""
+"""Mechanism: rigid bodies in a tree of joints, with closed loops."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from lierb.support.arrays import Array, as_number, finite
 class Mechanism(TreeKinematics):
     """Bodies, joints between them, and forces on them.
 
-    Every argument of every link may be batched. Poses and twists are dictionaries, of a (4, 4) or
-    (n, 4, 4) and a (6,) or (n, 6) for each link, C in the ground frame and V body-fixed. Forces and
-    other elements act where their method `on` says, `.on(link)` or `.on(link, other)`; with one
-    link it may be left out.
+    Every argument of every link may be batched. Poses and twists are dictionaries by link: C in the
+    ground frame, (4, 4) or (n, 4, 4), and V body-fixed, (6,) or (n, 6). The method `on` of forces
+    and other elements sets where they act, `.on(link)` or `.on(link, other)`; it is optional if
+    there is only one link.
 
     Parameters
     ----------
     links : Link or iterable of Link
         Links in any order; a link's parent may come after it.
     loops : Loop or iterable of Loop, optional
-        Joints beside those of the links.
+        Joints that close loops.
     gravity : array_like, shape (3,) or (n, 3), optional
         Acceleration of gravity in the ground frame, m/s². Default: none.
     forces : Force or iterable of Force, optional
@@ -45,14 +45,14 @@ class Mechanism(TreeKinematics):
     events : Event or iterable of Event, optional
         Crossings of zero to be located, made by `lierb.event`.
     states : ExtraStates or iterable of ExtraStates, optional
-        Further states, made by `lierb.states` and integrated with the mechanism's.
+        Further states, made by `lierb.states` and integrated with those of the mechanism.
     controllers : Controller or iterable of Controller, optional
         Sampled controllers, made by `lierb.controller`.
 
     Raises
     ------
     ArgumentError
-        The links make no tree, or a name is no link's.
+        The links do not form a tree, or no link has a name that is referred to.
     ForceError
         A force acts about a joint axis that does not exist, or a function uses states or controls
         that the mechanism does not have.
@@ -87,22 +87,22 @@ class Mechanism(TreeKinematics):
 
         Bodies keep their names and frames. Hinge, slide, ball and free joints become joints of the
         catalogue; several on one body become the joint that combines them, such as universal.
-        `equality/connect` and `weld` become loops, springs and dampers of joints that keep their
-        axis become forces, and `pose()` is the pose at qpos0. A LeftOutWarning lists what is left
-        out: contacts, friction, actuators, tendons and other elements of MuJoCo's. Needs mujoco
-        (the extra `lierb[mjcf]`).
+        `equality/connect` and `weld` become loops. Springs and dampers of joints that keep their
+        axis become forces. `pose()` is the pose at qpos0. A LeftOutWarning lists the elements that
+        are left out: contacts, friction, actuators, tendons and others. Requires mujoco (the extra
+        `lierb[mjcf]`).
 
         Parameters
         ----------
         path : path
-            The file; files that it includes and refers to are found from there.
+            The file. Paths of included files and meshes are relative to it.
         merge_fixed : bool, optional
-            Make bodies that are welded to each other one link, rather than a link each on a fixed
-            joint. A welded body without mass, or with an inertia that no rigid body has, is merged
-            with its parent in any case, and one that is welded to the world is the ground.
+            Merge bodies that are welded to each other into one link, instead of one link for each,
+            on a fixed joint. A welded body without mass, or with an inertia that no rigid body has,
+            is always merged with its parent. A body that is welded to the world is the ground.
         limit_stiffness : float, optional
-            Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; None leaves limits
-            out. MuJoCo's own stiffness depends on the mass that a stop holds.
+            Stiffness of stops at the limits of hinges, N m/rad, and slides, N/m; with None,
+            limits are left out. In MuJoCo stiffness depends on the mass at a stop.
 
         Returns
         -------
@@ -112,8 +112,8 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         ArgumentError
-            MuJoCo refuses the file or is not installed, the joints of a body combine to none of the
-            catalogue, or a link that moves has no mass or an inertia that no rigid body has.
+            MuJoCo refuses the file or is not installed; the catalogue has no joint that combines
+            those of a body; or a moving link has no mass or an inertia that no rigid body has.
         """
         return cls._of_file(path, "MJCF", None, merge_fixed, limit_stiffness)
 
@@ -134,11 +134,11 @@ class Mechanism(TreeKinematics):
         Parameters
         ----------
         path : path
-            The file. Meshes are not read: all mass is in <inertial>.
+            The file. Meshes are not read: masses are those in <inertial>.
         gravity : array_like, shape (3,) or (n, 3), optional
             Acceleration of gravity, m/s², which URDF does not have.
         merge_fixed : bool, optional
-            Make welded bodies one link, as in `from_mjcf`.
+            Merge welded bodies into one link, as in `from_mjcf`.
         limit_stiffness : float, optional
             Stiffness of stops at the limits of joints, N m/rad or N/m; None leaves limits out.
 
@@ -192,8 +192,8 @@ class Mechanism(TreeKinematics):
     def close(self, pose: ByLink) -> dict[str, Array]:
         """Find poses that close all joints and loops near given ones, by Newton's method.
 
-        Every step is the motion of least kinetic energy that closes the joints, as in
-        `lierb.Problem.close`; rows may be redundant. A pose that is closed to rounding already is
+        Every step is the motion of least kinetic energy that cancels the residuals, as in
+        `lierb.Problem.close`; rows may be redundant. A pose that is already closed to rounding is
         returned unchanged.
 
         Parameters
@@ -209,7 +209,7 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         PoseError
-            The iteration does not converge; the message says which joint stays open by how much.
+            The iteration does not converge; the message has the largest residual and its joint.
 
         Examples
         --------
@@ -231,7 +231,7 @@ class Mechanism(TreeKinematics):
         >>> truss.coordinates(closed)["bar"].round(6).tolist()  # −π/6
         [-0.523599]
         """
-        with np.errstate(all="ignore"):  # an overflow does not converge
+        with np.errstate(all="ignore"):  # with an overflow it does not converge
             poses = closed(self, self.pose_arrays("pose", pose))
         return self._checked("the closed pose", poses)
 
@@ -247,7 +247,7 @@ class Mechanism(TreeKinematics):
         pose : dict, optional
             Poses of all links. Default: all coordinates 0.
         t0 : float, optional
-            Time at which motors have their speeds, s.
+            Time at which the speeds of motors are evaluated, s.
 
         Returns
         -------
@@ -257,7 +257,7 @@ class Mechanism(TreeKinematics):
         Raises
         ------
         TwistError
-            Motors prescribe speeds that no twist has.
+            No twist satisfies the speeds prescribed by motors.
 
         Examples
         --------
@@ -282,7 +282,7 @@ class Mechanism(TreeKinematics):
         return {name: finite(f"{what} of {name}", array) for name, array in pairs}
 
     def freedoms(self, pose: ByLink | None = None) -> Mobility:
-        """Count the freedoms that joints and loops leave at a pose, and the redundant rows.
+        """Count the degrees of freedom of joints and loops at a pose, and redundant rows.
 
         Parameters
         ----------
@@ -292,7 +292,7 @@ class Mechanism(TreeKinematics):
         Returns
         -------
         Mobility
-            `freedoms` and `redundant`, whole numbers or (n,) of them. Motors do not count.
+            `freedoms` and `redundant`, integers or (n,). Motors are not counted.
 
         Examples
         --------

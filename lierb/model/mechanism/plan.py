@@ -22,7 +22,7 @@ CSPACES = ("reduced", "SE3", "SO3xR3")
 
 
 def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
-    """Return the c-space of each link. Raises ArgumentError for an unfit name or body."""
+    """Return the c-space of each link. Raises ArgumentError for an invalid name or body."""
     if isinstance(cspace, Mapping):
         for name in cspace:
             if name not in mechanism.names:
@@ -49,7 +49,7 @@ def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
 def formulation_of(
     mechanism: Tree, cspace: CSpace, update: str, solver: str, stabilise: Any
 ) -> Formulation:
-    """Validate the options that choose the equations. Raises ArgumentError."""
+    """Validate the options that select the equations. Raises ArgumentError."""
     cspaces, stabilisation = cspaces_of(mechanism, cspace), stabilisation_of(stabilise)
     if solver != "auto":
         raise ArgumentError(
@@ -72,7 +72,7 @@ def mechanism_plan_of(
 ) -> MechanismPlan:
     """Return the plan of a mechanism with a c-space for each link."""
     tree: list[Node] = []
-    nodes = {NOWHERE: GROUND}  # by the numbers of links
+    nodes = {NOWHERE: GROUND}  # node index by link index
     for i in mechanism.order:
         joint, parent = mechanism.links[i].joint, nodes[mechanism.parents[i]]
         if cspaces[i] != "reduced":
@@ -114,12 +114,12 @@ def mechanism_plan_of(
 
 
 def is_group(joint: Joint) -> bool:
-    """Return whether the joint's motions are a subgroup of SE(3), or the identity alone."""
+    """Return whether the joint's motions are a subgroup of SE(3), including the trivial one."""
     return joint.subgroup is not None or slots_of(joint.rows) == (FIXED,) * 6
 
 
 def _hangs(mechanism: Tree, i: int, cspaces: tuple[str, ...]) -> bool:
-    """Return whether one node connects a link to its parent."""
+    """Return whether a link and its parent are connected by a single node."""
     return cspaces[i] != "reduced" or not mechanism.links[i].joint.factors
 
 

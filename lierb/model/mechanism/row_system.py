@@ -1,8 +1,9 @@
 """Linear system J V = ḣ of all rows of a mechanism at a pose, V the twists of all links.
 
-Two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's longest
-lever, and y with ‖y‖² twice the kinetic energy. Redundancy depends on geometry alone: ranks are
-found in x, with rows of length 1. Masses select among the motions that all rows allow.
+There are two metrics: x = (ω, v/ℓ) of every link, v of its centre of mass and ℓ the mechanism's
+longest lever arm; and y, with ‖y‖² twice the kinetic energy. Redundancy depends on geometry alone:
+ranks are determined in x, with rows of length 1. Masses select among the motions that all rows
+allow.
 """
 
 from __future__ import annotations
@@ -48,18 +49,18 @@ if TYPE_CHECKING:
     from lierb.model.mechanism.kinematics import TreeKinematics
 
 # Bound between nonzero and zero singular values, relative to the largest. A start
-# may be off its joints by 1e-9, and redundant rows are dependent only as far as it is closed.
+# may violate its joints by 1e-9, and redundant rows are then dependent only to that accuracy.
 RANK_TOLERANCE = 1e-7
-NEWTON_STEPS = 50  # quadratic convergence takes 4 to 6 from any start that converges
-CLOSED = 1e-13  # rad, and relative to the problem's length: residual at rounding
-LEAST_GYRATION = 0.03  # radius of gyration of a link as `close` takes it, relative to its length
+NEWTON_STEPS = 50  # starts that converge do so quadratically, in 4 to 6 steps
+CLOSED = 1e-13  # rad, or relative to the problem's length: residual due to rounding
+LEAST_GYRATION = 0.03  # least radius of gyration of a link in `close`, relative to its length
 
 
 class Metric:
     """Kinetic energy of one link: Θ = LLᵀ, m and c."""
 
     def __init__(self, p: Parameters, unit: Any, least: Any) -> None:
-        """unit : unit of y², kg m².   least : lower bound of the inertia's trace, kg m²."""
+        """unit : unit of y², kg m².   least : lower bound for the trace of the inertia, kg m²."""
         inertia = inertia_about_com(p)
         trace = inertia[0] + inertia[4] + inertia[8]
         added = where(trace < least, least, 0.0 * trace)
@@ -67,7 +68,7 @@ class Metric:
         self.com, self.root, self.unit = p.com, np.sqrt(p.mass), np.sqrt(unit)
 
     def __call__(self, omega: Vec, moving: Vec) -> Vec:
-        """y of an angular velocity and the velocity of the centre of mass."""
+        """Compute y from angular velocity and velocity of the centre of mass."""
         turning = mat_t_vec(self.lower, omega)
         return scale(1.0 / self.unit, turning + scale(self.root, moving))
 
@@ -85,7 +86,8 @@ def _cholesky(m: Mat) -> Mat:
 class ConnectionState(NamedTuple):
     """Connection at a pose and twist of its links.
 
-    length : m, the larger one of its two links.   rounding : m, of points that coincide.
+    length : the larger characteristic length of its two links, m.
+    rounding : rounding of the distance between points that coincide, m.
     """
 
     at: Connection
@@ -100,7 +102,7 @@ class System:
     """Rows of a mechanism, for all members of its batch at once."""
 
     def __init__(self, mechanism: TreeKinematics, count: int, is_stout: bool = False) -> None:
-        """is_stout : True to take links that are small beside their arms as larger."""
+        """is_stout : True to enlarge the inertia of links that are small relative to their arms."""
         self.mechanism, self.count = mechanism, count
         of_links = [mechanism.parameters(at) for at in mechanism.joints[: len(mechanism.links)]]
         self.lengths = [length_of(p) for p in of_links]
@@ -116,7 +118,7 @@ class System:
 
     @cached_property
     def connections(self) -> list[tuple[Connection, Parameters, BodyConstants, Any]]:
-        """Connections with data that no pose changes: parameters, constants and length."""
+        """Connections with data that do not depend on poses: parameters, constants and length."""
         mechanism, connections = self.mechanism, []
         for at in mechanism.connections:
             p = mechanism.parameters(at)
@@ -153,7 +155,7 @@ class System:
         return SE3.kinematics(body, relative, moving)
 
     def wrenches(self, at: Connection, p: Parameters, x: Kinematics, row: Vec) -> dict[int, Vec]:
-        """Return a row of a connection, on the twist of each link about its centre of mass."""
+        """Return a connection's row as wrenches on its links, about their centres of mass."""
         wrenches = {at.body: _moved(p.body, row)}
         if at.parent >= 0:
             in_parent = se3.compose(p.ground, (x.q, x.d))  # the body's joint frame
@@ -179,7 +181,7 @@ class System:
                             lever = np.divide(plain(norm(wrench[:3])), plain(norm(wrench[3:])))
                         levers = np.fmax(levers, np.where(np.isfinite(lever), lever, 0.0))
                 number += 1
-        matrix[~np.isfinite(matrix).all(axis=(1, 2))] = 0.0  # no step: the member stays open
+        matrix[~np.isfinite(matrix).all(axis=(1, 2))] = 0.0  # no step: the member does not converge
         lever = np.where(levers > 0.0, levers, 1.0)
         for link in range(len(self.metrics)):
             matrix[:, :, 6 * link + 3 : 6 * link + 6] *= lever[:, None, None]
@@ -202,13 +204,13 @@ class Decomposed:
         self.ranks = self.ranks_above(RANK_TOLERANCE)
 
     def ranks_above(self, tolerance: float) -> Array:
-        """Return the numbers of singular values above this fraction of the largest one."""
+        """Return the number of singular values above this fraction of the largest one."""
         kept = self.values > tolerance * self.values[:, :1]
         ranks: Array = np.count_nonzero(kept, axis=1)
         return ranks
 
     def least(self, wanted: Array, damping: Array | float = 0.0) -> Array:
-        """Return the least x with A x = wanted, or that of ‖A x − wanted‖² + damping ‖x‖².
+        """Return the least x with A x = wanted, or the minimum of ‖A x − wanted‖² + damping ‖x‖².
 
         wanted : (count, rows).   damping : (count,).
         """
@@ -223,7 +225,7 @@ class Decomposed:
 class DecomposedRows(Decomposed):
     """Decomposition of all rows, in x and scaled to length 1.
 
-    lengths : (count, rows), lengths before the scaling.
+    lengths : (count, rows), lengths before scaling.
     """
 
     def __init__(self, system: System, matrix: Array, lever: Array) -> None:
@@ -235,13 +237,13 @@ class DecomposedRows(Decomposed):
 
     @property
     def freedoms(self) -> Array:
-        """Dimensions of the space of motions that all rows allow."""
+        """Dimension of the space of motions that all rows allow, (count,)."""
         freedoms: Array = self.vt.shape[1] - self.ranks
         return freedoms
 
     @cached_property
     def moving(self) -> Array:
-        """Motions `vt` as y, (count, n, n); those from number `ranks` on are free."""
+        """Motions `vt` in y, (count, n, n); those from index `ranks` on are free."""
         return np.swapaxes(self._energetic(np.swapaxes(self.vt, 0, 1)), 0, 1)
 
     def speed(self, twists: list[Vec]) -> Array:
@@ -256,7 +258,7 @@ class DecomposedRows(Decomposed):
     def lightest(self, wanted: Array, damping: Array | float = 0.0) -> list[Vec]:
         """Return the twists of least kinetic energy with J V = wanted, for rows of length 1.
 
-        damping : as in `least`; the free motions that are added have none.
+        damping : as in `least`; it does not act on the free motions that are added.
         """
         x = self.least(wanted, damping)
         y = self._energetic(x)
@@ -276,7 +278,7 @@ class DecomposedRows(Decomposed):
             yield part[:3], scale(self.lever, part[3:]), metric
 
     def _energetic(self, x: Array) -> Array:
-        """Return the y of an x, (…, count, 6 links)."""
+        """Convert x to y, (…, count, 6 links)."""
         return np.concatenate([assembled(metric(*v)) for *v, metric in self._parts(x)], axis=-1)
 
 
@@ -285,9 +287,9 @@ def _easing(free: Array, moving: Array, y: Array) -> Array:
 
     free, moving : (count, freedoms, n), in x and in y.
 
-    With masses of different orders the columns of y are nearly parallel, dominated by the heaviest
-    link. Gaussian elimination with complete pivoting yields columns that move ever lighter links,
-    and that are well-conditioned once they have length 1.
+    With masses of different orders of magnitude the columns of y are nearly parallel, dominated by
+    the heaviest link. Gaussian elimination with complete pivoting gives columns that move lighter
+    and lighter links, and that are well-conditioned once scaled to length 1.
     """
     free, moving, (count, freedoms, n) = free.copy(), moving.copy(), free.shape
     each = np.arange(count)
@@ -307,13 +309,13 @@ def _easing(free: Array, moving: Array, y: Array) -> Array:
 
 
 def _moved(frame: Pose, wrench: Vec) -> Vec:
-    """Transform a wrench from a frame to the frame in which its pose is given."""
+    """Transform a wrench from a frame to the outer frame."""
     force = mat_vec(frame[0], wrench[3:])
     return cross_add(frame[1], force, mat_vec(frame[0], wrench[:3])) + force
 
 
 def summed(array: Array) -> Array:
-    """Sum over the last axis in order; the order of `np.sum` depends on the batch."""
+    """Sum over the last axis, in order; the order in `np.sum` depends on the batch."""
     total = np.zeros(array.shape[:-1])
     for i in range(array.shape[-1]):
         total = total + array[..., i]
@@ -324,7 +326,7 @@ def summed(array: Array) -> Array:
 
 
 def wrong_way(s: ConnectionState, count: int) -> Any:
-    """Return the numbers of members whose joint is half a turn off, at which rows vanish too."""
+    """Return the indices of members whose joint is half a turn off; rows vanish there, too."""
     against = np.zeros(count, dtype=bool)
     for bearing in bearings(s.at.rows, s.x.q):
         against |= np.broadcast_to(bearing <= 0.0, (count,))
@@ -332,7 +334,7 @@ def wrong_way(s: ConnectionState, count: int) -> Any:
 
 
 def reversed_joint(mechanism: TreeKinematics, at: Connection, label: str) -> str:
-    """Message on a joint that is half a turn off."""
+    """Message for a joint that is half a turn off."""
     return (
         f"{label} holds {name_of(mechanism, at)} the wrong way round, half a turn off, which no "
         "row sees; turn a link or one of the joint's frames by 180°"
@@ -349,7 +351,7 @@ def name_of(mechanism: TreeKinematics, at: Connection) -> str:
 
 
 def errors_of(s: ConnectionState) -> tuple[tuple[str, str, Any], tuple[str, str, Any]]:
-    """Kind, unit and size of the position and the rotation error."""
+    """Kind, unit and magnitude of the position error and of the rotation error."""
     rows = s.at.rows
     return (
         ("position", " m", sqrt(plain(position_error_squared(rows, s.x, s.body)))),

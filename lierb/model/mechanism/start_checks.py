@@ -1,4 +1,4 @@
-"""Start of a run: poses and twists against the rows of all joints, before anything runs."""
+"""Checks of the start of a run: poses and twists against the rows of all joints."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ EVEN_SO = '(check="warn" integrates it all the same, but not on "reduced")'
 
 
 class Members(NamedTuple):
-    """Members of a batch: number of the first, how many they are, and size of the batch."""
+    """Members of a batch: index of the first, their number, and size of the batch."""
 
     first: int
     size: int
@@ -53,9 +53,9 @@ class Members(NamedTuple):
 class Start(NamedTuple):
     """Joints of a model at the start, with their names in messages.
 
-    speed : m/s, with which the tolerances of velocities scale.   time : s.
-    turned : what to turn where a joint is half a turn off.   closing : effect of `close` on a
-    member.   projecting : effect of `project`.
+    speed : m/s, scale of the tolerances of velocities.   time : s.
+    turned : text on what to turn if a joint is half a turn off.   closing : text on the effect of
+    `close` on a member.   projecting : text on the effect of `project`.
     """
 
     joints: list[tuple[str, ConnectionState]]
@@ -70,9 +70,9 @@ class Start(NamedTuple):
 def violation_of_body(
     model: Model, poses: Array, twists: Array, t0: float, number: int | None
 ) -> LierbError | None:
-    """Return the error of the first body whose start violates its joint; None without one.
+    """Return the error of the first body whose start violates its joint, or None.
 
-    number : the only body to check, or None.
+    number : index of the only body to check, or None.
     """
     count = model.batch_size(pose0=(poses, 2), twist0=(twists, 1)) or 1
     with np.errstate(all="ignore"):
@@ -109,10 +109,10 @@ def _start_of_body(model: Model, poses: Array, twists: Array, t0: float, members
 
 
 def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: float) -> Start:
-    """Return all joints, loops and constraints at poses and twists as `lierb.integrate` takes them.
+    """Return all joints, loops and constraints at the arguments of `lierb.integrate`.
 
-    The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest
-    but for the rounding of the others' speed.
+    The speed is the sum of the links' speeds: at a dead point the links of a joint may be at rest,
+    except for the rounding of the other links' speed.
     """
     placed, moving = mechanism.poses("pose0", pose), mechanism.twists("twist0", twist)
     sizes = {f"pose0[{n!r}]": placed[i][1][0] for i, n in enumerate(mechanism.names)}
@@ -132,12 +132,12 @@ def start_of_mechanism(mechanism: TreeKinematics, pose: Any, twist: Any, t0: flo
 
 
 def speed_of(twist: Vec, com: Vec, length: Any) -> Any:
-    """‖v‖ + ℓ‖ω‖ of a body, m/s, v that of its centre of mass."""
+    """‖v‖ + ℓ‖ω‖ of a body, m/s, with v of its centre of mass."""
     return norm(cross_add(twist[:3], com, twist[3:])) + length * norm(twist[:3])
 
 
 def violation_of(start: Start) -> LierbError | None:
-    """Return the error of the first violated joint; None without one."""
+    """Return the error of the first violated joint, or None."""
     for find in (_pose_violation, _twist_violation):
         for name, h in start.joints:
             if error := find(start, name, h):
@@ -199,14 +199,14 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
 
 
 def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
-    """Return the first member whose error is beyond its tolerance, or is no number."""
+    """Return the index of the first member whose error exceeds its tolerance or is NaN."""
     is_fine = np.broadcast_to((size <= allowed) & (allowed < np.inf), (count,))
     found: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
     return found
 
 
 def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
-    """m/s and rad/s, relative to the speed and to that which forces bring about in ℓ/speed."""
+    """Tolerances, m/s and rad/s, relative to speed and to what forces add to it in ℓ/speed."""
     position = START_TOLERANCE * h.length + h.rounding
     ahead = sqrt(norm(h.parameters.gravity) / h.length)
     for r in h.at.rows:
@@ -239,7 +239,7 @@ def _effect_of_closing(mechanism: TreeKinematics, pose: Any, member: int) -> str
 
 
 def immobile(mechanism: TreeKinematics, pose: Any) -> ArgumentError | None:
-    """Return the error of a mechanism whose loops and constraints leave no freedom."""
+    """Return an error if loops and constraints leave no degree of freedom, or None."""
     if not any(at.rows and at.joint is None for at in mechanism.places) and not mechanism.loops:
         return None
     poses = [as_poses("pose0", pose[name]) for name in mechanism.names]

@@ -1,4 +1,4 @@
-"""Tree of a mechanism: links, loops and elements, checked, and the connections between links."""
+"""Tree of a mechanism: checked links, loops and elements, and connections between links."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from lierb.support.arrays import (
 )
 from lierb.support.shown import Lines, counted, quantity
 
-BODY = {"mass": 0, "inertia": 2, "com": 1}  # axes of an item, by the name of the array
+BODY = {"mass": 0, "inertia": 2, "com": 1}  # number of axes of an item, by name of the array
 JOINT = {"ground_frame": 2, "body_frame": 2, "pitch": 0, "length": 0}
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Tree(Model):
-    """Links, loops and elements of a mechanism, checked.
+    """Checked links, loops and elements of a mechanism.
 
     Parameters and attributes are those of `lierb.Mechanism`.
     """
@@ -76,7 +76,7 @@ class Tree(Model):
         owners: dict[str, str] = {}
         for each in self.links_and_loops:
             what = "link" if isinstance(each, Link) else "loop"
-            name = each.name.lower()  # SQL, in which their columns are named, is blind to case
+            name = each.name.lower()  # SQL ignores case in names of columns
             if name in owners:
                 hint = ""
                 if what == owners[name] == "link":
@@ -118,22 +118,22 @@ class Tree(Model):
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the links, in the order given."""
+        """Names of the links, in the order of the argument."""
         return tuple(link.name for link in self.links)
 
     @cached_property
     def numbers(self) -> dict[str, int]:
-        """Numbers of the links and the ground, by name."""
+        """Indices of the links and the ground, by name."""
         return {name: i for i, name in enumerate(self.names)} | {GROUND: NOWHERE}
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """Number of each link's parent; NOWHERE is the ground."""
+        """Index of each link's parent; NOWHERE is the ground."""
         return tuple(self.numbers[link.parent] for link in self.links)
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """Numbers of the links, parents before their children; else in the order given."""
+        """Indices of the links, parents before children, otherwise in the order of `links`."""
         order: dict[int, None] = {NOWHERE: None}
         while len(order) <= len(self.links):
             ready = [i for i, p in enumerate(self.parents) if i not in order and p in order]
@@ -154,7 +154,7 @@ class Tree(Model):
         )
 
     def link(self, name: str) -> Link:
-        """Return the link of that name.
+        """Return the link with that name.
 
         Parameters
         ----------
@@ -191,7 +191,7 @@ class Tree(Model):
 
     @cached_property
     def joints(self) -> tuple[Connection, ...]:
-        """Joints of the links, in their order, then of the loops."""
+        """Joints of the links, in order, then of the loops."""
         ends = [x.name if isinstance(x, Link) else x.body for x in self.links_and_loops]
         return tuple(
             Connection(x.name, self.numbers[body], self.numbers[x.parent], x.joint, x.joint.rows)
@@ -215,7 +215,7 @@ class Tree(Model):
         return tuple(places)
 
     def name_of(self, element: int) -> str:
-        """Prefix of an element's columns: link.element, with a number where there are several."""
+        """Prefix of an element's columns: link.element, with a number if there are several."""
         names = [f"{each.at[0]}.{each.name}" for each in self.elements]
         name = names[element]
         before = names[:element].count(name)
@@ -231,7 +231,7 @@ class Tree(Model):
         return tuple(self._placed(f"{label}[{i}]", e) for i, e in enumerate(elements))
 
     def _placed(self, label: str, element: Element) -> Any:
-        """Return the element on its links; raise where it has none or does not act there."""
+        """Return the element on its links; raise if it has none or cannot act there."""
         if not element.at:
             if len(self.links) > 1:
                 raise ArgumentError(
