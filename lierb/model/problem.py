@@ -256,7 +256,7 @@ class Problem(Model):
         return kinds.body_with(space, self.parameters(), self.kinds, numbers_of(self.elements))
 
     def close(self, pose: Any) -> Array:
-        """Find a pose that closes the joint near a given one, by Newton's method on its rows.
+        """Find a pose near `pose` that closes the joint, by Newton's method on its rows.
 
         Every step is the screw motion X of least XᵀMX, the kinetic-energy metric, that cancels the
         constraint residuals. For a body that is small relative to its lever arm the metric has a

@@ -35,12 +35,12 @@ ARRAYS = {
     "inputs": "[thread][column][lane], where each thread gathers a block's numbers",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
     **RESULTS,
-    # Of lanes with clocks of their own: of the run,
+    # For lanes with separate clocks: arrays of the run,
     "save_at": "[1][row of the history], s",
     "noise_indices": "[1][trajectory]",
     "kinds": "[direction, is terminal][event]",
     "jumps": "[1][time at which steps end], s",
-    # and of a thread's workspace.
+    # and arrays of a thread's workspace.
     "rows": "[row][lane], see `lierb.kernels.loops.workspace`",
     "request": "[1][REQUEST]",
     "shown": "[POSE_AND_TWIST of each link, extra states, outputs][lane]",

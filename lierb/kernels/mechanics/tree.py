@@ -67,7 +67,7 @@ class Node:
     """A link, or a massless frame, and the joint that connects it to its parent.
 
     parent : index of the parent node, or GROUND.   link : index of the link, or MASSLESS.
-    cspace : "reduced", or "SE3" or "SO3xR3" of its own pose.
+    cspace : "reduced" for coordinates on the joint, or the c-space of its pose, "SE3" or "SO3xR3".
     slots : free components of V_rel, for reduced coordinates.
     rows : rows of the joint beyond the slots.
     """

@@ -87,7 +87,7 @@ class ArticulatedBodies:
         """Accelerations of the nodes under loads, wrenches about their frames' origins.
 
         biases : b of each node.   fall : acceleration of the ground for each root, in its joint's
-        axes. If it is given, the nodes have their velocities; otherwise they are at rest.
+        axes. Without it, the nodes are at rest; with it, they have their velocities.
         """
         nodes, steps = self.motion.nodes, self.motion.steps
         totals = _net_loads(self.motion, loads, is_moving=fall is not None)
@@ -257,7 +257,7 @@ def _times(matrix: Vec, x: Vec) -> Vec:
     return tuple(dot(matrix[n * i : n * i + n], x) for i in range(n))
 
 
-# ---- rows beside the tree ----------------------------------------------------------------------
+# ---- further rows ------------------------------------------------------------------------------
 
 
 class Solved(NamedTuple):

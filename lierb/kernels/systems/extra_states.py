@@ -14,7 +14,7 @@ from lierb.kernels.systems.state import State
 
 
 class Held(NamedTuple):
-    """Outputs and memory of all controllers between ticks, side by side.
+    """Outputs and memory of all controllers between ticks, concatenated.
 
     ticks : number of each controller's next tick; ticks are at multiples of its period.
     """

@@ -38,7 +38,7 @@ def may_raise(plan: AnyPlan) -> bool:
 
 
 def nothing_kept(plan: AnyPlan, like: Any) -> tuple[Kept, ...]:
-    """Statistics before the first value.   like : zero, a number of the body's own type."""
+    """Statistics before the first value.   like : zero, of the number type of the body."""
     fresh = Kept(like + INF, like - INF, like, like, like + NAN)
     return (fresh,) * len(observables_of(plan))
 

@@ -42,8 +42,8 @@ class AnyPlan(Tag):
     """Fields and properties shared by the plans of one body and of a mechanism.
 
     stages, weights : A, its strictly lower triangle row by row, and b of the Butcher tableau.
-    multipliers, reaction : whether λ, and the joints' wrenches, are recorded.
-    elements : forces beside gravity, constraints beside the joints', and observables.
+    multipliers, reaction : True to record λ, and the joints' wrenches.
+    elements : forces except gravity, constraints except the joints', and observables.
     exponentials : weights of a commutator-free method, for each stage, then for the end.
     clock : "steps", one clock for all lanes, or "lanes", a clock for each lane.
     looks : whether states between steps are needed, for output and events.

@@ -82,7 +82,7 @@ def largest(squares: Sequence[Any]) -> Any:
 
 
 def multipliers_of_wrench(rows: Rows, x: Kinematics, ends: Ends, wrench: Vec) -> dict[Row, Any]:
-    """Multipliers λ of rows, such that the wrenches −Jᵀλ add up to a given wrench."""
+    """Multipliers λ of rows, such that the wrenches −Jᵀλ add up to `wrench`."""
     torque, force = wrench[:3], wrench[3:]
     multipliers: dict[Row, Any] = {}
     for r in rows:

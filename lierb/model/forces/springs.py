@@ -57,7 +57,7 @@ class SpringDamper(BuiltIn):
     def tangents(self, placed: Any, x: Motion) -> tuple[Tangent, ...]:
         point, _, stiffness, damping, length = placed
         line, inverse, _ = self._line(placed, x)
-        # k (1 − ℓ₀/ℓ) across the line, where it is stretched. Where ℓ = 0, any direction may be its
+        # k (1 − ℓ₀/ℓ) across the line, if it is stretched. At ℓ = 0 it may have any direction.
         across = stiffness * maximum(1.0 - length * inverse, 0.0)
         anywhere = where(inverse == 0.0, damping, 0.0)
         along = unit_force_at(point, scale(inverse, line))

@@ -190,7 +190,7 @@ class Mechanism(TreeKinematics):
     # ---- closing ---------------------------------------------------------------------------------
 
     def close(self, pose: ByLink) -> dict[str, Array]:
-        """Find poses that close all joints and loops near given ones, by Newton's method.
+        """Find poses near `pose` that close all joints and loops, by Newton's method.
 
         Every step is the motion of least kinetic energy that cancels the residuals, as in
         `lierb.Problem.close`; rows may be redundant. A pose that is already closed to rounding is

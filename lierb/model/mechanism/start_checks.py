@@ -206,7 +206,7 @@ def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
 
 
 def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:
-    """Tolerances, m/s and rad/s, relative to speed and to what forces add to it in ℓ/speed."""
+    """Tolerances, m/s and rad/s, relative to speed and to the effect of forces in ℓ/speed."""
     position = START_TOLERANCE * h.length + h.rounding
     ahead = sqrt(norm(h.parameters.gravity) / h.length)
     for r in h.at.rows:
