@@ -12,6 +12,7 @@ from studies import bits, hashes, sorted_rows
 from studies import study as one_body
 
 import lierb
+from lierb.api import integrate_model
 from lierb.cli import cli
 from lierb.errors import ArgumentError, StudyError, UnknownNameError
 from lierb.results.columns import as_array
@@ -266,9 +267,8 @@ def test_digest_of_a_study_of_one_body_is_as_before_mechanisms():
 def test_rows_of_a_mechanism_are_those_of_integrate(whole):
     study = Study.load(whole / "study.toml")
     batch = study.batch(0, 40)
-    result = lierb.integrate(
-        batch.problem, pose0=batch.pose0, twist0=batch.twist0, **study.options(study.settings[0])
-    )
+    options = study.options(study.settings[0], batch.problem)
+    result = integrate_model(batch.problem, options, batch.pose0, batch.twist0)
     rows = sorted_rows(whole)
     assert [row["trajectory"] for row in rows] == list(range(40))
     for name in ("rocker.position", "coupler.omega", "pin.position_error_max", "energy_drift_max"):

@@ -123,8 +123,8 @@ def test_what_is_said_does_not_depend_on_threads(mixed, threads):
 @pytest.fixture
 def one_step_a_call(monkeypatch):
     """A list that grows by one with each call of the driver."""
-    calls, call = [], engine.Run.call
-    monkeypatch.setattr(engine.Run, "call", lambda *given: calls.append(0) or call(*given))
+    calls, call = [], engine.BlockRun.call
+    monkeypatch.setattr(engine.BlockRun, "call", lambda *given: calls.append(0) or call(*given))
     monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
     monkeypatch.setattr(engine, "CALL_SECONDS", 1e-12)
     engine._pace.cache_clear()

@@ -198,6 +198,7 @@ def test_page_says_how_to_do_it_again(dataset, text):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::lierb.errors.StiffStepWarning")  # of such a spring
 def test_unfinished_and_failed_bodies_are_told(tmp_path):
     """The last setting has no finished part, and no setting has a history of zeros."""
     spring = {"type": "spring_damper", "body_point": [0.1, 0.0, 0.0], "stiffness": 1e9}

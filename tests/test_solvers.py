@@ -13,7 +13,8 @@ from cases import GRAVITY, SUBGROUP_JOINTS, column, integrate, long_but, slow_bu
 import lierb
 from lierb.errors import FailedTrajectoryWarning
 from lierb.kernels.groups.coefficients import TINY
-from lierb.runs import engine, starts
+from lierb.model import problem as problem_module
+from lierb.runs import engine
 
 JOINTS = [name for name in SUBGROUP_JOINTS if name != "free"]
 NO_GRAVITY = (0.0, 0.0, 0.0)
@@ -93,7 +94,7 @@ def test_bits_do_not_depend_on_lanes_batch_or_chunks(name, solver, update, monke
 
     expected = end()
     np.testing.assert_array_equal(end(slice(4, 7)), expected[4:7])
-    monkeypatch.setattr(starts, "DEFAULT_LANES", 1)
+    monkeypatch.setattr(problem_module, "DEFAULT_LANES", 1)
     np.testing.assert_array_equal(end(), expected)
     monkeypatch.setattr(engine, "FIRST_CALL_BLOCK_STEPS", 1)
     monkeypatch.setattr(engine, "CALL_SECONDS", 0.0)

@@ -18,6 +18,7 @@ from studies import TEXT as TOPS
 from studies import bits, errors_when_stopped, hashes, start, study
 
 import lierb
+from lierb.api import integrate_model
 from lierb.errors import ArgumentError, StudyError
 from lierb.results import tables as run_tables
 from lierb.results.columns import as_array
@@ -86,10 +87,8 @@ def numbers(folder: Path, column: str, name: str = "summary") -> np.ndarray:
 def ran(study: Study) -> lierb.Result:
     """All of its bodies at once, by `lierb.integrate`."""
     batch, (setting,) = study.batch(0, N), study.settings
-    return lierb.integrate(
-        batch.problem, twist0=batch.twist0, pose0=batch.pose0, seed=study.sample.seed,
-        **study.options(setting),
-    )  # fmt: skip
+    options = study.options(setting, batch.problem, seed=study.sample.seed)
+    return integrate_model(batch.problem, options, batch.pose0, batch.twist0)
 
 
 # ---- tables ------------------------------------------------------------------------------------

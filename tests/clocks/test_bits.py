@@ -10,7 +10,8 @@ from cases import tiered
 
 import lierb
 from clocks.shared import bits, spread_tops, table_bits, top_problem
-from lierb.runs import engine, starts
+from lierb.model import problem as problem_module
+from lierb.runs import engine
 from lierb.runs import lane_engine as lanes
 
 TWISTS = spread_tops()
@@ -74,7 +75,7 @@ def test_bits_of_adaptive_steps_do_not_depend_on_refilling(by, whole, expected):
 
 @pytest.mark.parametrize("lanes", tiered([1, 2, 4, 8], [], [1, 8]))
 def test_bits_of_adaptive_steps_do_not_depend_on_lanes(lanes, expected, monkeypatch):
-    monkeypatch.setattr(starts, "DEFAULT_LANES", lanes)
+    monkeypatch.setattr(problem_module, "DEFAULT_LANES", lanes)
     np.testing.assert_array_equal(bits(run()), expected)
 
 
@@ -178,7 +179,7 @@ def test_bits_of_adaptive_steps_in_other_forms(form, monkeypatch):
     whole = bits(run(TWISTS[:64], **form))
     for some in ([7], [40, 3, 22], list(range(17))):
         np.testing.assert_array_equal(bits(run(TWISTS[some], **form)), whole[some])
-    monkeypatch.setattr(starts, "DEFAULT_LANES", 1)
+    monkeypatch.setattr(problem_module, "DEFAULT_LANES", 1)
     np.testing.assert_array_equal(bits(run(TWISTS[:64], **form)), whole)
 
 

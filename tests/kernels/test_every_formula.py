@@ -56,6 +56,7 @@ LOOPS = {  # code of Numba's, and what it works on
 }  # fmt: skip
 NO_NUMBERS = {  # abstract, or of other things
     "mechanics.elements.Element.placed", "mechanics.elements.Element.row",
+    "mechanics.elements.Element.tangents",
     "mechanics.rows.Cosine.holds_turn", "mechanics.rows.GroundPoint.holds_slide",
     "mechanics.rows.JointRow.objection",
     "mechanics.rows.Rod.objection", "mechanics.rows.Row.error_kind",

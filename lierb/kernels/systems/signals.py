@@ -52,6 +52,7 @@ def signals_width(plan: AnyPlan) -> int:
     return size_of(states_of(plan)) + size_of(outputs_of(plan))
 
 
+@lru_cache(64)
 def held_fields(plan: AnyPlan) -> tuple[Field, ...]:
     """Fields of controllers between ticks: outputs, memory, number of the next tick."""
     return (
