@@ -1,4 +1,4 @@
-"""`integrate`: options, start, run, tables. This module has no formulas."""
+"""`integrate`: validate the options and the start, run, and make the tables."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def integrate(
 ) -> Result:
     """Integrate a body or a mechanism, or every member of a batch of them, from t0 to t_end.
 
-    Poses and twists of a mechanism are dictionaries with those of every link.
+    For a mechanism, poses and twists are dictionaries by link.
 
     Parameters
     ----------
@@ -85,110 +85,112 @@ def integrate(
         Pose at t0. Default: the closed joint; for a mechanism `Mechanism.pose()`, all coordinates
         0.
     dt : float, optional
-        Length of fixed steps, s; a whole number of them must fit between t0 and t_end. With
-        adaptive steps, the length of the first one; default: Hairer's choice.
+        Length of the fixed steps, s; a whole number of steps must fit between t0 and t_end. With
+        adaptive steps, length of the first step; default: Hairer's choice.
     t_end : float
-        Time of the end, s.
+        End time, s.
     t0 : float, optional
-        Time of the start, s. `Result.end` has the pose0, twist0 and t0 with which a run continues.
+        Start time, s. To continue a run, pass its `Result.end`: pose0, twist0 and t0.
     rtol : float, optional
-        Relative tolerance; it makes steps adaptive, each trajectory's its own. See Notes. Default:
-        1e-6 where only atol is given.
+        Relative tolerance; it makes steps adaptive, separately for each trajectory. See Notes.
+        Default: 1e-6 if only atol is given.
     atol : float or dict, optional
         Absolute tolerance in SI units; it makes steps adaptive too. One number, or a dictionary by
-        block: "rotation", "position", "omega", "v", and "states" for all of the user's. Default:
-        1e-3 rtol; for position and v times the body's radius of gyration, m, and that per second. A
-        mechanism's radius is that of all its links as one body.
+        block: "rotation", "position", "omega", "v", and "states" for all of the user's states.
+        Default: 1e-3 rtol, times the body's radius of gyration (m and m/s) for position and v. The
+        radius of a mechanism is that of all its links as one body.
     dt_min : float, optional
         Shortest adaptive step, s. A trajectory that needs a shorter one ends with status "dt_min".
         Default: the rounding of t.
     dt_max : float, optional
         Longest adaptive step, s. Default: no bound.
     max_steps : int, optional
-        Number of tried steps after which a trajectory ends with status "max_steps". Default: no
+        Number of attempted steps after which a trajectory ends with status "max_steps". Default: no
         bound.
     discontinuities : array_like, shape (m,), optional
         Times, s, in ascending order, at which a function of t jumps or has a kink. A step ends at
-        each of them, and its stages see t on their own side. Times that differ from trajectory to
-        trajectory are parameters of a `lierb.wrench`. Default: none.
+        each of these times, and the stages of a step evaluate the function on their own side of it.
+        Times that differ between trajectories are parameters of a `lierb.wrench`. Default: none.
     method : str or ButcherTableau, optional
-        A name of `lierb.TABLEAUS`, or a tableau. Default: "RK4", and "DOP853" with adaptive steps,
-        which need a method with an embedded one.
+        A name of `lierb.TABLEAUS`, or a tableau. Adaptive steps need an embedded method. Default:
+        "RK4"; with adaptive steps "DOP853".
     cspace : {"SE3", "SO3xR3", "reduced"} or dict, optional
         Configuration space. "SE3": screw motions. "SO3xR3": rotation and position decoupled.
         "reduced": the joint's own subgroup of SE(3), without constraints (Müller, eqs. 3a, b),
-        where no start can be inconsistent. For a mechanism the product of those of its links, or a
-        dictionary link → "SE3" or "SO3xR3"; "reduced" is the product of the joints' subgroups.
-        Default: "SE3", and "reduced" for a mechanism.
+        where every start is consistent. For a mechanism, the c-space is the product of the links'
+        c-spaces, which a dictionary link → "SE3" or "SO3xR3" can set separately; "reduced" is the
+        product of the joints' subgroups. Default: "SE3", and "reduced" for a mechanism.
     update : {"local", "global"}, optional
         "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
     solver : {"auto", "saddle", "subgroup"}, optional
-        "saddle" solves the index-1 saddle point in every stage, as the paper does. "subgroup" is
-        for a joint whose motions are a subgroup of SE(3), on "SE3" or "reduced": the solution is a
-        constant gain, computed once. It needs check="raise"; a start that violates the joint by
-        less than the tolerance is put on the subgroup. "auto" is "subgroup" where possible, else
-        "saddle". A mechanism has no choice.
+        "saddle" solves the index-1 saddle-point problem in every stage, as the paper does.
+        "subgroup" is for a joint whose motions form a subgroup of SE(3), on "SE3" or "reduced": the
+        solution is a constant gain, computed once. It requires check="raise"; a start that violates
+        the joint by less than the tolerance is projected to the subgroup. "auto" is "subgroup" if
+        possible, otherwise "saddle". For a mechanism only "auto" applies.
     stabilise : "project" or Stabilisation, optional
         Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
-        otherwise. "project" puts pose and velocity back on them after each step, by the change of
-        least kinetic energy. `lierb.baumgarte(alpha, beta)` adds Baumgarte's terms. Default: none.
+        otherwise. "project" projects pose and velocity to the constraints after each step, by the
+        change of least kinetic energy. `lierb.baumgarte(alpha, beta)` adds Baumgarte's terms.
+        Default: none.
     check : {"raise", "warn", "off"}, optional
-        Treatment of a pose or twist that violates the joint. On "reduced" it always raises.
+        Treatment of a pose or twist that violates the joint. On "reduced" it is always "raise".
     save_every : int, optional
         Number of steps between rows of `history`. Default: no history.
     save_at : array_like, shape (m,), optional
-        Times of the rows of `history`, s, in ascending order. States there come from the method's
-        continuous extension or, where it has none, from a step of their own. The column `step` is
+        Times of the rows of `history`, s, in ascending order. States at these times come from the
+        method's continuous extension or, if it has none, from an extra step. The column `step` is
         then the row's number.
     record : iterable of str, optional
         Extra columns of `history`: "state"; "energy"; "multipliers", λ (a free body has none);
         "reaction", the joint's wrench on the body (torque, force), N m and N, about the origin of
-        the body's joint frame and in its axes, whatever rows describe the joint.
+        the body's joint frame and in its axes. It does not depend on the rows that describe the
+        joint.
     measure_every : int, optional
         Number of steps between samples of the maxima in `summary`.
     events : Event or iterable of Event, optional
-        Events made by `lierb.event`, beside the problem's own; see `Result.events`. A terminal one
-        ends its trajectory with status "event".
+        Events made by `lierb.event`, in addition to the problem's own; see `Result.events`. A
+        terminal event ends its trajectory with status "event".
     seed : int, optional
         Seed of `lierb.noise`.
     trajectories : array_like of int, shape (n,), optional
-        Numbers of the batch's members, by which noise is drawn. Default: 0 … n−1.
+        Numbers of the batch members, which select their noise. Default: 0 … n−1.
     threads : int, optional
         Number of threads in this call. Default: Numba's.
     progress : bool or callable, optional
         True for a bar on stderr (needs `lierb[cli]`) or, in a notebook, below the cell; False for
-        none; or a function of (done, total). These count body-steps or, where each trajectory has
-        its own clock, thousandths of trajectories. Default: a bar after two seconds, on a terminal
-        or in a notebook.
+        none; or a function of (done, total). The unit is body-steps or, if each trajectory has its
+        own clock, thousandths of trajectories. Default: a bar after two seconds, on a terminal or
+        in a notebook.
 
     Returns
     -------
     Result
-        Tables with a row for each trajectory, each saved time and each event.
+        Tables with a row for each trajectory, saved time and event.
 
     Raises
     ------
     LierbError
-        An argument is wrong. Subclasses, all of them ValueErrors, say which. They are raised before
-        anything runs or, for a start of up to 4096 bodies off its joint, within the first fraction
-        of a second.
+        An argument is wrong. The subclasses, all of them ValueErrors, classify the error. Errors
+        are raised before the run or, for an inconsistent start of up to 4096 bodies, within the
+        first fraction of a second.
     MemoryLimitError
         The results are larger than the free memory.
 
     Warns
     -----
     FailedTrajectoryWarning
-        Some trajectories have failed on the way. Each has a status in `summary`; the others are
-        untouched.
+        Some trajectories have failed during the run. Each has a status in `summary`; the other
+        trajectories are unaffected.
     StiffStepWarning
-        Fixed steps are beyond the method's stability bound for the stiffness or damping of a force
-        of `lierb.forces`. The run goes on.
+        Fixed steps exceed the method's stability bound for the stiffness or damping of a force of
+        `lierb.forces`. The run continues.
 
     Notes
     -----
-    With adaptive steps, the method's embedded error of a step is in each block at most √(atol² +
-    rtol² size²), over the method's `ButcherTableau.calibration`. Blocks are rotation (of size 1
-    rad), position, omega, v, and each of the user's states.
+    With adaptive steps, the embedded error estimate of a step is in each block at most
+    √(atol² + rtol² size²), divided by the method's `ButcherTableau.calibration`. Blocks are
+    rotation (of size 1 rad), position, omega, v, and each of the user's states.
 
     Examples
     --------
@@ -215,7 +217,7 @@ def integrate(
 
 
 def checked_model(problem: object) -> Model:
-    """Return a problem or a mechanism. Raises ArgumentError for anything else."""
+    """Return `problem` if it is a Problem or Mechanism; raise ArgumentError otherwise."""
     if not isinstance(problem, Model):
         raise ArgumentError(
             f"problem must be a lierb.Problem or a lierb.Mechanism, got {brief(problem)}"
@@ -233,9 +235,9 @@ def integrate_model(
     progress: Progress = None,
     stacklevel: int = 2,
 ) -> Result:
-    """Integrate a model with validated options; arguments are those of `integrate`.
+    """Integrate a model with validated options; arguments as in `integrate`.
 
-    stacklevel : of warnings, 2 for the caller of this function.
+    stacklevel : stack level of warnings; 2 is the caller of this function.
     """
     model.require_unchanged()
     check_progress(progress)
@@ -262,7 +264,7 @@ def integrate_model(
 
 
 def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
-    """Return a function that examines the starts that the kernels flag, None for no check."""
+    """Return a function that checks the starts flagged by the kernels; None for no check."""
     model, options = prepared.model, prepared.options
     if not (prepared.is_checked and model.flags_starts and prepared.plan.rows):
         return None
@@ -273,7 +275,8 @@ def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
             if error := model.violation(*start, number=first + body):
                 _report(error, options, stacklevel)
                 return False
-        return True  # what is flagged is at the tolerance, to rounding
+        return True  # the flagged start is at the tolerance, up to rounding
+
 
     return check
 

@@ -1,10 +1,10 @@
-"""Names and colours of c-spaces, the same in every figure and animation."""
+"""Names and colours of c-spaces, common to all figures and animations."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-# Okabe and Ito's colours, told apart with any colour vision, and three of Tol's.
+# Okabe and Ito's colours, distinguishable with any colour vision, and three of Tol's.
 COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#44AA99",
     "#999933",
@@ -12,13 +12,13 @@ COLOURS = (
 CSPACE_COLOURS = dict(zip(("SE3", "SO3xR3", "reduced"), COLOURS))
 CSPACE_NAMES = {"SE3": "SE(3)", "SO3xR3": "SO(3)×ℝ³"}
 STEP_COLOURS = ("#882255", "#E69F00", "#56B4E9", "#CC79A7", "#44AA99")
-"""Of steps, from the coarsest to the finest, in a panel of one c-space: no c-space's colour."""
+"""Colours of steps, coarsest first, in a panel of one c-space; none is a c-space's colour."""
 
 
 def colours_of(cspaces: Sequence[str | None]) -> list[str]:
     """Return a colour for each curve by its c-space; the first eight differ.
 
-    The first one on a c-space has that c-space's; the others have no c-space's.
+    The first curve on a c-space has the c-space's colour; further curves have other colours.
 
     >>> colours_of(["SE3", "SE3", "SO3xR3"])
     ['#0072B2', '#009E73', '#D55E00']

@@ -1,7 +1,7 @@
 """Arrow columns around NumPy's memory.
 
-`pyarrow.array` would do, but it looks for pandas first, and so imports it where it is installed:
-0.2 s of every process's first result.
+`pyarrow.array` is not used: it imports pandas if that is installed, which adds 0.2 s to the first
+result of each process.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def each_row(array: NDArray) -> list[pa.Array]:
     if not len(array):
         return []
     array = np.ascontiguousarray(array)
-    # Of the buffer: a slice of a column would drag all of it along when it is pickled.
+    # Slices of the buffer, since a pickled slice of a column contains the whole column.
     buffer, size, width = pa.py_buffer(array), array[0].size, array[0].nbytes
     return [_column(array.dtype, size, buffer.slice(i * width, width)) for i in range(len(array))]
 
@@ -57,9 +57,9 @@ def repeated(value: str, rows: int) -> pa.Array:
 
 
 def as_array(column: pa.ChunkedArray) -> NDArray:
-    """Return a column as an array, (rows,), or (rows, width) of fixed-size lists; read-only.
+    """Return a column as a read-only array, (rows,), or (rows, width) for fixed-size lists.
 
-    Without a copy where the column is one chunk, as those are that `lierb.integrate` makes.
+    A column of one chunk, such as any of `lierb.integrate`, is not copied.
     """
     whole = _whole(column)
     if pa.types.is_fixed_size_list(whole.type):
@@ -79,7 +79,8 @@ def _whole(column: pa.ChunkedArray) -> pa.Array:
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
-# By hand, since a type's `to_pandas_dtype()` imports pandas up to Arrow 18.
+# NumPy types of Arrow types; a type's `to_pandas_dtype()` would import pandas up to Arrow 18.
+
 DTYPES = {pa.from_numpy_dtype(code): np.dtype(code) for code in "bhilBHILefd"}
 
 

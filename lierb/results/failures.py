@@ -28,7 +28,7 @@ STATUS_NAMES = {
     DT_MIN: "dt_min",
     EVENT: "event",
 }
-FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # no failures
+FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
@@ -44,12 +44,12 @@ REMEDIES = {
     "dt_min": "dt_min: the error would have asked for a shorter step than dt_min, or than rounding "
     "of t allows; a force that jumps, a singularity ahead or rtol near rounding does that",
 }
-RAISED_KEY = b"lierb.raised"  # of a summary's metadata: what the first trajectory's function raised
+RAISED_KEY = b"lierb.raised"  # key in a summary's metadata: first exception
 COLUMNS = ("trajectory", "status", "t")
 
 
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
-    """Return True for each row whose status is neither ok nor event."""
+    """True for each row whose status is neither ok nor event."""
     codes, names = as_codes(summary["status"])
     found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
     return found
@@ -57,7 +57,7 @@ def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Raised:
-    """Exception of a user's function as text, with its trajectory and time, s."""
+    """Exception of a user's function, as text, with trajectory and time, s."""
 
     trajectory: int
     t: float
@@ -68,10 +68,10 @@ class Raised:
 class Failures:
     """Summary of failed trajectories, at least one.
 
-    runs : trajectories in all.   counts : of those that failed, by status.
-    trajectory, status, t : of the first of them in the table; t in s.
-    setting : of a study, in which that one ran.
-    raised : the first exception, that of the first trajectory in the table that has one.
+    runs : number of all trajectories.   counts : number of failed trajectories, by status.
+    trajectory, status, t : of the first failed trajectory in the table; t in s.
+    setting : setting of the study in which that trajectory ran.
+    raised : exception of the first trajectory in the table that has one.
     """
 
     runs: int
@@ -84,7 +84,7 @@ class Failures:
 
     @classmethod
     def of(cls, summary: pa.Table) -> Failures | None:
-        """Return the failures in a summary; None if all trajectories are ok."""
+        """Return the failures in a summary; None if no trajectory has failed."""
         failed = has_failed(summary)
         if not failed.any():
             return None
@@ -101,7 +101,7 @@ class Failures:
 
     @classmethod
     def joined(cls, each: Sequence[Failures], runs: int) -> Failures | None:
-        """Return the failures of several summaries, of `runs` trajectories in all."""
+        """Merge the failures of several summaries with `runs` trajectories in total."""
         if not each:
             return None
         counts: Counter[str] = Counter()
@@ -127,7 +127,7 @@ class Failures:
 
     @property
     def _exception(self) -> str:
-        """Text of the first exception, with its trajectory where that is another one."""
+        """Text of the first exception; names its trajectory if it is not the first failed one."""
         if self.raised is None:
             return ""
         raised = self.raised
@@ -153,7 +153,7 @@ def _row(summary: pa.Table, number: int) -> dict[str, Any]:
 def warn_of(failures: Failures | None, look: str, **options: Any) -> None:
     """Issue one FailedTrajectoryWarning unless there are no failures or the caller suppresses it.
 
-    look : where to look.   options : of `warnings.warn`.
+    look : advice on where to find the failures.   options : keywords of `warnings.warn`.
     """
     if failures is not None and not are_warnings_collected():
         lines = (f"{failures}; {look}", *failures.remedies)

@@ -33,13 +33,13 @@ from matplotlib.lines import Line2D  # noqa: E402
 from lierb.results.colours import COLOURS  # noqa: E402
 from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 
-MOST_LINES = 6  # trajectories that are drawn one by one; of more, quantiles
-ACROSS = 3  # panels
-MOST_BESIDE = 24  # letters of a legend for which there is room beside a panel's title
+MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
+ACROSS = 3  # panels in a row
+MOST_BESIDE = 24  # most characters of a legend beside a panel's title
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
-SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn when they are asked for
+SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
 COORDINATES = ("angles", "slides")  # panels of the joints of a mechanism
 MOTION = ("angles", "trace", "position", "omega")  # panels of the state
 QUANTILES = (0.05, 0.5, 0.95)
@@ -77,7 +77,7 @@ def _chosen(
         if name not in made:
             raise unknown_name("columns", name, made)
     often = {name for name in made if name not in SELDOM and "." not in name}
-    if not often & {*MOTION, *COORDINATES}:  # of a mechanism whose joints are not known
+    if not often & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
         often |= {name for name in made if name.rpartition(".")[2] in MOTION}
     return [make for name, make in made.items() if name in (names or often)]
 
@@ -104,7 +104,7 @@ def _numbers(given: Any, count: int) -> list[int]:
 def _panels(
     result: RunStates, problem: Problem | Mechanism | None
 ) -> dict[str, Callable[[], Panel | Trace | None]]:
-    """Return a function for each panel that has columns, by name, in the figure's order."""
+    """Return the drawing function of each panel with columns, by name, in figure order."""
     history = result.history
     assert history is not None
     known: Any = problem or (result._end.model if result._end else None)
@@ -132,7 +132,7 @@ def _panels(
 
 
 def _without_rows(problem: Problem | None) -> set[str]:
-    """Return the names of errors that no constraint row has."""
+    """Return the names of the errors without a constraint row."""
     if problem is None or any(element.kind.rows for element in problem.elements):
         return set()
     kinds = problem.joint.error_kinds
@@ -248,7 +248,7 @@ def _positive(errors: Array) -> Array:
 
 def _draw_bands(axes: Axes, t: Array, values: Array, colour: str, is_error: bool) -> None:
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)  # a time at which all have failed
+        warnings.simplefilter("ignore", RuntimeWarning)  # all trajectories may have failed
         low, median, high = np.nanquantile(values, QUANTILES, axis=1)
         most = np.nanmax(values, axis=1)
     if is_error:

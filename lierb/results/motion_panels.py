@@ -15,7 +15,7 @@ from lierb.results.states import RunStates
 from lierb.support.arrays import Array
 
 SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
-NEAR = 0.02  # of the distances in the body: a centre of mass so near to the joint shows no turn
+NEAR = 0.02  # distance of centre of mass and joint that counts as zero, relative to the gyration radius
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """Series of one unit on one axis."""
+    """Series with one unit on one axis."""
 
     title: str
     unit: str
@@ -49,7 +49,7 @@ class Trace:
 
 
 class Coordinates:
-    """Panels of the coordinates of a mechanism's joints, as `Mechanism.coordinates` has them."""
+    """Panels of the joint coordinates of a mechanism; see `Mechanism.coordinates`."""
 
     def __init__(self, result: RunStates, mechanism: Mechanism) -> None:
         self.result, self.mechanism = result, mechanism
@@ -114,14 +114,14 @@ class State:
 
     @property
     def _has_coordinates(self) -> bool:
-        """True where the joint has coordinates other than a rotation vector."""
+        """True if the joint has coordinates other than a rotation vector."""
         joint = self.problem.joint if self.problem else None
         if joint is None or joint.subgroup is None or not joint.rows:
             return False
         return TURNS[0] not in joint.coordinate_names
 
     def angles(self) -> Panel | None:
-        """Return the joint's angle, or else tilt and azimuth of the body's axis."""
+        """Return the joint's angle or, without one, tilt and azimuth of the body's axis."""
         if self._has_coordinates:
             assert self.problem is not None
             names = self.problem.joint.coordinate_names
@@ -149,14 +149,14 @@ class State:
         towards = up if is_above else -up
         a, b = _across(towards)
         level = np.stack([axis @ a, axis @ b], axis=-1)
-        # Lambert's map: 2 sin(θ/2) from the middle
+        # Lambert's map: radius 2 sin(θ/2)
         with np.errstate(invalid="ignore", divide="ignore"):
             stretch = np.sqrt(2.0 / (1.0 + axis @ towards))
         side = "above" if is_above else "below"
         return Trace(f"{name}, seen from {side}", level * stretch[..., None])
 
     def position(self) -> Panel | None:
-        """Return the position of the centre of mass; None where it rests."""
+        """Return the position of the centre of mass; None if it rests."""
         com = np.zeros(3) if self.problem is None else np.asarray(self.problem.body.com)
         place = self.place + np.einsum("tnij,...j->tni", self.rotation, np.atleast_2d(com)[0])
         if com.ndim == 2:
@@ -167,7 +167,7 @@ class State:
         return Panel("centre of mass" if self.problem else "position", "m", series)
 
     def omega(self) -> Panel:
-        """Return the angular velocity in the body's axes."""
+        """Return the angular velocity in body axes."""
         series = tuple(Series(f"ω{SUBSCRIPTS[i]}", self.spin[..., i]) for i in range(3))
         return Panel("angular velocity", "rad/s", series)
 
@@ -186,8 +186,8 @@ class State:
     def _axis(self) -> tuple[Array, Array, str]:
         """Return the body's axis, (times, trajectories, 3), the vertical, and the axis's name.
 
-        The axis points from the joint to the centre of mass. It is e₃ of the joint where both are
-        one point, and e₃ of the body without a problem.
+        The axis points from the joint to the centre of mass. If these coincide, it is e₃ of the
+        joint; without a problem, it is e₃ of the body.
         """
         up, own, name = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]), "e₃ of the body"
         if self.problem is not None:

@@ -1,7 +1,8 @@
 """Panels of a study's figures: side by side in a file, one below the other on a phone.
 
-A `Sheet` is a figure's panels, each a function that draws on an axis of Matplotlib's: `figure_of`
-puts them into one figure, `panels_of` makes one of each, for a page that arranges them itself.
+A `Sheet` has the panels of a figure; each panel is a function that draws on a Matplotlib axis.
+`figure_of` draws all panels in one figure. `panels_of` makes one figure for each panel, for a page
+that arranges them itself.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from lierb.results.plots import MATH_NAMES, MOST, STYLE, ShownFigure  # noqa: E4
 
 DASHES = ("-", "--", ":", "-.")
 MOST_TITLE = 60  # characters of a study's name in a title
-MOST_KEYS = 8  # lines of a legend; of more each is labelled where it ends
-MOST_SETTINGS = 24  # that are drawn
+MOST_KEYS = 8  # most lines in a legend; more lines are labelled at their ends
+MOST_SETTINGS = 24  # most settings that are drawn
 MOST_BINS = 60
 NO_BODY = "nothing to draw: no body got to its end"
 NO_TIMES = "nothing to draw: no body got as far as the first rows"
@@ -40,7 +41,7 @@ Draw = Callable[[Axes], None]
 
 @dataclass(frozen=True)
 class Key:
-    """Legend entry of a colour and a dash."""
+    """Legend entry: label, colour and dash."""
 
     label: str
     colour: str
@@ -49,7 +50,7 @@ class Key:
 
     @property
     def plain(self) -> str:
-        """Return a label without Matplotlib's mathematics."""
+        """Return a label without Matplotlib's math markup."""
         return reduce(lambda text, each: text.replace(*each), PLAIN.items(), self.label)
 
 
@@ -57,7 +58,7 @@ class Key:
 class Sheet:
     """Description of a figure: title, drawing functions of its panels, and legend.
 
-    height : of a panel, inches.
+    height : height of a panel, inches.
     """
 
     title: str
@@ -101,7 +102,7 @@ def figure_of(sheet: Sheet, study: Named) -> Figure:
 
 
 def panels_of(sheet: Sheet) -> Iterator[Figure]:
-    """Return a figure for each panel, as wide as a phone."""
+    """Return one figure for each panel, of the width of a phone."""
     for draw in sheet.panels:
         with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(4.4, sheet.height), layout="constrained")
@@ -124,9 +125,9 @@ def positive(errors: Any, least: float) -> Array:
 
 
 def log_axes(panel: Axes, axes: str, zeros: Sequence[str] = (), why: str = NO_BODY) -> None:
-    """Make axes logarithmic with few ticks; write the reason where nothing is drawn.
+    """Make axes logarithmic with few ticks; write the reason if nothing is drawn.
 
-    zeros : labels of what is zero throughout, and so is not drawn: it is said in words.
+    zeros : labels of quantities that are zero throughout; they are listed as text, not drawn.
     """
     notes = [f"{label}: exactly 0" for label in zeros]
     if not has_data(panel):
@@ -169,7 +170,7 @@ def has_data(panel: Axes) -> bool:
 
 
 def order_lines(panel: Axes, lines: Mapping[int, float], dts: Array) -> None:
-    """Draw a grey line of each order below the errors; `lines` has their values at the last dt."""
+    """Draw a grey line for each order below the errors; `lines`: values at the last dt by order."""
     for order, start in lines.items():
         panel.plot(dts, 0.25 * start * (dts / dts[-1]) ** order, color="#999999", linewidth=1.0)
         middle = dts[len(dts) // 2]
@@ -180,7 +181,7 @@ def order_lines(panel: Axes, lines: Mapping[int, float], dts: Array) -> None:
 
 
 def label_lines(panel: Axes, labels: Sequence[tuple[str, str, float, float]]) -> None:
-    """Write texts at the right of a panel, (label, colour, x, y) at a line's end, pushed apart."""
+    """Label lines at the right of a panel without overlap; (label, colour, x, y) by line."""
     panel.autoscale_view()
     to_axes = panel.transData + panel.transAxes.inverted()
     room = 0.048
@@ -199,9 +200,10 @@ def label_lines(panel: Axes, labels: Sequence[tuple[str, str, float, float]]) ->
 
 @dataclass(frozen=True)
 class Ridge:
-    """Histogram with a baseline of its own.
+    """Histogram on its own baseline.
 
-    values : filled.   outline : of the same bodies, drawn as a line; may be empty.
+    values : values of the filled histogram.   outline : values of the same bodies whose histogram
+        is drawn as a line; may be empty.
     """
 
     key: Key
@@ -212,7 +214,7 @@ class Ridge:
 def ridges(panel: Axes, rows: Sequence[Ridge], least: float, *, is_log: bool) -> None:
     """Draw named histograms one below the other, each scaled to its highest bin.
 
-    Zeros, and what is below `least`, are counted in words: on a logarithmic axis they have no room.
+    Zeros and values below `least` do not fit a logarithmic axis; their number is written as text.
     """
     drawn = [
         tuple(_shown(values, least, is_log) for values in (row.values, row.outline)) for row in rows
@@ -254,7 +256,7 @@ def _name_ridge(panel: Axes, row: Ridge, base: int, least: float, is_log: bool) 
 
 
 def _shown(values: Array, least: float, is_log: bool) -> Array:
-    """Return the values within the axis, as logarithms on a logarithmic one."""
+    """Return the values within the axis; their logarithms if the axis is logarithmic."""
     finite = values[np.isfinite(values)]
     if not is_log:
         return finite

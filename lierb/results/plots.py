@@ -28,10 +28,11 @@ MATH_NAMES = {"SO3xR3": r"$SO(3)\times\mathbb{R}^3$", "SE3": r"$SE(3)$"}
 UNITS = {"position": "m", "rotation": "1"}
 
 LEAST = 1e-18
-"""Errors below this, relative to what they are errors of, are drawn here: zero has no place on a
-logarithmic axis, and is common."""
+"""Least drawn error, relative to the size of the quantity. Smaller errors are drawn at this value,
+since zero errors are common and a logarithmic axis cannot show them."""
 MOST = 1e250
-"""Errors above this are drawn here: Matplotlib's ticks reach further, and numbers end at 1e308."""
+"""Largest drawn error. Larger errors are drawn at this value, since Matplotlib's ticks extend
+beyond the data and doubles end at 1e308."""
 
 STYLE: dict[Any, Any] = {  # Matplotlib types its keys one by one
     "font.size": 9.5,
@@ -42,7 +43,7 @@ STYLE: dict[Any, Any] = {  # Matplotlib types its keys one by one
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
-    "svg.hashsalt": "lierb",  # the same figure gives the same file
+    "svg.hashsalt": "lierb",  # equal figures give equal files
 }
 
 
@@ -61,7 +62,7 @@ def error_figure(
     errors : columns "cspace", "dt" (s), "t" (s) and "<quantity>_error", of one body.
     summary : columns "cspace", "dt" and "<quantity>_error_max", a row for each line.
     quantity : "position" or "rotation".
-    size : what the errors are relative to, m or 1, to a power of ten: see LEAST.
+    size : scale of the errors, m or 1, rounded to a power of ten: see LEAST.
     """
     least = LEAST * 10.0 ** round(math.log10(size or 1.0))
     with matplotlib.rc_context(STYLE):
@@ -81,7 +82,7 @@ def error_figure(
 
 
 class ShownFigure(Figure):
-    """Figure that a notebook shows, with or without pyplot."""
+    """Figure displayed by notebooks, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
         content = BytesIO()
@@ -91,16 +92,16 @@ class ShownFigure(Figure):
 
 
 def save(figure: Figure, path: str | os.PathLike[str] | IO[bytes], kind: str) -> None:
-    """Write `figure` to `path`, a file's name or an open one, as "png" or "svg"."""
+    """Write `figure` to `path`, a file name or an open file, as "png" or "svg"."""
     metadata = {"Date": None} if kind == "svg" else {}
     with matplotlib.rc_context(STYLE), warnings.catch_warnings():
-        # of a name in a script that no installed font has: boxes are drawn
+        # a name in a script without an installed font is drawn as boxes
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure.savefig(path, format=kind, dpi=160, metadata=metadata)
 
 
 def drawable(errors: ArrayLike, least: float) -> NDArray[np.float64]:
-    """Return values clipped to the range of a logarithmic axis, `least` to MOST."""
+    """Clip values to the range of a logarithmic axis, `least` to MOST."""
     return np.clip(errors, least, MOST)
 
 
@@ -116,7 +117,7 @@ def _draw_panel(
     runs = zip(summary["dt"].to_pylist(), summary[f"{quantity}_error_max"].to_pylist())
     for (dt, largest), colour in zip(sorted(runs, reverse=True), cycle(STEP_COLOURS)):
         run = errors.filter(pc.equal(errors["dt"], dt))
-        # The start is left out: the joint is closed there, its error is nothing but zero.
+        # The start is left out: the joint is closed there, and its error is zero.
         t, error = (run[name].to_numpy()[1:] for name in ("t", f"{quantity}_error"))
         drawn = drawable(error, least)
         label = f"Δt = {_power_of_ten(dt)} s:  max {_number(largest)}"

@@ -36,19 +36,18 @@ if TYPE_CHECKING:
     from lierb.model.mechanism.mechanism import Mechanism
 
 TABLES = ("summary", "history", "events")
-OBSERVED = "observables"  # of a problem, in the tables' metadata
+OBSERVED = "observables"  # key in the metadata's description of the problem
 
 
 @dataclass(frozen=True, repr=False)
 class Result(RunStates):
     """Tables that `integrate` returns, and the state in them as NumPy arrays.
 
-    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` are of the history where it has the
-    state (`save_every=…` or `save_at=…`, `record="state"`), an axis of times before that of
-    trajectories; else they are of the end. The arrays are read-only: they are the tables' memory. A
-    batch of one keeps its axis. After a failure all but `t` are NaN; so are rows after the end of a
-    trajectory that an event has ended. A mechanism's links have results of their own:
-    `result["rod"].position`.
+    `t`, `position`, `rotation`, `quaternion`, `omega` and `v` come from the history if it has the
+    state (`save_every=…` or `save_at=…`, `record="state"`), with an axis of times before the axis
+    of trajectories; otherwise they are the values at the end. The arrays are read-only views of the
+    tables' memory. A batch of one keeps its axis. After a failure all but `t` are NaN, as are rows
+    after a terminal event. Each link of a mechanism has these arrays: `result["rod"].position`.
 
     Attributes
     ----------
@@ -76,7 +75,7 @@ class Result(RunStates):
 
     @property
     def failed(self) -> NDArray[np.int64]:
-        """Numbers of the trajectories whose status is neither ok nor event, in order."""
+        """Numbers of the trajectories whose status is neither ok nor event, ascending."""
         return np.asarray(as_array(self.summary["trajectory"])[has_failed(self.summary)])
 
     def __reduce__(self) -> Any:
@@ -84,9 +83,9 @@ class Result(RunStates):
         return Result, (self.summary, self.history, None, self.events)
 
     def animate(self, path: str | os.PathLike[str] | None = None, **options: Any) -> Animation:
-        """Make a moving picture of trajectories, and write it to an HTML file; a notebook shows it.
+        """Animate trajectories; write an HTML file, or show the animation in a notebook.
 
-        It needs the poses over time: `save_every=…` or `save_at=…`, `record="state"`.
+        The history must have the state: `save_every=…` or `save_at=…`, `record="state"`.
 
         Parameters
         ----------
@@ -94,12 +93,12 @@ class Result(RunStates):
             HTML file to write. Default: none.
         **options : object
             Arguments of `lierb.animate`, such as `trajectories`, `shape`, `trail`, `frames` and
-            `title`. That function also puts several results side by side.
+            `title`. `lierb.animate` also shows several results side by side.
 
         Returns
         -------
         Animation
-            The moving picture.
+            The animation.
 
         Raises
         ------
@@ -134,13 +133,14 @@ class Result(RunStates):
             Panels: "angles", "trace" (where the body's axis points, on the sphere), "position" and
             "omega", of a recorded state; and any column of the history, such as "energy",
             "position_error" or an observable. Default: all but rates of errors. For a mechanism
-            "angles" and "slides" are the coordinates of its joints, and the default is what all
-            joints have together; ask for "rod.omega", "pin.position_error", "pin.force" and the
-            like.
+            "angles" and "slides" are the coordinates of its joints. The default then has the
+            quantities of all joints together; "rod.omega", "pin.position_error", "pin.force" and
+            the like are drawn on request.
         trajectories : int or iterable of int, optional
-            Numbers of the trajectories. Default: all; of more than six, their median and 5 to 95 %.
+            Numbers of the trajectories. Default: all; for more than six, their median and 5 to
+            95 %.
         problem : Problem or Mechanism, optional
-            The problem of a result that was pickled, which has lost its own.
+            Problem of the result; needed if the result was pickled, which drops the problem.
 
         Returns
         -------
@@ -173,8 +173,8 @@ class Result(RunStates):
 
         `position` becomes `position_x`, `position_y`, `position_z`; `rotation` becomes
         `rotation_xx`, `rotation_xy`, … row by row; `reaction` becomes `reaction_torque_x` … and
-        `reaction_force_x` …; `lambda` becomes `lambda_1` …. The link's or joint's name of a
-        mechanism comes first: `rod.position_x`. `attrs["units"]` has the units.
+        `reaction_force_x` …; `lambda` becomes `lambda_1` …. For a mechanism, the name of the link
+        or joint comes first: `rod.position_x`. `attrs["units"]` has the units.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ class Result(RunStates):
         return [("largest", ", ".join(texts))]
 
     def _where(self, column: str, largest: float, ok: NDArray[np.bool_]) -> str:
-        """Return the joint with the largest error in parentheses; "" where no joint has it."""
+        """Return the joint with the largest error, in parentheses; "" without one."""
         for name in self.summary.column_names:
             joint, _, what = name.rpartition(".")
             if (

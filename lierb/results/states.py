@@ -31,21 +31,21 @@ LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 @dataclass(frozen=True, repr=False)
 class States(Shown):
-    """Tables of a run, and the state in them as NumPy arrays: of one body, or of one link."""
+    """State of one body or link as NumPy arrays, read from the tables of a run."""
 
     summary: pa.Table
     history: pa.Table | None
 
     @property
     def _prefix(self) -> str:
-        """Prefix of the names of the state's columns."""
+        """Prefix of the state's column names."""
         return ""
 
     @property
     def t(self) -> Array:
-        """Times of the state, s, (times,) of the history, or (n,), the end of each trajectory.
+        """Times of the state, s: (times,) of the history, or (n,), each trajectory's end time.
 
-        A trajectory that failed ends there; the history goes on.
+        The end time of a failed trajectory is that of its failure; the history goes on.
         """
         if self.history is not None and self.has_states:
             return np.asarray(self._array(self.history, "t")[:, 0])
@@ -65,8 +65,9 @@ class States(Shown):
     def quaternion(self) -> Array:
         """Rotation as a unit quaternion (w, x, y, z), (times, n, 4), or (n, 4) at the end.
 
-        Of the two, p and −p, that with w ≥ 0, so that a row is the same whatever else is saved.
-        Along a history it jumps where w would pass through 0. Made of `rotation` when asked for.
+        Of p and −p, the one with w ≥ 0 is returned, so that a row does not depend on the other
+        saved rows. Along a history the sign jumps where w would pass through 0. The quaternion is
+        computed from `rotation` on access.
         """
         p = so3.quaternion(components(self._state("rotation", 3, 3, asked="quaternion"), 2))
         unit = assembled(scale(1.0 / norm(p), p))
@@ -85,11 +86,11 @@ class States(Shown):
 
     @property
     def has_states(self) -> bool:
-        """True where the history has the state; the arrays are then those of the history."""
+        """True if the history has the state; the arrays are then those of the history."""
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
     def _state(self, name: str, *item: int, asked: str = "") -> Array:
-        """asked : what it is for, for messages."""
+        """asked : name of the requested quantity, for messages."""
         if self.history is not None and self.has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
@@ -105,7 +106,7 @@ class States(Shown):
 
 @dataclass(frozen=True, repr=False)
 class LinkResult(States):
-    """Motion of one link of a mechanism, `result["rod"]`; it has the arrays of `Result`.
+    """Motion of one link of a mechanism, `result["rod"]`, with the arrays of `Result`.
 
     Attributes
     ----------
@@ -146,7 +147,7 @@ def _metadata(table: pa.Table) -> dict[str, Any]:
 
 
 def _kinds_of(metadata: dict[str, Any]) -> list[str]:
-    """Return those of LARGEST that there are rows for; a constraint's row may be of either kind."""
+    """Return the members of LARGEST with rows; a constraint's row may be of either kind."""
     kinds = {"energy_drift"}
     for name in metadata.get("problem", {}).get("rows", [""]):
         row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
@@ -155,13 +156,13 @@ def _kinds_of(metadata: dict[str, Any]) -> list[str]:
 
 
 def _unit(field: pa.Field) -> str:
-    """ "" where it has none."""
+    """Return a field's unit; "" if it has none."""
     unit: bytes = (field.metadata or {}).get(b"unit", b"")
     return unit.decode()
 
 
 def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
-    """Return a column of numbers, or a column for each component of vectors, by field."""
+    """Return a scalar column, or the component columns of a vector column, by field."""
     if not pa.types.is_fixed_size_list(field.type):
         return {field: column}
     width = field.type.list_size
@@ -180,7 +181,7 @@ def _scalars(field: pa.Field, column: pa.ChunkedArray) -> dict[pa.Field, Any]:
 class RunStates(States):
     """Tables of a whole run, the states of its body or links, and the run's end.
 
-    Attributes are those of `lierb.Result`.
+    Attributes: see `lierb.Result`.
     """
 
     _end: End | None = field(default=None, repr=False, compare=False)
@@ -188,7 +189,7 @@ class RunStates(States):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Names of the links of a mechanism; none for a single body."""
+        """Names of the links of a mechanism; empty for a single body."""
         ends = (n.rpartition(".") for n in self.summary.column_names)
         return tuple(link for link, _, what in ends if link and what == "rotation")
 
@@ -260,17 +261,17 @@ class RunStates(States):
     def end(self) -> dict[str, Any]:
         """End of the run, as the keywords `pose0`, `twist0` and `t0` with which it continues.
 
-        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues: with bodies, joints and
-        constraints of equal numbers and functions, and the same formulation, in the same process,
-        from the driver's own state, so that with the same dt and method the bits are those of one
-        run without a break. A state that has drifted off its joint goes on as it is. Maxima, energy
-        drift and work count from the new start. Copies and parts of `pose0`, or another twist or
-        time with it, start as any other pose does.
+        `lierb.integrate(problem, **result.end, dt=…, t_end=…)` continues the run. In the same
+        process, and if the bodies, joints and constraints have equal numbers and functions and the
+        formulation is the same, it starts from the driver's own state. With the same dt and method,
+        the result is then bit for bit that of one uninterrupted run. A state that has drifted off
+        its joint is not corrected. Maxima, energy drift and work count from the new start. A copy
+        or slice of `pose0`, or `pose0` with another twist or time, is an ordinary start.
 
         The problem's own states, the outputs and memory of its controllers, and the length of
-        adaptive steps continue too: the bits are those of one run in which a step ends here, as one
-        does at every tick of a controller. `seed` and `trajectories` are to be given again.
-        `integrate` raises ArgumentError where states or memory would be lost.
+        adaptive steps continue too. The result is bit for bit that of one run in which a step ends
+        here, as at every tick of a controller. `seed` and `trajectories` must be passed again.
+        `integrate` raises ArgumentError if states or memory would be lost.
 
         Raises
         ------

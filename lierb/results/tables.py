@@ -28,7 +28,7 @@ from lierb.runs.output import Output
 from lierb.runs.starts import Ready
 from lierb.support.memory import available, is_free, too_large
 
-COUNTS = ("steps", "rejected")  # of a trajectory with a clock of its own
+COUNTS = ("steps", "rejected")  # columns of trajectories with their own clocks
 STATUS_DICTIONARY = texts([STATUS_NAMES[code] for code in sorted(STATUS_NAMES)])
 
 UNITS = {
@@ -39,13 +39,13 @@ UNITS = {
     "reaction": "N m, N m, N m, N, N, N",
 }
 
-_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by the names of columns and the units of λ
+_schemas: dict[tuple[str, ...], pa.Schema] = {}  # by column names and units of λ
 
 
 def _table(
     columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
 ) -> pa.Table:
-    """units : of columns that are not in UNITS, by their names."""
+    """units : units of columns that are not in UNITS, by column name."""
     key = (*columns, *covers, *units.values())
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)
@@ -56,7 +56,7 @@ def _table(
 def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
     fields = []
     for name, array in columns.items():
-        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then what it is
+        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then quantity
         plain = of_all.removesuffix("_max").removesuffix("_final")
         unit = units[name] if name in units else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
@@ -67,7 +67,7 @@ def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str])
 
 
 class Covers(NamedTuple):
-    """Contents of the columns of energy, energy drift and work, in words."""
+    """Descriptions of the columns of energy, energy drift and work."""
 
     energy: str
     energy_drift: str
@@ -90,7 +90,7 @@ def _no_work(energy: pa.Array) -> pa.Array:
 
 
 def _work_of(force: Force) -> str:
-    """Return the name of the part of a force that does work beside its potential, or ""."""
+    """Return the name of the non-conservative part of a force; "" if it has none."""
     if not force.kind.is_conservative:
         return force.name
     if force.kind.is_users:
@@ -102,10 +102,10 @@ def _work_of(force: Force) -> str:
 
 
 def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ...]) -> int:
-    """Return the bytes of both tables of a run at their peak, with the Output that they wrap.
+    """Return the peak memory of both tables of a run, bytes, with the Output that they wrap.
 
-    rows : saved times, 0 for none.   Measured: 0.98 to 1.08 of the growth of a process. Events
-    are not included, since their number is unknown.
+    rows : number of saved times.   Measured: 0.98 to 1.08 of the growth of a process. Events are
+    not included, since their number is unknown.
     """
     with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
     links = system_of(plan).links
@@ -122,7 +122,7 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
 
 
 def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
-    """Return the bytes of a row of the table that `history_table` returns."""
+    """Return the size of a row of `history_table`, bytes."""
     numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
     joints = model.joint_names
     numbers_in += len(model.observables) + len(JOINT_ERRORS) * len(joints)
@@ -137,7 +137,7 @@ def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
 
 
 def event_row_bytes(model: Model) -> int:
-    """Return the bytes of a row of the table that `events_table` returns."""
+    """Return the size of a row of `events_table`, bytes."""
     signals = sum(prod(shape) for _, shape, _ in model.signals)
     return 8 * (2 + POSE_AND_TWIST.count * len(_prefixes(model)) + signals) + 1
 
@@ -209,7 +209,7 @@ def history_table(
     if "energy" in recorded and not plan.does_work:
         columns["work"] = _no_work(columns["energy"])
     units = {}
-    if "multipliers" in recorded and plan.rows:  # Parquet knows no lists of length 0
+    if "multipliers" in recorded and plan.rows:  # Parquet has no lists of length 0
         for name, part, unit in _multipliers_of(model, output.multipliers):
             columns[name], units[name] = vectors(part), unit
     if "reaction" in recorded:
@@ -280,7 +280,7 @@ def _multipliers_of(model: Model, found: NDArray) -> Iterator[tuple[str, NDArray
 
 
 def require_memory(ready: Ready) -> None:
-    """Raise MemoryLimitError for results that do not fit, before anything is made or compiled."""
+    """Raise MemoryLimitError if the results exceed the memory, before any allocation or JIT."""
     rows, count = ready.times.saved_rows, ready.inputs.count
     if not is_free(size_of_tables(ready.plan, count, rows, ready.options.record)):
         raise no_room(ready)

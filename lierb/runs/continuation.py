@@ -1,8 +1,7 @@
-"""Continuation of a run from the end of another, to the bits of one run without a break.
+"""Continuation of a run from the end of another, bit for bit as one uninterrupted run.
 
-A state in the user's frames has been rounded on the way there, and is not that of the kernels. The
-poses at an end therefore carry the kernels' state, and a run that starts from these objects starts
-from it.
+Conversion to the user's frames rounds the state of the kernels. The pose objects at a run's end
+therefore carry the kernels' state, and a run that starts from these objects starts from that state.
 """
 
 from __future__ import annotations
@@ -24,15 +23,16 @@ from lierb.runs.lane_engine import LaneTime
 from lierb.runs.output import Output
 from lierb.support.arrays import Array
 
-NAMED = 5  # failed trajectories in a message
+NAMED = 5  # most failed trajectories listed in a message
 
 
 @dataclass(frozen=True)
 class Continuation:
     """State of the kernels at the end of a run.
 
-    model, plan, clock, provenance : those of the run.   twist0 : its twists at the end, (n, 6), of
-    a mechanism by link.   t0 : time there, s.   state : `end_columns` of the plan, [column][body].
+    model, plan, clock, provenance : of the run that has ended.
+    twist0 : twists at the end, (n, 6); for a mechanism by link.   t0 : time of the end, s.
+    state : `end_columns` of the plan, [column][body].
     """
 
     model: Model
@@ -44,7 +44,7 @@ class Continuation:
     provenance: str
 
     def fits(self, model: Model, plan: AnyPlan, twist0: Any, t0: float) -> bool:
-        """Return whether a run with this start continues from here; its forces may be others."""
+        """Return True if a run with this start continues from here; its forces may differ."""
         is_one = model is self.model
         return (
             t0 == self.t0
@@ -55,11 +55,11 @@ class Continuation:
         )
 
     def clock_of(self, clock: StepClock) -> StepClock:
-        """Return the clock of fixed steps from here; with equal steps it counts on."""
+        """Return the clock of fixed steps from here; equal steps continue the count."""
         return StepClock(*clock[:4], *self._origin(clock.dt))
 
     def _origin(self, dt: float) -> tuple[float, int]:
-        """Return the origin, s, and the number of the first step."""
+        """Return the time origin, s, and the number of the first step."""
         before = self.clock
         if isinstance(before, StepClock) and dt == before.dt:
             return before.origin, before.first_step + before.steps
@@ -70,7 +70,7 @@ class Continuation:
         return counted(self.t0, dt)
 
     def state_of(self, plan: AnyPlan) -> Array:
-        """Return `end_columns` of the run that continues, NaN for what its end does not have."""
+        """Return `end_columns` of the new run's plan; NaN for columns that this end lacks."""
         before, after = lane_end(self.plan), lane_end(plan)
         has_its_rows = plan.rows == self.plan.rows
         if after.fields == before.fields and has_its_rows:
@@ -85,16 +85,16 @@ class Continuation:
 
     @property
     def own(self) -> list[str]:
-        """Names of the extra states and of the controllers' outputs."""
+        """Names of the extra states and controller outputs."""
         return [column.name for column in self.model.signals]
 
 
 def continuing(
     pose0: Any, model: Model, plan: AnyPlan, twist0: Any, t0: float
 ) -> Continuation | None:
-    """Return the end that a run continues from, None for a run with a start of its own.
+    """Return the end that a run continues from; None for any other run.
 
-    Raises ArgumentError where extra states or controllers' memory would be lost.
+    Raises ArgumentError if extra states or controllers' memory would be lost.
     """
     known = continuation_of(pose0)
     if known is None or known.fits(model, plan, twist0, t0):
@@ -110,13 +110,13 @@ def continuing(
 
 
 def counted(t0: float, dt: float) -> tuple[float, int]:
-    """Return the origin, s, and the number of the first step, counted from 0 s where they fit."""
+    """Return the time origin, s, and the first step's number, counted from 0 s if t0 = k·dt."""
     steps = round(t0 / dt)
     return (0.0, steps) if steps * dt == t0 else (t0, 0)
 
 
 def formulation(plan: AnyPlan) -> tuple[Any, ...]:
-    """Return the fields of a plan that give a state's numbers their meaning."""
+    """Return the fields of a plan that determine the meaning of the state columns."""
     if isinstance(plan, MechanismPlan):
         joints = plan.connections[: len(plan.joints)]
         return plan.tree, joints, plan.update, plan.stabilisation, states_of(plan)
@@ -133,7 +133,7 @@ def _are_equal(a: Any, b: Any) -> bool:
 
 
 def _have_equal_joints(a: Model, b: Model) -> bool:
-    """Return whether bodies, joints and constraints have the same numbers and functions."""
+    """Return True if bodies, joints and constraints have equal numbers and functions."""
     constraints = [[e for e in model.elements if e.kind.rows] for model in (a, b)]
     return (
         a.topology == b.topology
@@ -156,9 +156,9 @@ def _is_same(a: Element, b: Element) -> bool:
 
 
 def _have_equal_controllers(a: Model, b: Model) -> bool:
-    """Return whether the controllers' outputs, memory and periods mean the same.
+    """Return True if the controllers have the same outputs, memory and periods.
 
-    Where one model has none, there is nothing to compare.
+    Also True if one of the models has no controllers.
     """
     if not (a.controllers and b.controllers):
         return True
@@ -171,7 +171,7 @@ def _have_equal_controllers(a: Model, b: Model) -> bool:
 
 
 class EndPose(np.ndarray):
-    """Poses at the end of a run, (n, 4, 4), read-only; parts and copies are plain arrays."""
+    """Poses at the end of a run, (n, 4, 4), read-only. Slices and copies are plain arrays."""
 
     continuation: Continuation | None = None
 
@@ -186,7 +186,7 @@ class EndPose(np.ndarray):
 
 
 class EndPoses(dict[str, Array]):
-    """Poses of all links at the end of a run, by name; a copy is a plain dictionary."""
+    """Poses of all links at the end of a run, by name. A copy is a plain dictionary."""
 
     def __init__(self, poses: dict[str, Array]) -> None:
         super().__init__(poses)
@@ -195,7 +195,7 @@ class EndPoses(dict[str, Array]):
 
     @property
     def continuation(self) -> Continuation | None:
-        """End of the run; None once a pose has been replaced."""
+        """Continuation of the run; None after a pose has been replaced."""
         own = self._poses
         is_whole = self.keys() == own.keys() and all(self[name] is own[name] for name in own)
         return self._continuation if is_whole else None
@@ -212,15 +212,15 @@ class EndPoses(dict[str, Array]):
 
 
 def continuation_of(pose0: Any) -> Continuation | None:
-    """Return the continuation that poses carry, None for ordinary ones."""
+    """Return the continuation that `pose0` carries; None for ordinary poses."""
     return pose0.continuation if isinstance(pose0, (EndPose, EndPoses)) else None
 
 
 @dataclass(frozen=True)
 class End:
-    """End of a run, from which another can continue.
+    """End of a run, from which another run can continue.
 
-    statuses : names of the statuses, by their codes.
+    statuses : status names by code.
     """
 
     model: Model
@@ -230,7 +230,7 @@ class End:
     provenance: str
 
     def keywords(self) -> dict[str, Any]:
-        """Return pose0, twist0 and t0. Raises ArgumentError where a trajectory has failed."""
+        """Return pose0, twist0 and t0. Raises ArgumentError if a trajectory has failed."""
         self._require_all()
         clock, t = self.output.clock, self._time()
         states = [self._state(link) for link in range(self.output.links)]

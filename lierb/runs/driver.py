@@ -1,4 +1,4 @@
-"""Calls of the compiled driver in a run, whatever the clock of its lanes."""
+"""Calls of the compiled driver, common to runs with a shared clock and with one per lane."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Run(Generic[Clocks]):
 
     @property
     def checks_late(self) -> bool:
-        """Return whether the starts are checked by the first call of `calls`."""
+        """True if the first call of `calls` checks the starts."""
         return False
 
     def starts(self) -> Iterator[tuple[int, Array]]:
-        """Check the starts alone; yields the first trajectory and `Output.starts` of each part."""
+        """Check the starts only; yield each part's first trajectory and `Output.starts`."""
         raise NotImplementedError
 
     def calls(self, begin: int) -> Iterator[int]:

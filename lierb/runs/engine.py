@@ -1,4 +1,4 @@
-"""Integration of a batch: the driver called in short calls, with checks and progress."""
+"""Integration of a batch: a sequence of short driver calls, with checks and progress."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from lierb.support.arrays import Array
 from lierb.support.forks import check_threads
 from lierb.support.progress import BODY_STEPS, Progress, reporter
 
-# Least number of trajectories in a chunk: what is carried of them stays in the cache.
+# Least number of trajectories in a chunk. The carried state of so many stays in the cache.
 CHUNK_BODIES = 4096
 StartCheck = Callable[[Array, int], bool]
 
-FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to measure how fast a plan runs
+FIRST_CALL_BLOCK_STEPS = 20_000  # about 10 ms, to measure the plan's speed
 
 
 def integrate(
@@ -40,9 +40,9 @@ def integrate(
 ) -> Output:
     """Run every trajectory to the end.
 
-    check : function of `Output.starts` of some trajectories and the index of the first; it raises,
-        or returns whether to check the next ones. It is called before the first step, or, if a
-        single chunk has all trajectories, after the driver's first call.
+    check : function of (`Output.starts` of some trajectories, index of the first). It raises, or
+        returns True to check the next trajectories. It is called before the first step or, if one
+        chunk has all trajectories, after the driver's first call.
     """
     check_threads()
     output = Output.empty(plan, inputs.count, times, with_state)
@@ -80,7 +80,7 @@ class BlockRun(Run[StepClock]):
 
     @cached_property
     def chunks(self) -> list[Chunk]:
-        """Chunks of as many trajectories as one call takes to the end, or of CHUNK_BODIES."""
+        """Chunks of the batch: as many trajectories as one call finishes, or CHUNK_BODIES."""
         lanes, count = self.plan.lanes, self.inputs.count
         in_one_call = lanes * int(_pace(self.plan, self.times.dt).ahead() / self.times.steps)
         size = max(CHUNK_BODIES, in_one_call)
@@ -112,7 +112,7 @@ class BlockRun(Run[StepClock]):
         return self.run(integrate_blocks, np.zeros(2, dtype=np.int64), jobs)
 
     def _run_chunk(self, chunk: Chunk, begin: int) -> Iterator[int]:
-        """Run a chunk to the end; yields the number of steps after each call of the driver."""
+        """Run a chunk to the end; yield the number of steps after each call of the driver."""
         plan, steps, pace = self.plan, self.times.steps, _pace(self.plan, self.times.dt)
         done, blocks = 0, -(-(chunk.stop - chunk.start) // plan.lanes)
         ahead = pace.ahead()
@@ -131,22 +131,22 @@ class BlockRun(Run[StepClock]):
 
 @dataclass
 class _Pace:
-    """Time of a step of one block in the last call, s; None before the first."""
+    """Measured time of a step of one block in the last call, s; None before the first call."""
 
     seconds: float | None = None
 
     def steps(self, seconds: float) -> float:
-        """Return the number of steps of one block in a time, s."""
+        """Return the number of steps that one block makes in `seconds`."""
         if self.seconds is None:
             return max(FIRST_CALL_BLOCK_STEPS, 1)
         return max(seconds / self.seconds, 1)
 
     def ahead(self) -> float:
-        """Return the number of steps in a chunk's first call; it may be slower than the last."""
+        """Return the number of steps of a chunk's first call, which may run slower."""
         return self.steps(0.5 * CALL_SECONDS)
 
 
 @lru_cache(64)
 def _pace(plan: AnyPlan, dt: float) -> _Pace:
-    """Return the pace of all runs of a plan with steps of dt; larger angles take longer."""
+    """Return the pace shared by all runs of a plan with step dt; large angles take longer."""
     return _Pace()

@@ -1,4 +1,4 @@
-"""Input numbers of a run: their addresses, by column of the driver's inputs."""
+"""Input numbers of a run, and their addresses by column of the driver's inputs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lierb.kernels.systems.plan import AnyPlan
 from lierb.model.base import Model
 from lierb.support.arrays import Array
 
-ZEROS = np.zeros(1)  # where unused columns are read
+ZEROS = np.zeros(1)  # memory that unused columns refer to
 
 Places = NDArray[np.int64]  # [column][address of the first trajectory's number, bytes to the next]
 
@@ -25,7 +25,7 @@ Places = NDArray[np.int64]  # [column][address of the first trajectory's number,
 class _Layout(NamedTuple):
     """Addresses of a problem's numbers.
 
-    differ : whether any of them differ between trajectories.
+    differ : True if some numbers differ between trajectories.
     arrays : the memory that `places` refers to.
     """
 
@@ -38,8 +38,9 @@ _layouts: WeakKeyDictionary[Model, _Layout] = WeakKeyDictionary()
 
 
 def _places_of(field: Field, array: Array) -> Places:
-    """Return the addresses of a field's numbers in an array with an item for each trajectory, or
-    one for all.
+    """Return the addresses of a field's numbers in an array.
+
+    The array has one item per trajectory, or one item for all.
     """
     ahead = array.ndim - len(field.shape)
     places = np.empty((field.width, 2), dtype=np.int64)
@@ -50,7 +51,7 @@ def _places_of(field: Field, array: Array) -> Places:
 
 
 def _is_shared(field: Field, array: Array) -> bool:
-    """Return whether an array has one item for all trajectories."""
+    """Return True if an array has one item for all trajectories."""
     return array.ndim == len(field.shape) or len(array) == 1
 
 
@@ -71,7 +72,7 @@ def _offsets(field: Field, strides: tuple[int, ...]) -> NDArray[np.int64]:
 def _layout(model: Model, columns: Columns) -> _Layout:
     """Return the addresses of a model's numbers.
 
-    Cached: they would take a tenth of the time of a call for one body.
+    They are cached: computing them takes a tenth of the time of a call for one body.
     """
     if model not in _layouts:
         arrays = model.inputs
@@ -90,8 +91,8 @@ class Inputs:
     columns : columns that the plan's system reads.
     starts : poses, (4, 4) or (n, 4, 4), and twists, (6,) or (n, 6), by field.
     count : number of trajectories.
-    time : of the start, s.
-    state : state to continue from instead of pose and twist, [`end_columns`][trajectory or 1].
+    time : start time, s.
+    state : [`end_columns`][trajectory or 1] for a continued run, in place of pose and twist.
     """
 
     model: Model
@@ -103,7 +104,7 @@ class Inputs:
 
     @property
     def differ(self) -> int:
-        """Kind of inputs that differ between trajectories: TWISTS, POSES or BODIES."""
+        """Kind of the inputs that differ between trajectories: TWISTS, POSES or BODIES."""
         if _layout(self.model, self.columns).differ:
             return BODIES
         are_one = self.state is not None or all(
@@ -114,8 +115,9 @@ class Inputs:
         return TWISTS if are_one else POSES
 
     def places(self, plan: AnyPlan) -> Places:
-        """Return the addresses of all columns: a continued run reads no pose and twist, others no
-        state.
+        """Return the addresses of all columns.
+
+        A continued run reads the state; any other run reads poses and twists.
         """
         columns, places = self.columns, _layout(self.model, self.columns).places.copy()
         if self.state is None:
@@ -129,7 +131,7 @@ class Inputs:
         return np.concatenate([places, of_state])
 
     def numbers(self, trajectory: int) -> list[np.float64]:
-        """Return the numbers of one trajectory in the order of the columns, without a state."""
+        """Return the numbers of one trajectory in the order of the columns, except the state."""
         arrays, numbers = self.model.inputs | self.starts, []
         for field, _ in self.columns:
             if field.name in arrays:

@@ -1,4 +1,4 @@
-"""Runs of lanes with a clock each: adaptive steps, output at given times, events, controllers."""
+"""Runs with one clock per lane: adaptive steps, output at saved times, events, controllers."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from lierb.runs.threads import CALL_SECONDS
 from lierb.support.arrays import Array
 from lierb.support.memory import require_memory
 
-FIRST_ITERATIONS = 200  # of a thread's first call, to measure how fast a plan runs
+FIRST_ITERATIONS = 200  # iterations of a thread's first call, which measures the plan's speed
 MOST_ITERATIONS = 1 << 30
-EVENT_ROOM = 4096  # least number of events in a workspace between two calls
+EVENT_ROOM = 4096  # least capacity of a workspace for the events of one call
 SHARES = 1000  # units of progress of a trajectory
-COPIES = 4  # of events, while they become a table
+COPIES = 4  # copies of the events in memory while the table is made
 IDLE = 1.0  # termination code of a lane before its first trajectory
 
 
 @dataclass(frozen=True)
 class LaneTime:
-    """Times of a run whose lanes have a clock each.
+    """Times of a run with one clock per lane.
 
     save_at : times of the rows of a history, s.   kinds : [direction, is terminal][event].
-    seed, numbers : of the noise, and the index of each trajectory's.
-    steps : of the rows, if the history is of fixed steps.
-    jumps : times at which forces may jump, s: every step that meets one ends there.
+    seed : seed of the noise.   numbers : index of each trajectory's noise.
+    steps : numbers of the fixed steps that the rows follow; None for rows at other times.
+    jumps : times at which forces may jump, s; a step that would cross one ends there.
     """
 
     span: Span
@@ -77,14 +77,14 @@ ONE_TIME = LaneTime(
 
 
 class Workspace(NamedTuple):
-    """A thread's workspace: the results of one time of its lanes, and all arrays."""
+    """Per-thread workspace: results of the lanes at one time, and all work arrays."""
 
     output: Output
     arrays: dict[str, NDArray[Any]]
 
 
 class Events(NamedTuple):
-    """Events of a run in the order in which they were found.
+    """Events of a run in the order of their detection.
 
     rows : [event][EVENT_COLUMNS, state, signals], one array for each call.   width : of a row.
     """
@@ -93,8 +93,9 @@ class Events(NamedTuple):
     width: int
 
     def add(self, found: Array) -> None:
-        """Add events. Raises MemoryLimitError when their table would not fit the memory: their
-        number is not known before.
+        """Add events. Raises MemoryLimitError if their table would not fit the memory.
+
+        The number of events is not known before the run.
         """
         self.rows.append(found.copy())
         size = COPIES * sum(each.nbytes for each in self.rows)
@@ -103,8 +104,9 @@ class Events(NamedTuple):
 
     @property
     def table(self) -> Array:
-        """Events sorted by trajectory and time, those of one time as they were found; without those
-        after a trajectory's end.
+        """Events sorted by trajectory and time; events at equal times keep their order.
+
+        Events after a trajectory's end are left out.
         """
         rows = np.concatenate([np.zeros((0, self.width)), *self.rows])
         rows = rows[rows[:, 0] >= 0]
@@ -113,7 +115,7 @@ class Events(NamedTuple):
 
 
 class LaneRun(Run[LaneTime]):
-    """A run whose lanes have a clock each."""
+    """A run with one clock per lane."""
 
     @property
     def total(self) -> tuple[int, str]:
@@ -150,7 +152,7 @@ class LaneRun(Run[LaneTime]):
         for array in (output.history, *output.states, output.multipliers, output.reactions):
             if times.saved_rows:
                 array.fill(np.nan)  # rows after a trajectory's end
-        output.summary[SUMMARY.index("raised")] = calls.CLEAR  # of trajectories that still run
+        output.summary[SUMMARY.index("raised")] = calls.CLEAR  # of running trajectories
         return super().arrays | {
             "save_at": times.save_at[None],
             "noise_indices": np.ascontiguousarray(times.numbers[None]),
@@ -210,7 +212,7 @@ class LaneRun(Run[LaneTime]):
         return jobs
 
     def _take_events(self) -> None:
-        """Take the events out of the workspaces."""
+        """Move the events from the workspaces to the run's list."""
         for workspace in self._workspaces:
             rows = workspace.arrays["events"]
             count = int(rows[0, 0])
@@ -219,7 +221,7 @@ class LaneRun(Run[LaneTime]):
                 rows[0, 0] = 0.0
 
     def _collect_exceptions(self) -> None:
-        """Collect the exceptions of trajectories that have ended, each once."""
+        """Collect the exceptions of ended trajectories, each one once."""
         flags = self.output.summary[SUMMARY.index("raised")]
         self.output.collect_flags(np.nan_to_num(flags), 0)
         flags[flags > calls.COLLECTED] = calls.COLLECTED
@@ -228,7 +230,7 @@ class LaneRun(Run[LaneTime]):
         return any((w.arrays["rows"][ws.ACTIVE] > 0.0).any() for w in self._workspaces)
 
     def _done(self) -> float:
-        """Return the number of trajectories so far, with the fractions of those that still run."""
+        """Return the number of finished trajectories plus the fractions of the running ones."""
         waiting, running, share = 0.0, 0, 0.0
         time = carried_columns(self.plan)["clock"].start  # row of the clock's t
         span = self.times.span

@@ -33,9 +33,9 @@ CHOICES = {
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `lierb.integrate` for one model: what to solve, when, and what to record.
+    """Options of `lierb.integrate` for one model: equations, time grid and recorded columns.
 
-    cspace : text in metadata.   trajectories : not validated before the batch size is known.
+    cspace : as written in metadata.   trajectories : validated once the batch size is known.
     """
 
     formulation: Formulation
@@ -87,7 +87,7 @@ class Options:
 
     @property
     def on_violation(self) -> str:
-        """Treatment of a start off its joint; the reduced c-space cannot represent one."""
+        """Treatment of a start that violates the joint; "raise" on the reduced c-space."""
         return "raise" if self.cspace == "reduced" else self.check
 
     def plan_fields(self, model: Model) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Options:
         }
 
     def metadata(self, model: Model) -> dict[str, Any]:
-        """Return the options of every run, as metadata have them; all values are hashable."""
+        """Return the options for the metadata; all values are hashable."""
         timing = self.timing
         found = {
             "dt": timing.dt or None, "t_end": timing.t_end, "t0": timing.t0,
@@ -117,7 +117,7 @@ class Options:
 
 
 def check_names(**given: str) -> None:
-    """Raise UnknownNameError for a value that its argument does not have."""
+    """Raise UnknownNameError for a value that is not one of its argument's choices."""
     for argument, got in given.items():
         require_name(argument, got, CHOICES[argument])
 

@@ -29,21 +29,21 @@ from lierb.kernels.tracing import calls
 from lierb.support.arrays import Array
 from lierb.support.memory import room
 
-MESSAGE_LENGTH = 200  # of an exception, in one line
+MESSAGE_LENGTH = 200  # most characters of an exception's message, in one line
 
 
 @dataclass(frozen=True)
 class Output:
-    """Results of a run, as they become Arrow columns.
+    """Results of a run, in the layout of their Arrow columns.
 
     plan, clock : plan and times of the run.
     summary : [SUMMARY, then KEEPS of each observable][trajectory].
     history : [measure, then observable, then error of a joint][time][trajectory].
-    states : [link, time][trajectory][component]; of the end alone if not recorded.
+    states : [link, time][trajectory][component]; only the state at the end if not recorded.
     multipliers : [time][trajectory][row of any joint].
     reactions : [joint, time][trajectory][component].
     ends : the driver's state at the end, [`end_columns`][trajectory].
-    raised : description of the exception of a user's function, by trajectory: the first alone.
+    raised : description of each trajectory's first exception in a user's function.
     events : [event][trajectory, index, t, state of every link, extra states and outputs], sorted by
         trajectory and time; None without events.
     """
@@ -85,7 +85,7 @@ class Output:
 
     @property
     def rows(self) -> int:
-        """Number of rows of the states of each link."""
+        """Number of rows in the states of each link."""
         return len(self.states[0]) // self.links
 
     @property
@@ -100,7 +100,7 @@ class Output:
 
     @property
     def kept(self) -> Array:
-        """Measures kept, [KEPT][trajectory]."""
+        """Retained measures, [KEPT][trajectory]."""
         return self.summary[: len(KEPT)]
 
     @property
@@ -116,7 +116,7 @@ class Output:
 
     @cached_property
     def t(self) -> Array:
-        """Time of the end of each trajectory, s."""
+        """End time of each trajectory, s."""
         if not isinstance(self.clock, StepClock):
             return self.of_lanes("t")
         t = np.full(len(self.status), self.clock.end)
@@ -135,7 +135,7 @@ class Output:
         return self.summary[lane_column(self.plan) + LANE_SUMMARY.count :]
 
     def starts(self, first: int, stop: int) -> Array:
-        """Return 1 for each of these trajectories that starts on its joint, else 0."""
+        """Return 1 for each trajectory whose start satisfies the joint, else 0."""
         starts: Array = self.summary[SUMMARY.index("starts"), first:stop]
         return starts
 
@@ -149,7 +149,7 @@ class Output:
         self.collect_flags(flags, chunk.start)
 
     def collect_flags(self, flags: Array, first: int) -> None:
-        """Collect the exceptions that flags refer to, of trajectories from `first` on."""
+        """Collect the exceptions behind the flags of the trajectories from `first` on."""
         known = np.unique(np.abs(flags)).astype(np.int64).tolist()
         errors = {flag: calls.exception_of(flag) for flag in known if flag > calls.COLLECTED}
         for index in np.flatnonzero(flags > calls.COLLECTED)[:1].tolist():
@@ -163,7 +163,7 @@ class Output:
 def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tuple[int, ...], ...]:
     """Return the shapes of an Output's arrays."""
     system = system_of(plan)
-    # The end is no row of the history where lanes have clocks of their own.
+    # With one clock per lane, the end is not a row of the history.
     states = ((rows + plan.has_lane_clocks) if with_state else 1) * system.links
     return (
         (summary_columns(plan), count),
@@ -176,9 +176,9 @@ def _shapes(plan: AnyPlan, count: int, rows: int, with_state: bool) -> tuple[tup
 
 
 class Chunk(NamedTuple):
-    """Trajectories start … stop, which are integrated together.
+    """Trajectories start … stop, integrated together.
 
-    carried : [column][trajectory, padded to full blocks], if more than one call is needed.
+    carried : state between calls, [column][trajectory, padded to full blocks]; empty for one call.
     """
 
     start: int
@@ -187,7 +187,7 @@ class Chunk(NamedTuple):
 
 
 def describe_exception(plan: AnyPlan, error: Exception) -> str:
-    """Return a message for an exception of a user's function that runs body by body."""
+    """Return the message for an exception of a user's function that runs body by body."""
     functions = [f for element in plan.elements for f in element.functions if not f.is_traced]
     names = " or ".join(dict.fromkeys(f.name for f in functions))
     message = shorten(str(error), MESSAGE_LENGTH)

@@ -23,11 +23,11 @@ from lierb.model.functions.elements import Element
 from lierb.runs.starts import Ready
 from lierb.support.arrays import Array, slices
 
-LISTED = 64  # numbers of an array that are written out; a larger one is named by shape and digest
-LARGE = 1 << 16  # numbers of a start whose digest takes longer than to start a thread for it
+LISTED = 64  # most numbers of an array written out; larger ones are described by shape and digest
+LARGE = 1 << 16  # size of a start whose digest takes longer than starting a thread
 
 OWN = ("unit", "direction", "terminal", "units")  # of observables, events, states, controllers
-Start = Array | dict[str, Array]  # of a mechanism by link
+Start = Array | dict[str, Array]  # for a mechanism: by link
 
 
 @cache
@@ -53,7 +53,7 @@ def machine() -> dict[str, Any]:
 def provenance(ready: Ready) -> Callable[[], str]:
     """Return a function that returns the metadata of a run, a JSON object.
 
-    The digests of a large start are made in a thread of their own, beside the run.
+    The digests of a large start are computed in a separate thread during the run.
     """
     described = partial(_described_run, ready)
     if ready.before is None and _count_of(ready.twist0) + _count_of(ready.pose0) >= LARGE:
@@ -63,7 +63,7 @@ def provenance(ready: Ready) -> Callable[[], str]:
 
 
 def _count_of(start: Start | None) -> int:
-    """Return how many numbers a start has."""
+    """Return the number of scalars in a start."""
     if start is None:
         return 0
     return sum(map(_count_of, start.values())) if isinstance(start, dict) else start.size
@@ -125,7 +125,7 @@ def _described_tableau(plan: AnyPlan) -> dict[str, Any]:
     return found
 
 
-# As JSON: a model's arrays cannot change, and digests of large ones take a while.
+# JSON of each model, cached: its arrays cannot change, and digests of large arrays are slow.
 _models: WeakKeyDictionary[Model, str] = WeakKeyDictionary()
 
 
@@ -139,7 +139,7 @@ def _described_start(given: Start, before: str | None) -> Any:
 
 
 def _described(value: Any) -> Any:
-    """Return an array or an element of a model's description for JSON."""
+    """Convert an array or an element of a model's description for JSON."""
     if isinstance(value, np.ndarray | np.generic):
         return described_array(np.asarray(value))
     assert isinstance(value, Element)
@@ -152,10 +152,10 @@ def _described(value: Any) -> Any:
 
 
 def described_array(array: Array) -> Any:
-    """Return the numbers of an array; of a large one its shape and a digest."""
+    """Return the numbers of an array; for a large array, its shape and a digest."""
     if array.size <= LISTED:
         return array.tolist()
     digest = hashlib.sha256()
-    for part in slices(array):  # which may be one body's, broadcast
+    for part in slices(array):  # the array may be one body's, broadcast
         digest.update(np.ascontiguousarray(part).data)
     return {"shape": list(array.shape), "sha256": digest.hexdigest()}

@@ -1,4 +1,4 @@
-"""Preparation of a run: its plan, inputs and clocks from a model, a start and options."""
+"""Preparation of a run: plan, inputs and clocks, made from a model, a start and options."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ ByLink = dict[str, Array]
 class Ready(NamedTuple):
     """A run, ready to be integrated.
 
-    pose0, twist0 : arrays, of a mechanism by link; pose0 is None for the closed joint.
-    trajectories : their numbers, where they are given.
-    before : provenance of the run that this one continues from the state of its kernels, or None.
+    pose0, twist0 : arrays; for a mechanism, arrays by link. pose0 is None for the closed joint.
+    trajectories : numbers of the trajectories, if the caller passes them.
+    before : provenance of the run whose kernel state this run continues from, or None.
     """
 
     model: Model
@@ -40,12 +40,12 @@ class Ready(NamedTuple):
 
     @property
     def is_checked(self) -> bool:
-        """True where the start is compared with the joints; a continued run has none to compare."""
+        """True if the start is checked against the joints; the start of a continued run is not."""
         return self.options.on_violation != "off" and self.before is None
 
 
 def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
-    """Validate a start, and return the run."""
+    """Validate a start and return the run that begins there."""
     given = model.default_pose() if pose0 is None else pose0
     poses = None if given is None else arrays_of(model, "pose0", given)
     twists = arrays_of(model, "twist0", twist0)
@@ -83,7 +83,7 @@ def ready(model: Model, options: Options, pose0: Any, twist0: Any) -> Ready:
 
 
 def arrays_of(model: Model, argument: str, given: Any) -> ByLink:
-    """Return poses, whose argument is a pose0, or twists of all links as arrays, validated."""
+    """Validate the poses (argument pose0) or twists of all links; return them as arrays."""
     values, is_pose = model.by_link(argument, given), argument.endswith("pose0")
     if is_pose and continuation_of(given) is not None:  # the end of a run, which may have drifted
         return {link: np.asarray(each) for link, each in values.items()}

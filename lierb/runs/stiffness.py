@@ -1,8 +1,9 @@
 """Stability of fixed steps: the stiffness and damping of lierb's own forces against the method.
 
-At the start the forces of `lierb.forces` are linearised along the motions that rows allow:
-q̈ + D q̇ + K q = 0. In each step of length h a method multiplies a mode e^(λt) by R(hλ), R being its
-stability polynomial. No mode grows by K and D; steps are too long where one doubles in a run.
+At the start, the forces of `lierb.forces` are linearised along the motions that the constraints
+allow: q̈ + D q̇ + K q = 0. A step of length h multiplies a mode e^(λt) by R(hλ), where R is the
+method's stability polynomial. The exact modes do not grow, since K and D are positive
+semi-definite. Steps are too long if the method lets a mode double during the run.
 """
 
 from __future__ import annotations
@@ -39,20 +40,20 @@ Indices = NDArray[np.int64]
 Complex = NDArray[np.complex128]
 Starts = dict[str, Array]  # poses or twists at the start, by link
 
-MOST_GROWTH = math.log(2.0)  # of a mode in a run, as a logarithm
-FEW = 32  # members of a batch that are all linearised
-SPREAD = 8  # members of a larger batch at equal distances, beside those with the stiffest forces
-BODY = "body"  # name of a problem's only link
-LARGEST = 200.0  # decimal digits of |hλ| to the power of the number of stages: R is a number
-ROUNDING = 1e-14  # of log|R|
-HALVINGS = 1000  # of a step, at most: numbers end there
-DIGITS = 20  # binary ones, of the longest stable step
+MOST_GROWTH = math.log(2.0)  # largest accepted log growth of a mode in a run
+FEW = 32  # batch size up to which all members are linearised
+SPREAD = 8  # evenly spaced members of a larger batch, linearised beside the stiffest ones
+BODY = "body"  # link name of a single body
+LARGEST = 200.0  # most decimal digits of |hλ|^stages, so that R does not overflow
+ROUNDING = 1e-14  # rounding error of log|R|
+HALVINGS = 1000  # most halvings of a step: beyond, doubles underflow
+DIGITS = 20  # binary digits of the longest stable step
 
 
 def warn_of_stiff_steps(run: Ready, **options: Any) -> None:
-    """Issue one StiffStepWarning, if fixed steps are beyond the stability bound.
+    """Issue one StiffStepWarning if fixed steps exceed the stability bound.
 
-    options : of `warnings.warn`.
+    options : keywords of `warnings.warn`.
     """
     if are_warnings_collected():
         return
@@ -70,11 +71,11 @@ def stiff_steps(
     timing: Timing,
     goes_on: bool = False,
 ) -> str:
-    """Message of the warning; empty where steps are short enough, or adaptive.
+    """Message of the warning; empty if steps are short enough or adaptive.
 
-    pose0, twist0 : of the start, as arrays, of a mechanism by link; None for the closed joint.
-    count : of trajectories.   goes_on : whether the run starts at the end of another one, which
-        has been examined where it was by the same steps.
+    pose0, twist0 : arrays; for a mechanism by link. pose0 is None for the closed joint.
+    count : number of trajectories.   goes_on : True if the run continues another one, whose start
+        was examined for the same steps.
     """
     if timing.is_adaptive or not any(map(_is_known, problem.kinds)):
         return ""
@@ -86,20 +87,20 @@ def stiff_steps(
     try:
         with np.errstate(all="ignore"):
             return _own_forces[problem].message(pose0, twist0, count, timing, goes_on)
-    except np.linalg.LinAlgError:  # of numbers so large or small that the run shows it
+    except np.linalg.LinAlgError:  # overflow or underflow, which the run itself reports
         return ""
 
 
 def _is_known(kind: Element) -> bool:
-    """Return whether the stiffness and damping of an element are known."""
+    """Return True if the stiffness and damping of an element are known."""
     return type(kind).tangents is not Element.tangents
 
 
 def amplification(tableau: ButcherTableau, z: Complex) -> Complex:
-    """R(z) = 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ, the method's stability polynomial (Hairer and Wanner,
-    Solving Ordinary Differential Equations II, IV.2).
+    """Stability polynomial of the method, R(z) = 1 + z bᵀ(1 − zA)⁻¹(1, …, 1)ᵀ.
 
-    z : hλ, shortened where R would overflow.
+    z : hλ, scaled down if R would overflow.
+    Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2.
     """
     size, most = np.abs(z), 10.0 ** (LARGEST / tableau.stages)
     z = np.where(size > most, z * (most / np.where(size > 0.0, size, 1.0)), z)
@@ -111,10 +112,10 @@ def amplification(tableau: ButcherTableau, z: Complex) -> Complex:
 
 
 class _Modes(NamedTuple):
-    """Modes of the members of a batch that have equally many freedoms.
+    """Modes of batch members with the same number of freedoms.
 
-    members : numbers of them.   exponents : hλ, (members, modes).
-    shares : the contribution of each force to each mode, (members, modes, forces).
+    members : numbers of the members.   exponents : hλ, (members, modes).
+    shares : contribution of each force to each mode, (members, modes, forces).
     """
 
     members: Indices
@@ -122,17 +123,17 @@ class _Modes(NamedTuple):
     shares: Array
 
     def growth(self, tableau: ButcherTableau, steps: float, share: float = 1.0) -> Array:
-        """Logarithm of the growth of each mode in so many steps of `share` of the length."""
+        """Log growth of each mode in `steps` steps of `share` times the step length."""
         factors = np.abs(amplification(tableau, share * self.exponents))
         found: Array = steps * (np.log(factors) - ROUNDING)
         return found
 
 
 class _OwnForces:
-    """Forces of lierb's own with the rows of their problem; keeps what no start changes."""
+    """Forces of `lierb.forces` in a problem with its rows; caches data common to all starts."""
 
     def __init__(self, mechanism: Mechanism, is_one_body: bool, is_alike: bool) -> None:
-        """is_alike : whether the modes are the same at every start."""
+        """is_alike : True if the modes are the same at every start."""
         self.mechanism, self.is_one_body, self.is_alike = mechanism, is_one_body, is_alike
         self._last: tuple[Any, Any, str] = None, None, ""  # steps, start and message
 
@@ -143,7 +144,7 @@ class _OwnForces:
         if isinstance(problem, Mechanism):
             return cls(Mechanism(problem.links, problem.loops, **given), False, False)
         assert isinstance(problem, Problem)
-        # In axes of the body neither its mass matrix nor the rows of a subgroup depend on the pose.
+        # In body axes, neither the mass matrix nor the rows of a subgroup depend on the pose.
         only_joint = problem.joint.subgroup is not None and problem.rows == problem.joint.rows
         is_alike = only_joint and all(force.kind.needs_axis for force in forces)
         return cls(Mechanism(Link(BODY, problem.body, problem.joint), **given), True, is_alike)
@@ -151,7 +152,7 @@ class _OwnForces:
     def message(
         self, pose0: Starts, twist0: Starts, count: int, timing: Timing, goes_on: bool
     ) -> str:
-        """Message of the warning; empty where steps are short enough."""
+        """Message of the warning; empty if steps are short enough."""
         steps = timing.tableau, timing.dt, timing.steps, count
         arrays = () if self.is_alike else (*pose0.values(), *twist0.values())
         start = [array.tobytes() for array in arrays] if count <= FEW or self.is_alike else None
@@ -188,7 +189,7 @@ class _OwnForces:
 
     @cached_property
     def _places(self) -> list[tuple[Connection, Parameters, BodyConstants]]:
-        """Frames between which each force acts."""
+        """Pair of frames between which each force acts."""
         mechanism, found = self.mechanism, []
         for i in range(len(mechanism.forces)):
             at = mechanism.places[i]._replace(elements=(i,))
@@ -200,14 +201,14 @@ class _OwnForces:
         return System(self.mechanism, 1)
 
     def _modes(self, pose0: Starts, twist0: Starts, count: int, dt: float) -> Iterator[_Modes]:
-        """Modes of all forces; then those of the forces that act throughout a motion."""
+        """Modes of all forces, then modes of the forces that act throughout a motion."""
         names = self.mechanism.names
         poses = [pose_components(pose0[name]) for name in names]
         twists = [components(twist0[name]) for name in names]
         system = self._system if count == 1 else System(self.mechanism, count)
         rows = system.decomposed(system.states(poses))
         tangents, forces = [], []
-        along: list[Array] = []  # of each tangent, q̇ as a row on the x of `DecomposedRows`
+        along: list[Array] = []  # for each tangent: q̇ as a row acting on x of `DecomposedRows`
         for i, (at, p, body) in enumerate(self._places):
             x = system.kinematics(at, body, poses, twists)
             for tangent in self.mechanism.forces[i].kind.tangents(body.elements[0], x.motion):
@@ -231,7 +232,7 @@ class _OwnForces:
         acting = [np.ones_like(lasting)]
         if 0 < np.count_nonzero(lasting) < len(lasting):
             acting.append(lasting)
-        root = np.broadcast_to(system.metrics[0].unit, (count,))  # of the unit of y's energy
+        root = np.broadcast_to(system.metrics[0].unit, (count,))  # of y's energy
         for rank in np.unique(rows.ranks[rows.freedoms > 0]):
             these = np.flatnonzero(rows.ranks == rank)
             # Coordinates q of the free motions in which the kinetic energy is q̇ᵀq̇/2
@@ -254,7 +255,7 @@ class _OwnForces:
 
     @cached_property
     def _stiffest(self) -> Indices:
-        """Members with the largest stiffness and damping of a force over mass and over inertia."""
+        """Members with the largest ratio of a force's stiffness or damping to mass or inertia."""
         mechanism, found = self.mechanism, []
         for force, at in zip(mechanism.forces, mechanism.places, strict=False):
             bodies = [mechanism.links[i].body for i in (at.body, at.parent) if i >= 0]
@@ -272,7 +273,8 @@ class _OwnForces:
         return np.unique(np.array(found, dtype=np.int64))
 
 
-# Far from its anchor a spring has all its stiffness across the line, and its damping along it.
+# Motion far from the anchor, where a spring has its stiffness across the line and its damping
+# along it.
 APART = Motion(ZERO, IDENTITY, scale(1e6, UNIT[0]), ZERO3, UNIT[0])
 
 _own_forces: WeakKeyDictionary[Model, _OwnForces] = WeakKeyDictionary()
@@ -281,10 +283,10 @@ _own_forces: WeakKeyDictionary[Model, _OwnForces] = WeakKeyDictionary()
 def _modes_of(
     members: Indices, gains: Array, stiffness: Array, damping: Array, forces: list[int]
 ) -> _Modes:
-    """Modes of h²K = Σ s g gᵀ and hD = Σ d g gᵀ, which neither grow nor are other than finite.
+    """Modes of h²K = Σ s g gᵀ and hD = Σ d g gᵀ; the exponents are finite, with Re hλ ≤ 0.
 
     gains : g of each tangent, (members, freedoms, tangents).   stiffness, damping : s and d.
-    forces : the number of the force that each tangent is of.
+    forces : number of the force that each tangent belongs to.
     """
     freedoms = gains.shape[1]
     companion = np.zeros((len(members), 2 * freedoms, 2 * freedoms))
@@ -300,12 +302,12 @@ def _modes_of(
     shares = np.zeros((*exponents.shape, forces[-1] + 1))
     for number, force in enumerate(forces):
         shares[..., force] += parts[..., number]
-    exponents = np.minimum(exponents.real, 0.0) + 1j * exponents.imag  # above 0 by rounding alone
+    exponents = np.minimum(exponents.real, 0.0) + 1j * exponents.imag  # positive only by rounding
     return _Modes(members[sound], exponents, shares)
 
 
 def _stable_length(modes: list[_Modes], timing: Timing) -> float:
-    """Length of a step, s, to two digits, with which no mode doubles in the run."""
+    """Longest step, s, to two digits, with which no mode doubles in the run."""
 
     def is_stable(share: float) -> bool:
         growths = (each.growth(timing.tableau, timing.steps / share, share) for each in modes)

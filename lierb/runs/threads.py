@@ -13,8 +13,8 @@ from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import is_whole
 from lierb.support.forks import check_threads
 
-# Duration of one call of the driver, s: short enough for Ctrl-C and a moving bar, long enough to
-# hide the 30 µs of a call and the 0.5 µs of loading and storing a block.
+# Duration of one call of the driver, s. It is short enough for Ctrl-C and the progress bar; the
+# 30 µs of a call and the 0.5 µs of loading and storing a block are negligible beside it.
 CALL_SECONDS = 0.15
 
 
@@ -30,7 +30,7 @@ def threading_layer() -> str:
 
 
 def threads_for(count: int | None, blocks: int) -> int:
-    """Return the number of threads of a call: `count`, but no more than it has blocks."""
+    """Return the number of threads of a call: `count`, at most the number of blocks."""
     most = numba.config.NUMBA_NUM_THREADS
     if count is None:
         count = numba.get_num_threads()
@@ -43,14 +43,14 @@ def threads_for(count: int | None, blocks: int) -> int:
 
 @contextmanager
 def running(threads: int) -> Iterator[None]:
-    """Context in which compiled code runs on this number of threads."""
+    """Context manager: compiled code runs on `threads` threads."""
     with _driver_lock, _thread_mask(threads), np.errstate(all="ignore"):
         yield
 
 
 @contextmanager
 def _thread_mask(count: int) -> Iterator[None]:
-    """Context in which this Python thread has this number of Numba threads."""
+    """Context manager: this Python thread uses `count` Numba threads."""
     before = numba.get_num_threads()
     if count != before:
         numba.set_num_threads(count)

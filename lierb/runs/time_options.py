@@ -16,8 +16,8 @@ from lierb.model.functions.controllers import Controller
 from lierb.runs.timing import ATOL, BLOCKS, IN_RADII, LEAST_RTOL, Timing
 from lierb.support.arrays import Array, are_finite, as_floats, is_whole
 
-MOST_STEPS = 2.0**53  # beyond, not every step has a number
-MOST_TICKS = 2.0**48  # beyond, steps between ticks would be a few roundings of t long
+MOST_STEPS = 2.0**53  # larger step numbers are not exact in a double
+MOST_TICKS = 2.0**48  # with more ticks, the steps between them would be a few roundings of t long
 MOST_SEED = 2**53
 ADAPTIVE_METHOD = "DOP853"  # default with adaptive steps
 RTOL = 1e-6  # default where only atol is given
@@ -126,7 +126,7 @@ def _checked_rtol(rtol: Any) -> float:
 
 
 def _checked_atol(atol: Any, rtol: float) -> tuple[float | None, ...]:
-    """Return the tolerance of each block; None where it scales with the radius of gyration."""
+    """Return the tolerance of each block; None if it scales with the radius of gyration."""
     if atol is None:
         atol = {}
     if isinstance(atol, Mapping):
@@ -206,7 +206,7 @@ def _check_counts(save_every: Any, measure_every: Any) -> None:
 
 
 def check_periods(controllers: Iterable[Controller], timing: Timing) -> None:
-    """Raise TimeGridError where a controller's period is below the rounding of t."""
+    """Raise TimeGridError if a controller's period is below the rounding of t."""
     latest = max(abs(timing.t0), abs(timing.t_end))
     for each in controllers:
         shortest = float(np.min(each.parameters["every"], initial=math.inf))
@@ -224,7 +224,7 @@ def checked_seed(seed: Any) -> int:
 
 
 def checked_numbers(trajectories: Any, count: int) -> Array:
-    """Validate the numbers of the trajectories, by which noise is drawn."""
+    """Validate the trajectory numbers, which select each trajectory's noise."""
     numbers = as_floats("trajectories", trajectories)
     is_fit = numbers.shape == (count,) and (numbers == np.floor(numbers)).all()
     if not (is_fit and (numbers >= 0).all() and (numbers < MOST_SEED).all()):
@@ -236,7 +236,10 @@ def checked_numbers(trajectories: Any, count: int) -> Array:
 
 
 def checked_steps(dt: float, t_end: float, t0: float) -> int:
-    """Return the number of fixed steps from t0 to t_end. Raises TimeGridError without one."""
+    """Return the number of fixed steps from t0 to t_end.
+
+    Raises TimeGridError if no whole number of steps fits.
+    """
     dt = checked_time("dt", dt)
     largest = max(abs(t0), abs(t_end))
     if largest / dt > MOST_STEPS:
@@ -246,7 +249,7 @@ def checked_steps(dt: float, t_end: float, t0: float) -> int:
     if length == math.inf:
         raise TimeGridError(f"from t0={t0!r} s to t_end={t_end!r} s is beyond all numbers")
     steps = round(length / dt)
-    rounding = 4 * sys.float_info.epsilon * largest  # of the times and of N·dt themselves
+    rounding = 4 * sys.float_info.epsilon * largest  # rounding error of the times and of N·dt
     if steps < 1 or abs(length - steps * dt) > 1e-9 * dt + rounding:
         below = max(int(length / dt), 1)
         misfit = "no multiple" if t0 == 0.0 else f"after t0={t0!r} s no whole number of steps"

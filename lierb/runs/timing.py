@@ -1,4 +1,4 @@
-"""Timing of a run: its steps, tolerances and saved times, as clocks of the kernels."""
+"""Timing of a run: steps, tolerances and saved times, converted to clocks of the kernels."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lierb.runs.continuation import counted
 from lierb.runs.lane_engine import LaneTime
 from lierb.support.arrays import Array
 
-BLOCKS = ("rotation", "position", "omega", "v", "states")  # with a tolerance each
+BLOCKS = ("rotation", "position", "omega", "v", "states")  # each has its own tolerance
 IN_RADII = ("position", "v")  # blocks whose default tolerance scales with the radius of gyration
-ATOL = 1e-3  # default, relative to rtol: in rad, rad/s, units of the states, radii of gyration
+ATOL = 1e-3  # default atol/rtol, in rad, rad/s, units of the states, radii of gyration
 LEAST_RTOL = 1e-15
 
 
@@ -29,10 +29,11 @@ LEAST_RTOL = 1e-15
 class Timing:
     """Validated time options of a run.
 
-    steps : number of fixed steps; 0 of adaptive ones.   dt : fixed step, or the first adaptive one,
-    0 for Hairer's choice, s.   atol : tolerance of each of BLOCKS, None where it scales with the
-    radius of gyration.   save_every : 0 for no history.
-    is_of_lanes : True where each trajectory has a clock of its own.
+    steps : number of fixed steps; 0 if steps are adaptive.
+    dt : fixed step or first adaptive step, s; 0 for Hairer's choice.
+    atol : tolerance of each of BLOCKS; None if it scales with the radius of gyration.
+    save_every : 0 for no history.
+    is_of_lanes : True if each trajectory has its own clock.
     """
 
     tableau: ButcherTableau
@@ -62,7 +63,7 @@ class Timing:
     def plan_fields(self, has_events: bool, has_jumps: bool) -> dict[str, Any]:
         """Return the fields of the plan that depend on time options.
 
-        has_jumps : True where elements may jump at times that are their parameters.
+        has_jumps : True if elements may jump at times that are their parameters.
         """
         tableau = self.tableau
         fields: dict[str, Any] = {
@@ -87,7 +88,7 @@ class Timing:
         }  # fmt: skip
 
     def clock(self) -> StepClock:
-        """Return the clock of fixed steps, which all lanes share."""
+        """Return the clock of fixed steps, shared by all lanes."""
         return StepClock(
             self.dt, self.steps, self.measure_every, self.save_every, *counted(self.t0, self.dt)
         )
@@ -129,7 +130,8 @@ class Timing:
         return LaneTime(span, tolerances, rows, kinds, seed, numbers, steps, jumps)
 
     def metadata(self) -> dict[str, Any]:
-        """Return the options of clocks of the lanes, as `lierb.integrate` takes them."""
+        """Return the options of the lanes' clocks, as keywords of `lierb.integrate`."""
+
         found: dict[str, Any] = {}
         if not self.is_of_lanes:
             return found

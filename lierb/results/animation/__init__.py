@@ -1,6 +1,6 @@
-"""Moving pictures of trajectories: one HTML file, or a cell of a notebook, without a network.
+"""Animations of trajectories: one HTML file or a notebook cell, without a network.
 
-`scene` makes plain data of a result, `page` puts it into `player.html` with `player.js`.
+`scene` converts a result to plain data; `page` inserts these into `player.html` with `player.js`.
 """
 
 from lierb.results.animation.page import Animation, animate

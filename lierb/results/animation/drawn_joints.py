@@ -1,4 +1,4 @@
-"""Joints of a scene: frames, axes of turning and sliding, and gaps."""
+"""Joints of a scene: frames, axes of rotation and sliding, and gaps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lierb.support.arrays import Array
 
 
 class DrawnJoint(NamedTuple):
-    """Joint that is drawn; parent and child are numbers of bodies, None for the ground."""
+    """Drawn joint; parent and child are indices of bodies, None for the ground."""
 
     name: str
     joint: Joint
@@ -25,7 +25,7 @@ class DrawnJoint(NamedTuple):
     gap: Array
 
     def described(self) -> dict[str, Any]:
-        """Return the joint as the page reads it."""
+        """Return the joint as plain data for the page."""
         joint = self.joint
         ground, body = _axes(joint)
         slides, child_slides = _slides(joint)
@@ -48,7 +48,7 @@ class DrawnJoint(NamedTuple):
 
 
 def drawn_joints(model: Model, poses: list[Array]) -> list[DrawnJoint]:
-    """Return the joints that have rows, parents first, and loops after the links."""
+    """Return the joints with rows, parents first; loops come after the links."""
     count = len(model.bodies)
     return [
         DrawnJoint(
@@ -82,6 +82,6 @@ def _slides(joint: Joint) -> tuple[list[int], list[int]]:
     for symbol in ("d", "Qtd"):
         held = {row.i for row in joint.rows if row.symbol == symbol}
         if "screw" in map(str, joint.rows) and symbol == "d" and len(held) < 2:
-            held = {0, 1, 2}  # a plane that rises: no line to draw
+            held = {0, 1, 2}  # a rising plane has no line to draw
         found.append([i for i in range(3) if i not in held] if len(held) == 2 else [])
     return found[0], found[1]

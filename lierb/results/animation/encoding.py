@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from lierb.support.arrays import Array
 
-RUNAWAY = 1e30  # m: positions beyond are not drawn; float32 ends at 3e38
+RUNAWAY = 1e30  # m; positions beyond are not drawn, since float32 ends at 3e38
 
 
 def encoded(array: Array) -> str:
     """Return an array in single precision, in base64."""
-    with np.errstate(over="ignore"):  # a body that runs away is infinite, and not drawn
+    with np.errstate(over="ignore"):  # a diverging body becomes infinite, and is not drawn
         return text_of(np.ascontiguousarray(array, "<f4"))
 
 

@@ -1,4 +1,4 @@
-"""Gap of a joint as a displacement of its body, which the animation magnifies."""
+"""Gap of a joint: the displacement of its body that the animation magnifies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lierb.support.arrays import Array, assembled, pose_components
 
 
 def gap_of(model: Model, at: Connection, poses: list[Array]) -> Array:
-    """Return the displacement of a joint's body from what the joint allows; see `gaps_in`.
+    """Return the displacement of a joint's body off its constraint set; see `gaps_in`.
 
     model : of one member.   poses : poses of each link over time, (times, 4, 4).
     """
@@ -27,12 +27,12 @@ def gap_of(model: Model, at: Connection, poses: list[Array]) -> Array:
 
 
 def gaps_in(joint: Joint, parameters: Parameters, body: BodyConstants, poses: Array) -> Array:
-    """Return the displacement of a body from what its joint allows, (times, 6).
+    """Return the displacement of a body off its joint's constraint set, (times, 6).
 
-    A row is a rotation vector, rad, and the displacement of the joint's point, m, in the ground's
-    axes. They are the shortest that explain the values h of the joint's rows to first order,
-    δ = J⁺ h, with the rows of rotation and of position apart. They are computed here, since the
-    page's single precision has no room for 1e-7 m beside 1 m.
+    A row has a rotation vector, rad, and the displacement of the joint's point, m, in the ground's
+    axes. They are the shortest displacements that give the constraint residuals h to first order,
+    δ = J⁺ h, separately for the rows of rotation and of position. They are computed here in double
+    precision, since the page's single precision cannot resolve 1e-7 m beside 1 m.
     """
     rows = joint.rows
     rotation, position = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))

@@ -1,4 +1,4 @@
-"""A scene as one HTML page, which needs nothing else: no network, no library."""
+"""HTML page of a scene: one file, without network or libraries."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from lierb.support.arrays import Array, as_numbers, is_whole
 from lierb.support.files import require_page, write_whole
 from lierb.support.shown import counted, steps_told
 
-MOST_VIEWS = 8  # of the trajectories that nobody has chosen
-FRAMES = 2000  # of a trajectory; a history of more is thinned
-HEIGHT = 640  # of a notebook's frame, pixels
+MOST_VIEWS = 8  # most views by default
+FRAMES = 2000  # most frames of a trajectory; longer histories are thinned
+HEIGHT = 640  # height of the frame in a notebook, pixels
 
 
 class Animation:
-    """A moving picture; `save` writes it, a notebook shows it.
+    """Animation; `save` writes it to a file, a notebook shows it.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Animation:
         texts = {
             "TITLE": html.escape(self.scene["title"]),
             "PLAYER": _asset("player.js"),
-            "SCENE": data.replace("<", "\\u003c"),  # or one in a name would end the script
+            "SCENE": data.replace("<", "\\u003c"),  # a "<" in a name could end the script
         }
         return re.sub("%([A-Z]+)%", lambda mark: texts[mark[1]], _asset("player.html"))
 
@@ -84,7 +84,8 @@ class Animation:
         Raises
         ------
         StudyFileError
-            The file cannot be written, or it would replace one that is no HTML page. An OSError.
+            The file cannot be written, or it would replace a file that is not an HTML page. It is
+            an OSError.
         """
         file = Path(path).expanduser()
         require_page(file)
@@ -130,40 +131,40 @@ def animate(
     magnify: float = 1.0,
     title: str | None = None,
 ) -> Animation:
-    """Make a moving picture of trajectories, side by side on one clock and under one camera.
+    """Animate trajectories side by side, with a common clock and camera.
 
-    The page's slider magnifies the gap by which the joint is open, which is 1e-7 m or less; the
-    curve below shows the joint's errors.
+    A slider magnifies the gap of the joint, which is 1e-7 m or less. The curve below shows the
+    joint's errors.
 
     Parameters
     ----------
     results : RunStates, sequence of RunStates or dict of RunStates
-        Results with states (`save_every=…, record="state"`): one, several, or several by their
-        names, such as one for each c-space. Every trajectory of each has a view of its own.
+        Results with states (`save_every=…, record="state"`): one, several, or several by name, such
+        as one for each c-space. Each trajectory has its own view.
     path : path, optional
         HTML file to write; it opens without a network. Default: none.
     trajectories : int or iterable of int, optional
-        Numbers of the trajectories. Default: the first ones, as many as make 8 views.
+        Numbers of the trajectories. Default: the first ones, for 8 views at most.
     problem : Problem or Mechanism, optional
-        Problem of results that were pickled, which have lost theirs.
+        Problem of the results; needed if they were pickled, which drops the problem.
     shape : Shape or dict of Shape, optional
         Shape of the body, see `lierb.animation.box`, `cylinder` and `mesh`; for a mechanism a
         dictionary by link. Default: the box or cylinder of the body's mass and inertia.
     trail : bool, array_like of shape (3,), or dict of them, optional
-        True for a trail of the centre of mass (for a body that turns about it, of a corner), or the
-        point of the body that leaves one, m. For a mechanism a dictionary link → point. Default:
-        True; for a mechanism the links on which no other one hangs.
+        True for a trail of the centre of mass (or of a corner, for a body that turns about its
+        centre of mass), or the body point that leaves the trail, m. For a mechanism, a dictionary
+        link → point. Default: True; for a mechanism, trails of the links without children.
     frames : int, optional
         Largest number of frames; longer histories are thinned evenly.
     magnify : float, optional
-        Factor by which the gap is magnified at first.
+        Initial magnification of the gap.
     title : str, optional
         Title. Default: joint and method.
 
     Returns
     -------
     Animation
-        The moving picture, which a notebook shows.
+        The animation, which a notebook shows.
 
     Raises
     ------
@@ -210,7 +211,7 @@ def _asset(name: str) -> str:
 
 
 def _named(results: Any) -> dict[str, RunStates]:
-    """Return results by name; the default is that of the c-space."""
+    """Return results by name; the default name is that of the c-space."""
     given: list[tuple[str | None, Any]]
     if isinstance(results, Mapping):
         given = [(str(name), result) for name, result in results.items()]
@@ -266,7 +267,7 @@ def _chosen(named: dict[str, RunStates], given: Any) -> list[int]:
 def _views(
     named: dict[str, RunStates], models: dict[str, Model], chosen: list[int]
 ) -> Iterator[tuple[str, RunStates, Model, int]]:
-    """Yield title, result, model and number of each view, trajectory by trajectory."""
+    """Yield title, result, model and trajectory number of each view, by trajectory."""
     for number in chosen:
         for name, result in named.items():
             known = models[name]

@@ -1,21 +1,22 @@
 """Scene of an animation: plain data that becomes JSON.
 
-    scene   title, up (3), centre (3) and radius of what is seen, size of its bodies, m; floor: how
-            high along up it is drawn, m, or null; follow: whether the camera goes with the bodies;
-            magnify: the slider's largest factor, magnified: its first; curves: names and labels;
-            colours: of views' further bodies; notes; views
-    view    title, colour, t, bodies, joints, errors: side by side with the others, on the same
-            clock; dash: which of the view's colour it is, from 0, as lines tell apart
-    body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), place; trail: a point
-            of the body or null; bones: pairs of points of a link between which a line is drawn
-    joint   name, parent and child: indices of bodies, null for the ground, parents first; closes:
-            whether it is a loop's, after those of the links; parent_frame and
-            child_frame: 4×4, row by row; parent_axes, child_axes, slides, child_slides: which of
-            their axes to draw; is_rod; gap (times, 6): see `lierb.results.animation.gaps`
-    errors  of each of curves, how large over time
+    scene   title; up (3); centre (3) and radius of the visible region; size of the bodies, m;
+            floor: height of the floor along up, m, or null; follow: true if the camera follows the
+            bodies; magnify: largest factor of the slider; magnified: its initial factor; curves:
+            names and labels; colours: colours of the further bodies of a view; notes; views
+    view    title, colour, t, bodies, joints, errors; dash: index, from 0, among the views of the
+            same colour, which selects the line style
+    body    name, shape, com, poses (times, 7): unit quaternion (w, x, y, z), position; trail: a
+            body point or null; bones: pairs of points of a link that a line connects
+    joint   name; parent and child: indices of bodies, null for the ground, parents first; closes:
+            true for a loop's joint, listed after the links' joints; parent_frame and child_frame:
+            4×4, row by row; parent_axes, child_axes, slides, child_slides: axes of these frames to
+            draw; is_rod; gap (times, 6): see `lierb.results.animation.gaps`
+    errors  values of each of the curves over time
 
-Bodies and joints are those of a mechanism; of one body there is one at the most. Arrays over time
-are float32, t is float64, little-endian, in base64; NaN after a failure.
+Views are shown side by side on a common clock. Bodies and joints are those of a mechanism; a single
+body has at most one joint. Arrays over time are float32, t is float64, little-endian, in base64;
+NaN after a failure.
 """
 
 from __future__ import annotations
@@ -44,11 +45,11 @@ from lierb.support.arrays import Array, assembled, components, pose_matrix
 
 Shapes = Shape | Mapping[str, Shape] | None
 Trails = Array | bool | Mapping[str, Array]
-GAP_SHOWN = 0.4  # of the bodies' size, and rad: how far the largest gap opens, fully magnified
-MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible: it is no gap
-WANDERS = 12.0  # times its size: a body that goes farther is followed by the camera
-TURN_SEEN = 0.5 * math.pi  # rad from frame to frame: beyond, one does not see which way it turns
-CENTRED = 0.02  # of the size: a centre of mass nearer to the joint draws no trail
+GAP_SHOWN = 0.4  # largest gap at full magnification, relative to the bodies' size, or in rad
+MOST_MAGNIFIED = 1e12  # rounding, 1e-16, stays invisible
+WANDERS = 12.0  # distance, relative to its size, beyond which the camera follows a body
+TURN_SEEN = 0.5 * math.pi  # rad from frame to frame; the sense of a larger turn is not visible
+CENTRED = 0.02  # relative to the size: a centre of mass nearer to the joint has no trail
 RECORD = (
     "an animation needs the poses over time: integrate with save_every=… or save_at=…, and "
     'record="state", such as save_every=10'
@@ -69,10 +70,10 @@ def scene_of(
     frames: int,
     magnified: float = 1.0,
 ) -> dict[str, Any]:
-    """Return the scene of these trajectories, a view for each.
+    """Return the scene of trajectories, with one view for each.
 
     named : titles, results with states, models of one member each, numbers of trajectories.
-    shape, trail : of the body; of a mechanism by link, of those for which one is given.
+    shape, trail : of the body; for a mechanism by link, not necessarily of all links.
     """
     looks = [
         _view(name, result, model, number, shape, trail, frames)
@@ -116,16 +117,16 @@ def settings_of(result: RunStates) -> dict[str, Any]:
 
 
 def cspace_of(result: RunStates) -> str | None:
-    """Return the c-space of a result; None where its tables do not have it."""
+    """Return the c-space of a result; None if its metadata lack it."""
     found: str | None = settings_of(result).get("options", {}).get("cspace")
     return found
 
 
 def _colours(results: Sequence[RunStates]) -> list[tuple[str, int]]:
-    """Return a colour and the number of a dash for each result.
+    """Return a colour and a dash index for each result.
 
-    A c-space has a colour, and the results on it differ by dashes. Where all are on one c-space,
-    each has a colour of its own.
+    Each c-space has a colour, and the results on it differ by dashes. If all results are on one
+    c-space, each has its own colour.
     """
     spaces = [cspace_of(result) for result in results]
     if len({*spaces}) == 1 or not {*spaces} <= CSPACE_COLOURS.keys():
@@ -141,7 +142,7 @@ def _rounded(points: Array, size: float) -> Array:
 def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: str = "") -> Array:
     """Return poses of a trajectory at some of the saved times, (rows, 4, 4).
 
-    count : of the trajectories in the history.   prefix : of the columns' names.
+    count : number of trajectories in the history.   prefix : prefix of the column names.
     """
     rotation = as_array(history[f"{prefix}rotation"]).reshape(-1, count, 9)[rows, number]
     position = as_array(history[f"{prefix}position"]).reshape(-1, count, 3)[rows, number]
@@ -152,7 +153,7 @@ def poses_of(history: pa.Table, count: int, number: int, rows: Array, prefix: st
 
 
 class Linked(NamedTuple):
-    """Body that is drawn: prefix of its columns, and the joint points on it, its own first."""
+    """Drawn body: prefix of its columns, and its joint points, that of its own joint first."""
 
     name: str
     prefix: str
@@ -188,7 +189,7 @@ def _view(
     trail: Trails,
     frames: int,
 ) -> tuple[dict[str, Any], Array, float, float, list[str], float]:
-    """Return a view, the points it reaches, the bodies' size, the largest gap, curves and turn."""
+    """Return a view, its swept points, the bodies' size, largest gap, curves and largest turn."""
     history = result.history
     if history is None or not result.has_states:
         raise ArgumentError(f"{name or 'the result'}: {RECORD}")
@@ -202,7 +203,7 @@ def _view(
     errors = _errors(history, [each.joint for each in held], count, number, rows)
     view = {
         "title": name,
-        "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # steps of 1e-3 s after days
+        "t": text_of(np.ascontiguousarray(t[rows], "<f8")),  # resolves 1e-3 s after days
         "bodies": [
             _body(each, own, placed, trail) for each, own, placed in zip(links, shapes, poses)
         ],
@@ -247,10 +248,10 @@ def _quaternions(poses: Array) -> Array:
 
 
 def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
-    """Return the point of a body that leaves a trail, None for no trail.
+    """Return the body point that leaves a trail; None for no trail.
 
-    It is the centre of mass, or a far corner where that rests. Links with children leave none
-    unless a point is given.
+    The default is the centre of mass, or a far corner if the centre of mass rests. Links with
+    children have no trail by default.
     """
     if isinstance(trail, Mapping):
         return trail.get(link.name)
@@ -266,7 +267,7 @@ def _trail(link: Linked, shape: Shape, trail: Trails) -> Array | None:
 
 
 def _up(model: Model) -> Array:
-    """Return the direction against gravity; e₃ without gravity."""
+    """Return the direction opposite to gravity; e₃ without gravity."""
     pull = np.linalg.norm(model.gravity)
     up = -model.gravity / pull if pull else np.array([0.0, 0.0, 1.0])
     return np.asarray(up) + 0.0  # no −0
@@ -275,9 +276,9 @@ def _up(model: Model) -> Array:
 def _errors(
     history: pa.Table, joints: list[Joint], count: int, number: int, rows: Array
 ) -> dict[str, Array]:
-    """Return the errors that joints have rows for; without any, the drift of energy.
+    """Return the errors for which joints have rows; without any, the energy drift.
 
-    Each value is the largest since the frame before.
+    Each value is the maximum since the previous frame.
     """
     found = {kind for joint in joints for kind in joint.error_kinds}
     kinds = [f"{kind}_error" for kind in sorted(found)] or ["energy_drift"]
@@ -301,11 +302,11 @@ def _swept(poses: Array, shape: Shape) -> Array:
     swept = np.einsum("tij,kj->tki", alive[:, :3, :3], corners) + alive[:, None, :3, 3]
     return np.asarray(
         swept.reshape(-1, 3) if len(alive) else corners
-    )  # failed from the start: no place
+    )  # failed from the start: no position
 
 
 def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, prefix: str) -> float:
-    """Return the largest turn between frames, rad, from rates, since poses do not count turns."""
+    """Return the largest turn between frames, rad, from rates: poses omit whole turns."""
     omega = as_array(history[f"{prefix}omega"]).reshape(-1, count, 3)[rows, number]
     with np.errstate(all="ignore"):
         turns = np.linalg.norm(omega[:-1], axis=1) * np.diff(t)
@@ -313,7 +314,7 @@ def _turn(history: pa.Table, count: int, number: int, rows: Array, t: Array, pre
 
 
 def _largest_factor(gap: float, size: float) -> float:
-    """Return the largest factor of the slider, a power of ten; 1 where no gap would be visible."""
+    """Return the largest factor of the slider, a power of ten; 1 if no gap would be visible."""
     if gap * MOST_MAGNIFIED < 1e-3:
         return 1.0
     factor = 10.0 ** math.ceil(math.log10(GAP_SHOWN / gap))

@@ -1,4 +1,4 @@
-"""Shapes of bodies: given ones, or the box or cylinder of equal mass and inertia."""
+"""Shapes of bodies: the user's, or the box or cylinder of equal mass and inertia."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from lierb.errors import ArgumentError, brief
 from lierb.model.bodies.body import Body
 from lierb.support.arrays import Array, as_floats, as_poses
 
-SIDES = 24  # of a cylinder's prism
-THINNEST = 0.02  # of a shape's longest edge: what is thinner is drawn so thick, or it had no faces
+SIDES = 24  # side faces of the prism that represents a cylinder
+THINNEST = 0.02  # least thickness drawn, relative to the longest edge
 SYMMETRIC = 1e-6  # two principal moments that differ by less, relative to the largest, are equal
 NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # of a box's faces: axis, sign
 
@@ -115,7 +115,7 @@ def cylinder(radius: float, length: float) -> Shape:
 
 
 def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
-    """Make any closed surface, as `trimesh` has it: `mesh(m.vertices, m.faces)`.
+    """Make a shape from a closed surface, such as `mesh(m.vertices, m.faces)` of a `trimesh` m.
 
     Faces are drawn from the farthest to the nearest.
 
@@ -124,7 +124,7 @@ def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
     vertices : array_like, shape (k, 3)
         Vertices in the body's axes, m.
     faces : sequence of sequences of int
-        Three or more indices of vertices for each face, anticlockwise seen from outside.
+        Three or more vertex indices for each face, anticlockwise as seen from outside.
 
     Returns
     -------
@@ -150,9 +150,9 @@ def mesh(vertices: ArrayLike, faces: Sequence[Sequence[int]]) -> Shape:
 def equivalent(body: Body) -> Shape:
     """Make the homogeneous solid of the body's mass and inertia, at its centre of mass.
 
-    It is a cylinder where two principal moments are equal and the third is not, else a box; where
-    all three are equal it is a cube, on which a turn can be seen. A body without extent along an
-    axis, such as a plate or an ideal rod, is drawn with a thickness of 2 % of its longest edge.
+    It is a cylinder if exactly two principal moments are equal, otherwise a box. If all three are
+    equal it is a cube, which makes rotation visible. A body without extent along an axis, such as a
+    plate or an ideal rod, is drawn with a thickness of 2 % of its longest edge.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def equivalent(body: Body) -> Shape:
 def box_edges(mass: float, moments: Array) -> Array:
     """Edges of the homogeneous box of these principal moments, kg m²: a₁² = 6 (I₂ + I₃ − I₁)/m."""
     squares = 6.0 * (moments.sum() - 2.0 * moments) / mass
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))  # rounding of a plate's
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))  # a plate's square may round below 0
 
 
 def cylinder_of(mass: float, along: float, across: float) -> tuple[float, float]:
@@ -191,7 +191,7 @@ def cylinder_of(mass: float, along: float, across: float) -> tuple[float, float]
 def principal(body: Body) -> tuple[Array, Array]:
     """Principal moments about the centre of mass, kg m², and their axes, a right-handed matrix.
 
-    Those of a diagonal inertia are the body's own, in their order.
+    For a diagonal inertia these are the body's axes, in their order.
     """
     com = np.asarray(body.com)
     about = body.inertia - body.mass * (com @ com * np.eye(3) - np.outer(com, com))
@@ -203,7 +203,7 @@ def principal(body: Body) -> tuple[Array, Array]:
 
 
 def _symmetry_axis(moments: Array) -> int | None:
-    """The axis whose moment alone differs from the two others, if there is one."""
+    """Return the axis whose moment differs while the other two are equal; None without one."""
     near = SYMMETRIC * moments.max()
     alike = [abs(moments[(i + 1) % 3] - moments[(i + 2) % 3]) <= near for i in range(3)]
     return alike.index(True) if sum(alike) == 1 else None
