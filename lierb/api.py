@@ -277,7 +277,6 @@ def _start_check(prepared: Ready, stacklevel: int) -> engine.StartCheck | None:
                 return False
         return True  # the flagged start is at the tolerance, up to rounding
 
-
     return check
 
 

@@ -15,7 +15,7 @@ from lierb.results.states import RunStates
 from lierb.support.arrays import Array
 
 SUBSCRIPTS = "₁₂₃₄₅₆₇₈₉"
-NEAR = 0.02  # distance of centre of mass and joint that counts as zero, relative to the gyration radius
+NEAR = 0.02  # distance of centre of mass and joint that counts as zero, in gyration radii
 
 
 @dataclass(frozen=True)
