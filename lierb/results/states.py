@@ -43,7 +43,7 @@ class States(Shown):
 
     @property
     def t(self) -> Array:
-        """Times of the state, s: (times,) of the history, or (n,), each trajectory's end time.
+        """Times of the state, s, (times,) of the history, or (n,), each trajectory's end time.
 
         The end time of a failed trajectory is that of its failure; the history goes on.
         """

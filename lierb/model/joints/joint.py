@@ -108,7 +108,7 @@ class Joint(Shown):
 
     @property
     def error_kinds(self) -> tuple[str, ...]:
-        """Kinds of constraint errors of the joint: "position", "rotation" or both."""
+        """Kinds of constraint errors of the joint, "position", "rotation" or both."""
         return tuple(sorted({row.error_kind for row in self.rows}))
 
     @cached_property
