@@ -189,7 +189,7 @@ class _OwnForces:
 
     @cached_property
     def _places(self) -> list[tuple[Connection, Parameters, BodyConstants]]:
-        """Pair of frames between which each force acts."""
+        """Connection, parameters and body constants of each force."""
         mechanism, found = self.mechanism, []
         for i in range(len(mechanism.forces)):
             at = mechanism.places[i]._replace(elements=(i,))
