@@ -16,6 +16,7 @@ from lierb.kernels.numbers.vec import IDENTITY, ZERO3
 from lierb.model.forces import FORCE_UNITS
 from lierb.runs.options import Options
 from lierb.runs.stiffness import amplification, stiff_steps
+from lierb.studies.execution.stiff_steps import stiff_settings
 
 # Hairer and Wanner, Solving Ordinary Differential Equations II, IV.2: methods of p stages and order
 # p have R(z) = 1 + z + … + z^p/p!. Where |R| = 1 on the negative real axis:
@@ -421,3 +422,19 @@ def test_functions_of_the_users_are_not_known():
         return np.zeros(3), -1e9 * R.T @ r
 
     assert not warned(lierb.Problem(BODY, FREE, forces=stiff_spring()), ALONG_E3)
+
+
+def test_a_study_without_stiff_forces_draws_no_bodies_for_the_warning(monkeypatch):
+    study = lierb.Study.of({
+        "body": {"mass": MASS, "inertia": [*INERTIA]},
+        "joint": {"type": "spherical"},
+        "problem": {"forces": [{"type": "constant_wrench", "force": [0.0, 0.0, 1.0]}]},
+        "sample": {"n": 1000},
+        "integrate": {"dt": DT, "t_end": STEPS * DT},
+    })  # fmt: skip
+    batch, counts = type(study).batch, []
+    monkeypatch.setattr(
+        type(study), "batch", lambda *given: (counts.append(given[2]), batch(*given))[1]
+    )
+    assert stiff_settings(study) == []
+    assert counts == [1]

@@ -77,7 +77,7 @@ def stiff_steps(
     count : number of trajectories.   goes_on : True if the run continues another one, whose start
         was examined for the same steps.
     """
-    if timing.is_adaptive or not any(map(_is_known, problem.kinds)):
+    if not can_be_stiff(problem, timing):
         return ""
     if problem not in _own_forces:
         _own_forces[problem] = _OwnForces.of(problem)
@@ -89,6 +89,11 @@ def stiff_steps(
             return _own_forces[problem].message(pose0, twist0, count, timing, goes_on)
     except np.linalg.LinAlgError:  # overflow or underflow, which the run itself reports
         return ""
+
+
+def can_be_stiff(problem: Model, timing: Timing) -> bool:
+    """Return True for fixed steps of a model with a force whose stiffness or damping is known."""
+    return not timing.is_adaptive and any(map(_is_known, problem.kinds))
 
 
 def _is_known(kind: Element) -> bool:
