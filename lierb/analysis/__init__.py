@@ -1,1 +1,1 @@
-"""Predictions, completion, orders of convergence, comparison of methods, the paper's section 5."""
+"""Predictions, completion groups, orders of convergence, comparisons, the paper's section 5."""

@@ -1,4 +1,4 @@
-"""Case of a comparison: a model with its start, and what all runs of it have in common."""
+"""Case of a comparison: a model, its start, and the options common to all runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lierb.support.progress import Progress
 class Case:
     """A model, its start and the common options of the runs.
 
-    common : keywords of `lierb.integrate`.   norm : of errors over the trajectories.
+    common : keywords of `lierb.integrate`.   norm : norm of an error over the trajectories.
     repeats : number of timed repetitions of a run.
     """
 
@@ -50,7 +50,7 @@ class Case:
         )
 
     def timed(self, options: Options, tell: Callable[[int], None] = lambda k: None) -> float:
-        """Return the least CPU time of this thread over `repeats` runs, s; ∞ without one."""
+        """Return the least CPU time of this thread over `repeats` runs, s; ∞ without a run."""
         seconds = math.inf
         for k in range(self.repeats):
             tell(k)

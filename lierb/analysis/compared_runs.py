@@ -46,7 +46,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Ran:
-    """Summary and ends of a run, and its CPU time, s; ∞ where none was measured."""
+    """Summary and ends of a run, and its CPU time, s; ∞ if not measured."""
 
     summary: pa.Table
     ends: Ends
@@ -62,7 +62,7 @@ def compared(
 ) -> tuple[list[dict[str, Any]], list[str]]:
     """Run each method; return the rows of the table, and messages of failed trajectories.
 
-    tell : function of the runs done, the label of the current one and its fraction.
+    tell : function of (number of finished runs, label of the current run, its fraction).
     """
     rows, failures = [], []
     for done, run in enumerate(runs):
@@ -74,7 +74,7 @@ def compared(
 
 
 def _ran(case: Case, run: Run, tell: Callable[[float], None]) -> Ran:
-    """Run once, which compiles, and then `repeats` times by the clock."""
+    """Run once to compile, then `repeats` times to measure the CPU time."""
     assert run.options is not None
     parts = case.repeats + 1
     tell(0.0)
@@ -97,7 +97,7 @@ def _row(
             f"expected {count}, a pose and a twist for each of the batch"
         )
     missing = ends.failed | reference.ends.failed
-    if "steps" in summary.column_names:  # of adaptive ones, and of those that a controller ends
+    if "steps" in summary.column_names:  # adaptive steps, or steps that end at a controller's tick
         steps, rejected = (as_array(summary[c]).astype(float) for c in ("steps", "rejected"))
     else:
         assert run.dt is not None
@@ -136,8 +136,8 @@ def _or_none(number: float) -> float | None:
 def _evaluations(tableau: ButcherTableau, is_adaptive: bool, steps: float) -> float:
     """Return the number of right-hand sides.
 
-    Fixed steps need no stage that only the error estimate uses; adaptive ones need all, and two to
-    choose the first step.
+    Fixed steps omit the stages that only the error estimate uses. Adaptive steps need all stages,
+    and two evaluations to choose the first step.
     """
     if is_adaptive:
         return tableau.stages * steps + 2.0
@@ -145,7 +145,7 @@ def _evaluations(tableau: ButcherTableau, is_adaptive: bool, steps: float) -> fl
 
 
 def quantities_of(model: Model) -> list[str]:
-    """Return all errors, and the drifts of the kinds that there are rows for.
+    """Return the names of all errors, and of the drifts of each kind with rows.
 
     A row of a constraint may be of either kind.
     """

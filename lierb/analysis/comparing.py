@@ -1,4 +1,4 @@
-"""`convergence`: methods side by side, on c-spaces and over steps or tolerances."""
+"""`convergence`: comparison of methods on c-spaces, over steps or tolerances."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from lierb.support.shown import counted, rounded
 
 Progress = bool | Callable[[int, int, str], object] | None
 
-SHARE = 1000  # parts of a run in which progress is reported
+SHARE = 1000  # progress units in a run
 MOST_RUNS = 1000
 COUNTED = (
     "Right-hand sides are counted as stages × (steps + rejected), of a trajectory in the mean; a "
@@ -79,27 +79,27 @@ def convergence(
     Parameters
     ----------
     problem : Problem or Mechanism
-        As in `integrate`. A batch is integrated as one, each trajectory with the same noise in
+        As in `integrate`. A batch is integrated as a whole; each trajectory has the same noise in
         every run.
     methods : str, ButcherTableau or iterable of them, optional
         Names or tableaus.
     dts : array_like, shape (m,), optional
-        Fixed steps, s, of which a whole number fits between t0 and t_end. At least one of `dts` and
-        `rtols` must be given.
+        Fixed steps, s; a whole number of each must fit between t0 and t_end. At least one of `dts`
+        and `rtols` is required.
     twist0 : array_like, shape (6,) or (n, 6), or dict of them
         Body-fixed twist at t0, as in `integrate`.
     t_end : float
-        Time of the end, s.
+        End time, s.
     pose0 : array_like or RigidTransform, shape (4, 4) or (n, 4, 4), or dict of them, optional
         Pose at t0, as in `integrate`.
     t0 : float, optional
-        Time of the start, s.
+        Start time, s.
     rtols : array_like, shape (m,), optional
-        Tolerances of adaptive steps, for the methods with an embedded pair.
+        Relative tolerances of adaptive steps, for the methods with an embedded pair.
     atol : float or dict, optional
         Absolute tolerance that goes with `rtols`, as in `integrate`.
     cspaces : str or iterable of str, optional
-        Configuration spaces, as `integrate` takes one. Default: its default.
+        Configuration spaces, as in `integrate`. Default: the default of `integrate`.
     update : {"local", "global"}, optional
         As in `integrate`.
     solver : {"auto", "saddle", "subgroup"}, optional
@@ -111,21 +111,21 @@ def convergence(
     seed : int, optional
         Seed of `lierb.noise`.
     reference : Result, dict or pair of poses and twists, optional
-        Exact state at t_end: the `lierb.Result` of another run, its `end`, or a pair like pose0 and
-        twist0. Default: the same problem by DOP853, its step halved until that no longer helps, on
-        "reduced" if the joint has it. The error of this reference is estimated from the step before
-        and from another c-space, and an error counts only where it is ten times as large, and
-        larger than the rounding of so many steps.
+        Exact state at t_end: the `lierb.Result` of another run, its `end`, or a pair in the form of
+        pose0 and twist0. Default: the same problem by DOP853, on "reduced" if the joint has it; the
+        step is halved until the error no longer decreases. The error of this reference is estimated
+        from the preceding step and from another c-space. An error of a run counts only if it is ten
+        times the reference's error and larger than the rounding of its number of steps.
     norm : {"largest", "median"}, optional
         Norm of an error over the trajectories of a batch.
     repeats : int, optional
-        Number of timed repetitions of each run, after one that compiles. The least CPU time of the
-        one thread counts. 0 measures none.
+        Number of timed repetitions of each run, after a first run that compiles. The least CPU time
+        counts, on one thread. 0 measures no times.
     name : str, optional
         Title of the figure.
     progress : bool or callable, optional
-        True, False or None as in `integrate`, or a function of (runs done, runs in all, name of the
-        next one).
+        True, False or None as in `integrate`, or a function of (number of finished runs, number of
+        all runs, name of the next run).
 
     Returns
     -------
@@ -135,12 +135,12 @@ def convergence(
     Raises
     ------
     LierbError
-        An argument is wrong. Subclasses say which.
+        An argument is wrong. The subclasses classify the error.
 
     Warns
     -----
     FailedTrajectoryWarning
-        Some trajectories have failed in a run. They are left out of its errors, and counted in
+        Some trajectories have failed in a run. They are left out of the run's errors and counted in
         `failed`.
 
     Examples
@@ -237,7 +237,7 @@ def _require_different(argument: str, given: Sequence[Any]) -> None:
 def _runs(
     tableaus: list[ButcherTableau], cspaces: list[CSpace], dts: list[float], rtols: list[float]
 ) -> list[Run]:
-    """Return each method and c-space at each step, and adaptive methods at each tolerance."""
+    """Return the runs: all methods and c-spaces at all steps; adaptive methods at all rtols."""
     if not (dts or rtols):
         raise ArgumentError("neither dts nor rtols is given; give fixed steps, s, or tolerances")
     if rtols and not dts:
@@ -274,7 +274,7 @@ def _check(
 
 
 def _options(case: Case, run: Run, atol: Any) -> Options:
-    """Return the options of a run; the error of an unfit step names the steps that fit."""
+    """Return the options of a run; the error for a step that does not fit names fitting steps."""
     given = {"method": run.tableau, "cspace": run.cspace}
     if run.dt is None:
         return case.options(rtol=run.rtol, atol=atol, **given)
@@ -285,7 +285,7 @@ def _options(case: Case, run: Run, atol: Any) -> Options:
 
 
 def _length(t0: Any, t_end: Any) -> float:
-    """Return t_end − t0, s; NaN where they are no times, which `Options` refuses."""
+    """Return t_end − t0, s; NaN for invalid times, which `Options` rejects."""
     if not all(is_whole(t) or isinstance(t, (float, np.floating)) for t in (t0, t_end)):
         return math.nan
     try:
@@ -295,7 +295,7 @@ def _length(t0: Any, t_end: Any) -> float:
 
 
 def _require_part(dt: float, length: float) -> None:
-    """Raise TimeGridError where no whole number of steps makes the run, with the nearest fits."""
+    """Raise TimeGridError, with the nearest fits, unless dt divides the length of the run."""
     steps = length / dt
     if steps < 0.5 or abs(steps - round(steps)) > 1e-9 * max(1.0, 1e-3 * steps):
         below = max(math.floor(steps), 1)

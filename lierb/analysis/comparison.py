@@ -1,4 +1,4 @@
-"""Comparison of methods: its table, observed orders, and files of both."""
+"""Comparison of methods: table of the runs, observed orders, and their files."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from lierb.support.shown import Lines, Shown, counted
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAME = "comparison"  # of the files
+NAME = "comparison"  # name of the files
 
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Shown):
-    """Comparison of methods, c-spaces and steps, which `lierb.convergence` returns.
+    """Comparison of methods, c-spaces and steps, returned by `lierb.convergence`.
 
     Attributes
     ----------
@@ -47,11 +47,11 @@ class Comparison(Shown):
         one; steps, rejected and evaluations of right-hand sides, means over trajectories; cpu_time
         of the batch, s; trajectories, failed; error.rotation, error.position, error.omega and
         error.v at t_end, the largest or the median over trajectories; drift.position and
-        drift.rotation of the joints, and drift.energy, the largest of the run. Each of these is
-        followed by its floor, such as error.v.floor: an error up to that is rounding, or the
-        reference's.
+        drift.rotation of the joints, and drift.energy, maxima over the run. Each of these is
+        followed by its floor, such as error.v.floor: an error up to the floor is rounding, or may
+        be the reference's.
     orders : tuple of Observed
-        Observed orders of all that falls with the step.
+        Observed orders of all errors and drifts.
     name : str
         Title of figures.
     notes : tuple of str
@@ -75,10 +75,9 @@ class Comparison(Shown):
         method : str
             Name of the method.
         cspace : str, optional
-            Configuration space; it may be left out where there is one.
+            Configuration space; it may be omitted if there is only one.
         quantity : str, optional
-            A column of `table`. Default: error.position, or error.rotation where nothing moves away
-            from its place.
+            A column of `table`. Default: error.position, or error.rotation if no position changes.
 
         Returns
         -------
@@ -90,7 +89,7 @@ class Comparison(Shown):
         UnknownNameError
             The comparison has no such method, c-space or quantity.
         ArgumentError
-            There are several c-spaces and none is named.
+            There are several c-spaces, and `cspace` is omitted.
         """
         if not self.orders:
             raise ArgumentError("each method was run with one step; give two and more for orders")
@@ -147,7 +146,7 @@ class Comparison(Shown):
         return "\n".join(in_latex(table, caption) for table, caption in tables)
 
     def text_tables(self, columns: Iterable[str] | None = None) -> Iterator[TextTable]:
-        """Yield the table of the runs and, if there are any, that of the orders, as text."""
+        """Yield the table of the runs and the table of the orders, if there are any, as text."""
         yield table_of_runs(self.table, columns)
         if self.orders:
             yield table_of_orders(self.orders)
@@ -160,7 +159,7 @@ class Comparison(Shown):
         Parameters
         ----------
         quantity : {"rotation", "position", "omega", "v"}, optional
-            Error to draw. Default: that of position or, where there is none, of rotation. Points
+            Error to draw. Default: position, or rotation if there is no position error. Points
             below their floor are drawn hollow.
 
         Returns
@@ -184,7 +183,7 @@ class Comparison(Shown):
         return comparison_figure(self, self.table, orders, quantity)
 
     def save(self, out: str | Path) -> list[Path]:
-        """Write the table (Parquet), Markdown, LaTeX and, with Matplotlib, the figure to a folder.
+        """Write table (Parquet), Markdown, LaTeX and, with Matplotlib, the figure to a folder.
 
         Parameters
         ----------
@@ -199,7 +198,7 @@ class Comparison(Shown):
         Raises
         ------
         StudyError
-            `out` is no folder of this machine.
+            `out` is not a folder on this machine.
         """
         folder = folder_of(out)
         contents: dict[str, Callable[[], bytes]] = {
@@ -240,7 +239,7 @@ def comparison(
 ) -> Comparison:
     """Make a comparison from the rows of its table.
 
-    sizes : size of each quantity that the problem has, to which its errors are relative.
+    sizes : characteristic size of each quantity of the problem, the scale of its errors.
     """
     notes = tuple(notes)
     orders = tuple(observed_orders(rows, {each.name: each.order for each in tableaus}, sizes))

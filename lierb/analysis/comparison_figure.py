@@ -1,4 +1,4 @@
-"""Figures of a comparison: work and precision, errors and drifts over the step."""
+"""Figures of a comparison: work-precision diagrams, errors and drifts over the step."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ AXES = {
     "drift.energy": "energy drift [J]",
     "cpu_time": "CPU time [s]", "evaluations": "right-hand sides", "step": "Δt [s]", "rtol": "rtol",
 }  # fmt: skip
-MARKERS = "os^Dv<>Pph*"  # of methods
+MARKERS = "os^Dv<>Pph*"  # one for each method
 NO_RUN = "nothing to draw: no run got to its end"
 
 
@@ -57,14 +57,14 @@ class Line:
     order: int | None
 
     def column(self, name: str) -> Array:
-        """Return a column as floats, NaN where it has no value."""
+        """Return a column as floats, NaN for missing values."""
         return np.asarray(self.rows[name].to_numpy(zero_copy_only=False).astype(float))
 
 
 def comparison_figure(
     named: Named, table: pa.Table, orders: Mapping[str, int | None], quantity: str | None
 ) -> Figure:
-    """Draw a comparison's table, one panel for each quantity on the abscissa, and for each drift.
+    """Draw a comparison's table: a panel for each abscissa, and one for each drift.
 
     orders : orders of the methods, by name.   quantity : error to draw, without "error.".
     """
@@ -113,7 +113,7 @@ def _lines(table: pa.Table, orders: Mapping[str, int | None]) -> Iterator[Line]:
 
 def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
     zeros, ends = [], []
-    below: dict[int, float] = {}  # where each order's line begins
+    below: dict[int, float] = {}  # start of each order's line
     dts = np.empty(0)
     for n, line in enumerate(lines):
         x, errors, floors = (line.column(c) for c in (across, quantity, quantity + FLOOR))
@@ -123,7 +123,7 @@ def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
                 zeros.append(line.key.label)
             continue
         visible = errors > floors
-        width = 1.2 + 1.2 * (len(lines) - 1 - n) / len(lines)  # lines on each other show both
+        width = 1.2 + 1.2 * (len(lines) - 1 - n) / len(lines)  # shows coincident lines
         panel.plot(x, drawn, color=line.key.colour, linestyle=line.key.dash, linewidth=width)
         style: dict[str, Any] = {"linestyle": "none", "marker": line.marker, "markersize": 5.0}
         panel.plot(x[visible], drawn[visible], color=line.key.colour, **style)
@@ -145,7 +145,7 @@ def _draw(lines: list[Line], across: str, quantity: str, panel: Axes) -> None:
     panel.set_xlabel(AXES[across])
     panel.set_ylabel(AXES[quantity])
     log_axes(panel, "xy", zeros, NO_RUN)
-    if ends:  # room below for the labels of errors that are zero
+    if ends:  # space for the labels of zero errors
         low, high = min(lowest for *_, lowest in ends), panel.get_ylim()[1]
         panel.set_ylim(bottom=0.3 * low / (high / low) ** (0.07 * len(zeros)))
     if len(lines) > MOST_KEYS and ends:

@@ -25,13 +25,13 @@ class Observed:
     cspace : str
         Configuration space.
     control : {"dt", "rtol"}
-        Setting that the steps follow.
+        Option that controls the steps.
     quantity : str
         A column of the comparison's table, such as "error.position".
     order : Order or None
-        The order; None where all errors are rounding or below the reference's own.
+        The order; None if all errors are rounding or below the reference's error.
     of_method : int or None
-        Order of the method, where it is known.
+        Order of the method, if known.
     runs : int
         Number of runs.
     verdict : str
@@ -49,7 +49,7 @@ class Observed:
 
     @property
     def text(self) -> str:
-        """Order and number of runs that it is fitted to: `3.99 (4 of 5)`."""
+        """Order and number of fitted runs, such as `3.99 (4 of 5)`."""
         if self.order is None:
             return EXACT if self.quantity.startswith("drift.") else "–"
         if self.order.lower_bound:
@@ -75,9 +75,9 @@ def observed_orders(
 ) -> Iterator[Observed]:
     """Yield the observed orders of a comparison's rows.
 
-    known : orders of the methods, by name.   sizes : of what the errors are errors of, by quantity.
+    known : orders of the methods, by name.   sizes : characteristic size of each quantity.
 
-    Runs with failures are left out: the trajectories that remain differ from step to step.
+    Runs with failures are left out, since their remaining trajectories differ from step to step.
     """
     keyed: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in rows:

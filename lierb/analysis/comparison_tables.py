@@ -45,7 +45,7 @@ ORDERS_NOTE = (
 
 
 def table_of_runs(table: pa.Table, columns: Iterable[str] | None) -> TextTable:
-    """Return columns of a comparison's table as text; by default all with numbers, but floors."""
+    """Return columns of a comparison's table as text; default: all with numbers except floors."""
     if columns is None:
         names = [name for name in LABELS if _has_numbers(name, table[name])]
     else:
@@ -106,7 +106,8 @@ def _cell(name: str, value: Any) -> str:
 
 
 def _in_latex(text: str) -> str:
-    """Escape a text; write numbers such as 1.2e-05 as powers of ten, c-spaces as mathematics."""
+    """Escape a text for LaTeX; typeset numbers such as 1.2e-05 and c-spaces as mathematics."""
+
     if text in MATH_NAMES:
         return MATH_NAMES[text]
     inner = text.strip("()")

@@ -1,9 +1,9 @@
 """C-space of a mechanism for `lierb.analysis.completion`: configurations, rows, Jacobians.
 
 A configuration has a pose for each node of the integrated tree, and the group is the direct product
-of the nodes' groups. The pose of an absolute node is that of its link's joint frame in one frame of
-the ground; the pose of a reduced node is the relative pose D of its joint. All functions take
-several configurations at once.
+of the nodes' groups. The pose of an absolute node is that of its link's joint frame in a common
+frame on the ground. The pose of a reduced node is the relative pose D of its joint. All functions
+take a batch of configurations.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ GROUPS: dict[str, ModuleType] = {"reduced": se3, "SE3": se3, "SO3xR3": so3xr3}
 
 
 class Place(NamedTuple):
-    """Rows between two nodes. inner, outer : joint frames in the frames of `body` and `parent`."""
+    """Rows between two nodes.   inner, outer : joint frames in the frames of `body`, `parent`."""
 
     at: Connection
     body: int
@@ -54,7 +54,7 @@ class RowValues(NamedTuple):
 
     values : h, (n, rows).   gradients : (n, rows, freedoms), divided by `lengths`.
     lengths : (n, rows), of the rows' Jacobians with respect to D.   far : ‖d‖, (n, rows).
-    upright : (n, places), False for a joint that is half a turn off, at which rows vanish too.
+    upright : (n, places), False for a joint rotated by half a turn, where the rows vanish as well.
     """
 
     values: Array
@@ -103,7 +103,7 @@ class Space:
     # ---- constants -----------------------------------------------------------------------------
 
     def _length(self) -> float:
-        """Largest length of a link, m, with the arms from its centre of mass to all joints."""
+        """Largest length of a link, m, including the arms from its centre of mass to its joints."""
         mechanism = self.mechanism
         lengths = [length_of(mechanism.parameters(at)) for at in mechanism.joints]
         for at in mechanism.joints:
@@ -113,7 +113,7 @@ class Space:
         return float(max(lengths))
 
     def _outer(self, link: int, frame: Pose) -> Pose:
-        """Return a frame on a link or the ground, seen from the node's own frame."""
+        """Return a frame on a link or the ground, relative to the node's frame."""
         return se3.compose(se3.inverse(self.ground if link < 0 else self.frames[link]), frame)
 
     def _hang(self, i: int) -> Pose:
@@ -172,7 +172,7 @@ class Space:
         return np.array([[assembled(q + d) for q, d in configuration]])
 
     def _factors(self, i: int, frame: Pose, frames: dict[int, Pose]) -> list[Pose]:
-        """Return D of a reduced node, or of the two nodes of a product joint."""
+        """Return D of a reduced node, or the D of both nodes of a product joint."""
         joint = self.mechanism.links[self.tree[i].link].joint
         base = self._base(i - 1 if joint.factors else i, frames)
         relative = se3.compose(se3.inverse(base), frame)
@@ -185,7 +185,7 @@ class Space:
         return [motions.pose(numbers)]
 
     def _base(self, i: int, frames: Mapping[int, Pose]) -> Pose:
-        """Return the frame in which a reduced node's pose is given."""
+        """Return the frame to which a reduced node's pose is relative."""
         return se3.compose(frames[self.tree[i].parent], self.hangs[i])
 
     def moved(self, at: Configurations, motions: Array) -> Configurations:
@@ -280,7 +280,7 @@ class Space:
     def rounding(self, poses: list[Pose]) -> Array:
         """Bounds of the rows' rounding errors, (rows,), which grow with the distance of the links.
 
-        Rows of joints have such errors in redundant loops only.
+        For rows of joints, these bounds matter only in redundant loops.
         """
         bounds = []
         for place in self.places:

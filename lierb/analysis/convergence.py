@@ -13,26 +13,26 @@ from lierb.errors import ArgumentError, brief
 from lierb.support.arrays import Array, are_finite, as_floats, as_positive
 
 ROUNDING_FLOOR = 1e-11
-"""Errors up to this, relative to the size of what they are errors of, count as rounding."""
+"""Errors up to this, relative to the size of the quantity, count as rounding."""
 
 SATURATED = 0.5
-"""Errors from this on, relative to the size of what they are errors of, are too large to fall with
-the step size in any law: orientations that have nothing to do with each other differ by 2.2 rad in
-the mean, and 99 % of them by more than 0.5 rad."""
+"""Errors from this on, relative to the size of the quantity, are saturated: they follow no law in
+the step size. Two independent orientations differ by 2.2 rad on average, and with a probability of
+99 % by more than 0.5 rad."""
 
 LEAST_ORDER = 0.5
-"""A smaller slope is no order: the errors do not fall with the step size."""
+"""Smaller slopes do not count as an order: the errors do not fall with the step size."""
 
 ORDER_TOLERANCE = 0.25
-"""How far an observed order may lie from a whole number and still be given as that number. With
-steps ten times apart the coarser one is often not yet in the asymptotic range: the universal joint
-with global updates shows 3.84 between dt = 1e-2 and 1e-3."""
+"""Largest distance of an observed order from the whole number that is reported for it. With steps
+ten times apart, the coarser one is often not yet in the asymptotic range: the universal joint with
+global updates shows 3.84 between dt = 1e-2 and 1e-3."""
 
 SLOPE_TOLERANCE = 0.05
-"""How far slopes between neighbours may differ, relative to them, in the asymptotic range."""
+"""Largest relative difference of neighbouring slopes in the asymptotic range."""
 
-EXACT = "exact"  # every error at rounding
-DRIFTS = "drifts"  # falls with the step size, at no clear order
+EXACT = "exact"  # every error is rounding
+DRIFTS = "drifts"  # falls with the step size, without a clear order
 VIOLATED = "violated"  # does not fall with the step size
 FAILED = "failed"  # not a number: the integration broke down
 
@@ -41,10 +41,10 @@ FAILED = "failed"  # not a number: the integration broke down
 class Order:
     """Slope of log(error) over log(dt); NaN where the errors show no order.
 
-    `lower_bound`: the finer of the two errors behind it is at rounding, so the true slope is at
-    least this.
-    `steps`: the step sizes of the errors behind it, s, the coarsest first; none where too few
-    errors lie between rounding and saturation. With steps and without a slope, the errors do not
+    `lower_bound`: True if the finer of the two errors is rounding, so that the true slope is at
+    least this one.
+    `steps`: step sizes of the errors used, s, the coarsest first; empty if too few errors lie
+    between rounding and saturation. If there are steps and the slope is NaN, the errors do not
     fall.
     """
 
@@ -54,7 +54,7 @@ class Order:
 
     @property
     def is_asymptotic(self) -> bool:
-        """True where two neighbouring pairs of steps show this order."""
+        """True if two neighbouring pairs of steps show this order."""
         return len(self.steps) > 2 and not self.lower_bound
 
     def __str__(self) -> str:
@@ -69,18 +69,21 @@ def observed_order(
     size: float | Sequence[float] = 1.0,
     floor: Sequence[float] | None = None,
 ) -> Order | None:
-    """Order of convergence observed in `errors`, or None when all of them are at rounding.
+    """Order of convergence observed in `errors`; None if all errors are rounding.
 
-    The slope is that between the two finest steps whose errors are usable, that is above rounding
-    and below SATURATED times `size`: coarser steps may not resolve the motion yet. When only one
-    error is usable, its slope to the next finer step, at rounding, bounds the order. A slope below
-    LEAST_ORDER is no order, nor is there one when too few errors are usable: it is NaN then.
+    An error is usable if it is above rounding and below SATURATED times `size`. The order is the
+    slope between the two finest steps with usable errors, since coarser steps may not resolve the
+    motion. If only one error is usable, its slope to the next finer step, whose error is rounding,
+    is a lower bound. The order is NaN if the slope is below LEAST_ORDER or too few errors are
+    usable.
 
-    dts : step sizes, s.   errors : one for each.   size : what they are errors of, in their unit:
-    the body's lengths and distances, m; 1 for angles; the motion's energies, J.
-    floor : for each, the error up to which it counts as rounding. Default: ROUNDING_FLOOR of size.
+    dts : step sizes, s.   errors : one for each step.
+    size : characteristic size of the quantity: lengths and distances of the body, m; 1 for angles;
+    energies of the motion, J.
+    floor : for each step, the error up to which it counts as rounding. Default: ROUNDING_FLOOR
+    times `size`.
 
-    Raises ArgumentError for step sizes that are not positive, or not one for each error.
+    Raises ArgumentError unless there is one positive step size for each error.
 
     >>> str(observed_order([1e-2, 1e-3, 1e-4], [3.5e-5, 3.5e-9, 3.8e-13]))
     '4.00'
@@ -96,7 +99,7 @@ def observed_order(
         return Order(math.nan)  # the finest error above rounding is saturated
     coarse, fine = usable[-2:] if usable.size > 1 else (usable[0], usable[0] + 1)
     if fine == error.size:
-        return Order(math.nan)  # the finest error alone is usable: nothing to compare it with
+        return Order(math.nan)  # only the finest error is usable
     pair = (float(steps[coarse]), float(steps[fine]))
     slope = _slope(steps, error, coarse, fine)
     if slope < LEAST_ORDER:
@@ -112,9 +115,9 @@ def fitted_order(
 ) -> Order | None:
     """Order fitted through all errors in the asymptotic range, by least squares.
 
-    From the two finest usable steps it takes in coarser ones, as long as the slope to the
-    next is that between those two, to SLOPE_TOLERANCE. Of fewer than three such steps it is
-    `observed_order`, and not `is_asymptotic`.
+    The range begins with the two finest usable steps. It extends to coarser steps as long as the
+    slope to the next step agrees with the slope between those two, to SLOPE_TOLERANCE. With fewer
+    than three steps in the range, the result is that of `observed_order`, not `is_asymptotic`.
 
     >>> order = fitted_order([8e-3, 4e-3, 2e-3, 1e-3], [9e-1, 2.6e-3, 1.6e-4, 1e-5])
     >>> str(order), order.steps
@@ -142,8 +145,9 @@ def _usable(
     size: float | Sequence[float],
     floor: Sequence[float] | None,
 ) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Steps and errors, the coarsest first; indices of the errors above rounding, and of the usable
-    ones among them, which are not saturated.
+    """Return steps and errors, the coarsest first, and the indices of two sets of errors.
+
+    The first set has the errors above rounding; the second has those of them below saturation.
     """
     steps, found = as_positive("dts", dts, "s"), as_floats("errors", errors)
     sizes = as_floats("size", size)
@@ -166,7 +170,7 @@ def _usable(
 
 def _slope(steps: Array, error: Array, coarse: int, fine: int) -> float:
     """Return the slope of log(error) over log(step) between two errors."""
-    # An error of exactly zero has no logarithm; the smallest number gives a bound all the same.
+    # The logarithm of a zero error is replaced by that of the smallest number, which gives a bound.
     log_ratio = math.log10(max(error[fine], np.finfo(float).tiny)) - math.log10(error[coarse])
     log_dt = math.log10(steps[fine]) - math.log10(steps[coarse])
     if log_dt == 0.0:
@@ -175,7 +179,7 @@ def _slope(steps: Array, error: Array, coarse: int, fine: int) -> float:
 
 
 def verdict(errors: Sequence[float], order: Order | None) -> str:
-    """One word, or "order n", for how `errors` behave; `order` as `observed_order` has it."""
+    """Verdict on `errors`: one word, or "order n".   order : result of `observed_order`."""
     if not are_finite(as_floats("errors", errors)):
         return FAILED
     if not isinstance(order, Order | None):

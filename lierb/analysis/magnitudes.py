@@ -1,4 +1,4 @@
-"""Characteristic lengths and energies of a problem, to which errors and rounding are relative."""
+"""Characteristic lengths and energies of a problem: scales of its errors and rounding."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def kinds_of(model: Model) -> set[str]:
 
 
 def magnitudes(model: Model, poses: Any, twists: Any) -> tuple[Array, Array]:
-    """Return the length, m, and the energy, J, of each member; poses None: the closed joint."""
-    with np.errstate(all="ignore"):  # a diverging body is accepted as long as it is finite
+    """Return the length, m, and energy, J, of each member; poses is None for the closed joint."""
+    with np.errstate(all="ignore"):  # a diverging body is accepted until it overflows
         if isinstance(model, Mechanism):
             return _of_links(model, poses, twists)
         assert isinstance(model, Problem)

@@ -39,7 +39,7 @@ ROWS_PER_HISTORY = 1000
 
 @dataclass(frozen=True)
 class Finding:
-    """Behaviour of one error of one example in one c-space, beside the paper's claim."""
+    """Errors of one kind, of one example in one c-space, with the paper's claim."""
 
     example: Example
     cspace: str
@@ -59,7 +59,7 @@ class Finding:
 
     @property
     def agrees(self) -> bool | None:
-        """Return whether the claim is confirmed; None without a claim."""
+        """Return True if the claim is confirmed, else False; None without a claim."""
         return None if self.claim is None else self.claim == self.verdict
 
 
@@ -110,13 +110,13 @@ def run_paper(
     Parameters
     ----------
     out : path, optional
-        Folder for `summary.parquet`, `history.parquet` and the figures. Default: no files.
+        Folder of `summary.parquet`, `history.parquet` and the figures. Default: no files.
     gravity : float, optional
         Acceleration along −e₃ of the ground, m/s². The paper does not mention gravity.
     update : {"local", "global"}, optional
         Update, as in `integrate`.
     as_printed : bool, optional
-        Keep the paper's mistakes.
+        Use the examples with the paper's misprints.
     dts : sequence of float, optional
         Step sizes, s, each a divisor of `t_end`.
     t_end : float, optional
@@ -124,7 +124,7 @@ def run_paper(
     figures : bool, optional
         Draw the figures.
     progress : callable, optional
-        Function of (runs done, runs in all, name of the next one).
+        Function of (number of finished runs, number of all runs, name of the next run).
 
     Returns
     -------
@@ -134,7 +134,7 @@ def run_paper(
     Raises
     ------
     lierb.support.extras.MissingExtraError
-        Figures are wanted and Matplotlib is not installed.
+        `figures` is True and Matplotlib is not installed.
 
     Examples
     --------
@@ -147,7 +147,7 @@ def run_paper(
     plan = list(product(chosen, CSPACES, dts))
     drawings: list[tuple[Example, PaperFigure]] = []
     if out is not None:
-        # Both before the runs, so that they fail at once.
+        # Both precede the runs, so that errors are raised at once.
         Path(out).mkdir(parents=True, exist_ok=True)
         if figures:
             extras.require("plot")
@@ -199,12 +199,12 @@ def _run(
         save_every=max(1, round(t_end / dt / ROWS_PER_HISTORY)),
         record=("state",),
         check=example.check,
-        solver="saddle",  # what the paper does
+        solver="saddle",  # as in the paper
     )
     assert result.history is not None  # save_every was given
     places = result.history["position"].combine_chunks().flatten().to_numpy()
     size = float(length_of(problem.parameters()) + np.abs(places).max())
-    # The states are needed for that size only; the files are small without them.
+    # The states are needed only for that size; without them the files are small.
     history = result.history.drop_columns(["rotation", "position", "omega", "v"])
     return _Run(example, cspace, dt, result.summary, history, {"position": size, "rotation": 1.0})
 
@@ -230,7 +230,7 @@ def _largest_error(summary: pa.Table, quantity: str) -> float:
 
 
 def _labelled(table: pa.Table, run: _Run) -> pa.Table:
-    """Return `table` with leading columns that name the run."""
+    """Return `table` with leading columns that identify the run."""
     rows = table.num_rows
     labels = {"example": run.example.key, "reading": run.example.reading, "cspace": run.cspace}
     for place, (name, value) in enumerate(labels.items()):
@@ -240,7 +240,7 @@ def _labelled(table: pa.Table, run: _Run) -> pa.Table:
 
 
 def _concatenate(tables: Sequence[pa.Table]) -> pa.Table:
-    """Concatenate the runs; entries in which their provenance differs form the list "runs"."""
+    """Concatenate the runs; provenance entries that differ between runs form the list "runs"."""
     provenance = [json.loads(table.schema.metadata[b"lierb"]) for table in tables]
     shared = {
         key: value

@@ -29,7 +29,7 @@ AS_STATED = "as stated"  # reading of an example that needs no interpretation
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim of the paper on the errors in one c-space: "exact", "order 4", or None."""
+    """Claim of the paper about the errors in one c-space: "exact", "order 4", or None."""
 
     position: str | None
     rotation: str | None = None
@@ -37,7 +37,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class PaperFigure:
-    """Figure of the paper: its number there, and the error that it shows."""
+    """Figure of the paper: its number and the error that it shows."""
 
     number: int
     quantity: str
@@ -55,7 +55,7 @@ class Example:
     point_velocity: Vector = (0.0, 0.0, 0.0)  # m/s, of the joint's point, ground frame
     figures: tuple[PaperFigure, ...] = ()
     reading: str = AS_STATED  # or "corrected", "as printed", "text", "formula"
-    note: str = ""  # departures from the paper, and numbers that it lacks
+    note: str = ""  # departures from the paper, and numbers missing in it
     check: str = "raise"  # as `integrate` takes it
 
     @property
@@ -182,7 +182,7 @@ _AS_PRINTED: Mapping[str, Mapping[str, Any]] = {
 
 
 def examples(as_printed: bool = False) -> tuple[Example, ...]:
-    """Return the examples of section 5, with its mistakes corrected or as they are printed."""
+    """Return the examples of section 5, with its misprints corrected or as printed."""
     if not as_printed:
         return EXAMPLES
     return tuple(replace(example, **_AS_PRINTED.get(example.key, {})) for example in EXAMPLES)

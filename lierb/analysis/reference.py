@@ -1,4 +1,4 @@
-"""Reference of a comparison: the states at t_end, and their errors."""
+"""Reference of a comparison: states at t_end, and their errors."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from lierb.support.shown import counted
 
 ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
 NORMS: dict[str, Callable[[Array], Any]] = {"largest": np.max, "median": np.median}
-METHOD = "DOP853"  # of a reference, whatever is compared
-CSPACES = ("reduced", "SE3", "SO3xR3")  # of a reference, the first that the model has
-MARGIN = 10.0  # an error counts from so many times the reference's own: it is then true to 10 %
+METHOD = "DOP853"  # method of the reference
+CSPACES = ("reduced", "SE3", "SO3xR3")  # c-spaces of the reference, in order of preference
+MARGIN = 10.0  # least ratio of an error to the reference's error, for an accuracy of 10 %
 EPSILON = float(np.finfo(float).eps)
-LEAST_STEPS = 64  # whose rounding adds up to what the data and the ends themselves are rounded by
-RESOLVED = 1e-6  # differences above this, relative to the motion, are no rounding
+LEAST_STEPS = 64  # their accumulated rounding equals that of the data and of the end states
+RESOLVED = 1e-6  # relative differences above this are not rounding
 GIVEN = "given"
-FIRST_STEPS = 256  # of a reference, where no dt shows how fast the motion is
-HALVINGS, MORE_HALVINGS = 6, 12  # of the reference's step; the latter without dt
+FIRST_STEPS = 256  # first number of the reference's steps, without dt
+HALVINGS, MORE_HALVINGS = 6, 12  # most halvings of the reference's step, with and without dt
 
 
 def rounding(steps: Any) -> Any:
-    """Return the relative error that rounding adds up to: half a unit in each step, twice."""
+    """Return a bound of the accumulated relative rounding error: one unit in each step."""
     return EPSILON * np.maximum(steps, LEAST_STEPS)
 
 
@@ -49,8 +49,8 @@ def rounding(steps: Any) -> Any:
 class Ends:
     """States at t_end.
 
-    states : of each link, "" of one body: rotation (n, 3, 3), position, omega and v (n, 3).
-    failed : (n,), which trajectories have none.
+    states : by link ("" for a single body): rotation (n, 3, 3), position, omega and v (n, 3).
+    failed : (n,), True for trajectories without a state at t_end.
     """
 
     states: dict[str, dict[str, Array]]
@@ -72,7 +72,7 @@ class Ends:
 
     @classmethod
     def at(cls, model: Model, poses: Any, twists: Any) -> Ends:
-        """Return the ends with these poses and twists, in the form of pose0 and twist0."""
+        """Make the ends from poses and twists in the form of pose0 and twist0."""
         placed, moving = (
             arrays_of(model, f"reference: {argument}", given)
             for argument, given in (("pose0", poses), ("twist0", twists))
@@ -87,7 +87,7 @@ class Ends:
             for link, pose in placed.items()
         }
         counts = {len(array) for state in states.values() for array in state.values()}
-        if len(counts) > 1:  # nothing is broadcast
+        if len(counts) > 1:  # arrays are not broadcast
             raise ArgumentError(
                 f"reference has poses and twists of {', '.join(map(str, sorted(counts)))} "
                 "trajectories; expected a pose and a twist for each"
@@ -110,7 +110,7 @@ class Ends:
         return {k: np.hstack((state["omega"], state["v"])) for k, state in self.states.items()}
 
     def errors(self, exact: Ends) -> dict[str, Array]:
-        """Return the distances from other ends, (n,) by ERRORS, of a mechanism's farthest link.
+        """Return the distances from other ends, (n,) by ERRORS; the largest over the links.
 
         NaN for trajectories that have failed in either.
         """
@@ -140,7 +140,7 @@ def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
     """Return the scales of errors and drifts by name, medians over the trajectories."""
     twists = ends.twists
     starts = arrays_of(model, "twist0", twist0)
-    with np.errstate(all="ignore"):  # a trajectory may run away
+    with np.errstate(all="ignore"):  # a trajectory may diverge
         placed, moving = model.from_links(ends.poses), model.from_links(twists)
         length, energy = (float(np.nanmedian(each)) for each in magnitudes(model, placed, moving))
         speeds = {}
@@ -165,8 +165,8 @@ def sizes_of(model: Model, ends: Ends, twist0: Any) -> dict[str, float]:
 class Reference:
     """States of the trajectories at t_end.
 
-    errors : how far off it may be itself, by ERRORS, in the norm of the comparison.
-    what : in words.
+    errors : estimated errors of the reference, by ERRORS, in the norm of the comparison.
+    what : description of the reference.
     """
 
     ends: Ends
@@ -175,7 +175,7 @@ class Reference:
 
 
 def given_reference(given: Any, model: Model, t_end: float) -> Reference:
-    """Return a user's reference: a Result, `Result.end`, its like, or (pose, twist)."""
+    """Return a user's reference: a Result, a `Result.end` or a like dict, or (pose, twist)."""
     expected = (
         "the lierb.Result of another run, its `end`, or a pair of poses and twists at t_end, as "
         "pose0 and twist0 of integrate"
@@ -206,12 +206,12 @@ def _require_time(t: Any, t_end: float) -> None:
 
 
 def found_reference(case: Case, dts: list[float], tell: Callable[[str], None]) -> Reference:
-    """Return the model's own solution by METHOD, its step halved until that no longer helps.
+    """Solve the model by METHOD, halving the step until the error no longer decreases.
 
-    Its error is its difference from the run with the double step, or, where the model has another
-    c-space, from that there, if this is larger: they share neither equations nor charts.
+    The error estimate is the difference from the run with the double step or, if larger, from a run
+    on another c-space, which shares neither equations nor charts.
 
-    dts : steps of the comparison, s, of which the finest is the first one here.
+    dts : steps of the comparison, s; the finest is the reference's first step.
     """
     length, norm = case.length, case.norm
     dt, halvings = (min(dts), HALVINGS) if dts else (length / FIRST_STEPS, MORE_HALVINGS)
@@ -256,7 +256,7 @@ def found_reference(case: Case, dts: list[float], tell: Callable[[str], None]) -
 
 
 def _relative(errors: dict[str, float], sizes: dict[str, float]) -> float:
-    """Return the largest error relative to its scale; ∞ where an error is not finite."""
+    """Return the largest error relative to its scale; ∞ if an error is not finite."""
     each = [error / (sizes[f"error.{name}"] or 1.0) for name, error in errors.items()]
     return max(each) if np.isfinite(each).all() else np.inf
 
@@ -270,7 +270,7 @@ def _require_numbers(ends: Ends, errors: dict[str, float], what: str) -> None:
 
 
 def _cspaces_of(model: Model) -> list[str]:
-    """Return the c-space of a reference and another one, with the most different equations."""
+    """Return the reference's c-space, and a second one with the most different equations."""
     known = [cspace for cspace in CSPACES if _has(model, cspace)]
     return [known[0], *known[:0:-1][:1]]
 
@@ -286,7 +286,7 @@ def _has(model: Model, cspace: str) -> bool:
 
 
 def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
-    """Return the norm of each error over the trajectories with finite ones; NaN without any."""
+    """Return the norm of each error over the trajectories with finite errors; NaN if none has."""
     found = {}
     for name, each in errors.items():
         finite = each[np.isfinite(each)]
@@ -295,7 +295,7 @@ def normed(errors: Mapping[str, Array], norm: str) -> dict[str, float]:
 
 
 def warn_of_runs(failed: list[str]) -> None:
-    """Issue one warning for all runs in which trajectories failed; `failed` describes them."""
+    """Issue one warning for all runs with failed trajectories, which `failed` describes."""
     if failed:
         more = f" and in {counted(len(failed) - 3, 'more run')}" if len(failed) > 3 else ""
         warnings.warn(

@@ -1,4 +1,4 @@
-"""Results of a study on the disk: Parquet parts, entered in a manifest once they are safe there.
+"""Results of a study on the disk: Parquet parts, entered in a manifest after they are synced.
 
     DIR/study.toml            the study as it was run
     DIR/FILE.py               each Python file of the study, as it was run
@@ -6,9 +6,9 @@
     DIR/summary/part-*.parquet, DIR/history/part-*.parquet, DIR/events/part-*.parquet
     DIR/.lock
 
-A file is written under another name, synced, renamed, and then entered; a process may die at any
-moment. Files outside the manifest do not count. Since other readers open every Parquet file in a
-table's folder, a run neither begins nor ends beside one that is not the study's own:
+A file is written under another name, synced, renamed, and then entered, so that a process may die
+at any moment. Files outside the manifest are ignored. Since other readers open every Parquet file
+in a table's folder, a run neither begins nor ends if there are Parquet files of another origin:
 
     manifest             Parquet that it does not enter    a run of study S
     none                 none                              begins
@@ -17,8 +17,8 @@ table's folder, a run neither begins nor ends beside one that is not the study's
     of T, parts done     -                                 is refused
     any                  any other                         is refused
 
-A study.toml that describes another study, as after an edit, is refused as well; a missing one is
-written again. Other files in the folder are left alone.
+A study.toml that describes another study, as after an edit, is refused as well. A missing
+study.toml is written again. Other files in the folder are not touched.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 class Dataset(Results):
     """Folder with one study's results.
 
-    Its methods raise StudyError for results that are not as they were entered, and StudyFileError,
-    an OSError as well, for files that cannot be read or written.
+    Its methods raise StudyError for results that differ from their entry in the manifest, and
+    StudyFileError, which is also an OSError, for files that cannot be read or written.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class Dataset(Results):
     Raises
     ------
     StudyError
-        The folder has no study's results.
+        The folder has no results of a study.
     """
 
     @classmethod
     def of(cls, results: Results) -> Self:
-        """Make the dataset of results that are read already."""
+        """Make a dataset from results that have been read."""
         dataset = cls(results.folder)
         dataset.manifest, dataset._whole = results.manifest, results._whole
         return dataset
@@ -71,7 +71,7 @@ class Dataset(Results):
             "distribution": errors over the bodies. "time": errors over time. "recorded": other
             columns of the history, such as energy and observables. "events": first times of each.
             "quantities": other columns of the summary. "order": errors over dt. "parameters":
-            errors over sampled quantities. Default: "time" where there is a history, else
+            errors over sampled quantities. Default: "time" if there is a history, else
             "distribution".
 
         Returns

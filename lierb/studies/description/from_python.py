@@ -1,6 +1,6 @@
-"""Study of a problem and a design made in Python: the tables that its file would have.
+"""Study of a problem and a design made in Python, converted to the tables of a study's file.
 
-Such a study has all features of studies, and its results are described by their folder alone.
+Such a study has all features of a study from a file; its result folder describes it completely.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lierb.studies.description.study_tables import NOTHING
 from lierb.support.arrays import Array
 
 INTEGRATE, OUTPUT = tuple(IntegrateSection.model_fields), tuple(OutputSection.model_fields)
-OF_JOINT = ("pitch", "length", *POINTS)  # quantities of a joint made in Python that can be drawn
+OF_JOINT = ("pitch", "length", *POINTS)  # sampled quantities of a joint made in Python
 
 
 def study_of(
@@ -42,10 +42,10 @@ def study_of(
     initial: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> Study:
-    """Make the study of a problem whose numbers a design draws.
+    """Make a study from a problem and a design that samples its numbers.
 
-    Functions decorated with `@lierb.wrench` and the like must be at the top level of a file, from
-    which they can be loaded again.
+    Functions decorated with `@lierb.wrench` and the like must be at the top level of a file, so
+    that they can be loaded again from there.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ def study_of(
     name : str, optional
         Name of the study.
     initial : dict, optional
-        Start of all bodies, except for what is drawn: omega, twist, coordinates, … as in the table
-        [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}; joints that stay open
-        are closed, to the nearest poses and twists, unless it has close="never".
+        Start of all bodies, except for sampled quantities: omega, twist, coordinates, … as in the
+        table [initial]. For a mechanism by link: {"crank": {"coordinates": 0.3}}. Open joints are
+        then closed, to the nearest poses and twists, unless `initial` has close="never".
     **settings : object
         Keys of [integrate], such as dt, rtol, save_at and t_end, and of [output]: part,
         compression.
@@ -73,7 +73,7 @@ def study_of(
     Raises
     ------
     StudyError
-        No file can describe the problem.
+        A file cannot describe the problem.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def _stabilise(kept: Stabilisation) -> Any:
 def _starts(
     mechanism: Mechanism, initial: Mapping[str, Any]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Return each link's table `initial`, and the study's own."""
+    """Return the table `initial` of each link, and that of the study."""
     of_links, rest = {}, {}
     for key, value in initial.items():
         if key == "close" and not isinstance(value, Mapping):
@@ -179,7 +179,7 @@ def _held(
 
 
 def _one(label: str, array: Array, item_axes: int = 0) -> Any:
-    """Return the numbers of one body. Raises StudyError if bodies differ."""
+    """Return the numbers of one body. Raises StudyError if the bodies differ."""
     if array.ndim > item_axes and len(array) > 1:
         raise StudyError(
             f"{label} has numbers of its own for {len(array)} bodies; in a study, what differs "
@@ -190,7 +190,7 @@ def _one(label: str, array: Array, item_axes: int = 0) -> Any:
 
 
 def _body(prefix: str, body: Body, design: Design) -> dict[str, Any]:
-    """Return the table of a body.   prefix : of its quantities' names."""
+    """Return the table of a body.   prefix : prefix of the names of its quantities."""
     tables = {
         "mass": _one(f"{prefix}mass", body.mass), "com": _one(f"{prefix}com", body.com, 1),
     }  # fmt: skip
@@ -213,7 +213,7 @@ def _joint(prefix: str, joint: Joint) -> dict[str, Any]:
 
 
 def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
-    """Return the table of the design, with the file's names of the quantities."""
+    """Return the table of the design; quantities are named as in a file."""
     names = [name for name in design.quantities if name != NOTHING]
     if design.method != "random" and names != sorted(names):
         raise StudyError(
@@ -238,7 +238,7 @@ def _sample(design: Design, problem: Problem | Mechanism) -> dict[str, Any]:
 
 
 def _is_section(section: list[str], problem: Problem | Mechanism) -> bool:
-    """Return whether quantities of a section of the file can be drawn."""
+    """Return True if quantities of a section of the file can be sampled."""
     if len(section) == 2 and section[0] in ELEMENTS:
         return True
     if isinstance(problem, Problem):
@@ -298,7 +298,7 @@ def _labelled(elements: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _require_same(problem: Problem | Mechanism, study: Study) -> None:
-    """Raise StudyError if a file defines another function than the one in the problem."""
+    """Raise StudyError if a function in a file differs from the one in the problem."""
     made = study.batch(0, 1).problem
     for given, again in zip(problem.elements, made.elements, strict=True):
         if given.kind != again.kind and given.made_by is not None:

@@ -22,9 +22,9 @@ MOST_LISTED = 10  # errors of a file
 
 @contextmanager
 def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
-    """Turn a LierbError in the block into a StudyError of a table of the file.
+    """Context manager: convert a LierbError into a StudyError about a table of the file.
 
-    A key of `keys` that begins the message is added to the table's name.
+    If the message begins with one of `keys`, the key is appended to the table's name.
     """
     try:
         yield
@@ -37,7 +37,7 @@ def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
 
 
 def called(table: str, function: Any, values: dict[str, Any]) -> Any:
-    """Return function(**values). Raises StudyError for a key that it does not take."""
+    """Return function(**values). Raises StudyError for a key that is not one of its arguments."""
     signature = inspect.signature(function)
     known = [n for n, p in signature.parameters.items() if p.kind is not p.VAR_KEYWORD]
     for name in values:
@@ -57,7 +57,7 @@ def suggestion(name: str, known: list[str]) -> str:
 
 @dataclass(frozen=True)
 class Given:
-    """Source of a study: name and text of its file, and changes of its tables."""
+    """Source of a study: name and text of its file, and changes to its tables."""
 
     source: str
     text: str
@@ -66,7 +66,7 @@ class Given:
     def place(self, path: tuple[Any, ...]) -> str:
         """Return file and line of a key, and the changes of its table."""
         keys = [path_of(key) for key in self.changes]
-        if path and path[0] in ELEMENTS:  # parameters are in a table of [[problem.forces]]
+        if path and path[0] in ELEMENTS:  # its parameters are in a table of [[problem.forces]]
             path = ("problem", path[0], *path[2:])
         names = tuple(map(str, path))
         line = None if any(names[: len(key)] == key for key in keys) else line_of(self.text, path)
@@ -75,7 +75,7 @@ class Given:
         return f"{place} with {', '.join(near)}" if near else place
 
 
-WORDS = {  # Python's terms in pydantic's messages, and those of TOML
+WORDS = {  # TOML's terms for Python's terms in pydantic's messages
     r"a valid dictionary( or instance of \w+)?": "a table",
     r"a valid string": "text",
     r"a valid list": "a list",
@@ -85,7 +85,7 @@ WORDS = {  # Python's terms in pydantic's messages, and those of TOML
 def messages(
     errors: ValidationError, model: type[BaseModel], tables: dict[str, Any], given: Given
 ) -> str:
-    """Format the first of pydantic's errors, one a line.   model : of the whole file."""
+    """Format the first of pydantic's errors, one per line.   model : model of the whole file."""
     each = iter(errors.errors(include_url=False, include_context=False))
     lines = dict.fromkeys(_message(e, model, tables, given) for e in islice(each, MOST_LISTED))
     if rest := sum(1 for _ in each):
@@ -132,13 +132,13 @@ def _fields_at(model: Any, path: tuple[Any, ...]) -> list[str]:
 
 
 def _model_in(annotation: Any) -> Any:
-    """Return the model that a field is, or that the items of its list are."""
+    """Return the model of a field, or of the items of a list field."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
     return next(filter(None, map(_model_in, get_args(annotation))), None)
 
 
 def located(message: str, given: Given) -> str:
-    """Put the place of a key before a message that begins with it: `table.key: …`."""
+    """Prefix a message that begins with a key by the key's location: `table.key: …`."""
     key = message.partition(":")[0]
     return f"{given.place(tuple(key.split('.')))}: {shortened(message)}"

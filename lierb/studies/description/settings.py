@@ -1,4 +1,4 @@
-"""Settings of a study: the runs that its lists of c-spaces, methods and steps multiply out to."""
+"""Settings of a study: the product of its lists of c-spaces, methods and steps."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from lierb.studies.description.sections.running import IntegrateSection
 
 @dataclass(frozen=True)
 class Setting:
-    """One run over all bodies of a study.
+    """Setting of a study: one run over all bodies.
 
-    dt : s; of adaptive steps the first one, or None.   rtol : None for fixed steps.
+    dt : fixed step, or first adaptive step or None, s.   rtol : None for fixed steps.
     """
 
     cspace: str
@@ -48,7 +48,7 @@ class Setting:
 
 
 def settings_label(run: IntegrateSection) -> str:
-    """Settings as a product, such as `SE3 × RK4, DOP853 × dt = 0.001 s`."""
+    """Format settings as a product, such as `SE3 × RK4, DOP853 × dt = 0.001 s`."""
     steps = ", ".join(f"{dt if rtol is None else rtol:g}" for dt, rtol in run.steps)
     step = f"rtol = {steps}" if run.is_adaptive else f"dt = {steps} s"
     return f"{', '.join(run.cspace)} × {', '.join(run.method)} × {step}"

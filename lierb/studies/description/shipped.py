@@ -7,23 +7,23 @@ from pathlib import Path
 from lierb.errors import unknown_name
 
 PACKAGE = Path(__file__).parents[2]
-SCHEMA = "#:schema "  # for editors; its path holds in the checkout only
+SCHEMA = "#:schema "  # for editors; the path is valid only in the checkout
 
 
 def _folder() -> Path:
-    """Folder of the examples: inside the package in a wheel, beside it in a checkout."""
+    """Folder of the examples: inside the installed package, or beside it in a checkout."""
     inside = PACKAGE / "examples"
     return inside if inside.is_dir() else PACKAGE.parent / "examples"
 
 
 def examples() -> dict[str, str]:
-    """Return the first comment of each example, by name."""
+    """Return the first comment line of each example, by name."""
     names = sorted(path.stem for path in _folder().glob("*.toml"))
     return {name: example(name).partition("\n")[0].removeprefix("# ") for name in names}
 
 
 def example(name: str) -> str:
-    """Return the TOML text of an example, or a Python file FILE.py that an example refers to.
+    """Return the text of an example, or of a Python file FILE.py to which an example refers.
 
     Raises UnknownNameError.
     """

@@ -1,4 +1,4 @@
-"""Sources of a study's file: standard input and pipes are read once, and have no name."""
+"""Sources of a study's file, including standard input and pipes, which can be read only once."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lierb.errors import ArgumentError, brief
 STDIN = "-"
 NAMELESS = ("/dev/", "/proc/")
 COPY = "study.toml"
-LONGEST_STUDY = 4 * 2**20  # bytes of a study's file: 200 000 numbers with all digits
+LONGEST_STUDY = 4 * 2**20  # most bytes of a study's file: 200 000 numbers with all digits
 
 
 def path_given(study: Any) -> Path:
-    """Convert to a path, `~` being the home folder. Raises ArgumentError."""
+    """Convert to a path, with `~` expanded to the home folder. Raises ArgumentError."""
     try:
         return Path(study).expanduser()
-    except (TypeError, RuntimeError):  # no path; no home folder
+    except (TypeError, RuntimeError):  # not a path, or no home folder
         raise ArgumentError(
             f"study={brief(study)}; expected a lierb.Study, or the path of its TOML file"
         ) from None
@@ -29,10 +29,10 @@ def path_given(study: Any) -> Path:
 
 @contextmanager
 def as_file(path: Path) -> Iterator[Path]:
-    """Yield the path of a study's file that can be read again and has a name.
+    """Context manager: yield the path of a study's file that has a name and can be read again.
 
-    Standard input (`-`), a pipe, and a file whose name is no text are copied to a `study.toml` that
-    exists in the block: at most LONGEST_STUDY and one byte, as a pipe may have no end. Raises
+    Standard input (`-`), a pipe, and a file whose name is not text are copied to a temporary
+    `study.toml`. At most LONGEST_STUDY + 1 bytes are copied, since a pipe may have no end. Raises
     OSError.
     """
     if _is_plain(path):
@@ -47,7 +47,7 @@ def as_file(path: Path) -> Iterator[Path]:
 
 
 def _is_plain(path: Path) -> bool:
-    """Return whether a path is a named file, or does not exist."""
+    """Return True if a path is a named file or does not exist."""
     if str(path) == STDIN or str(path).startswith(NAMELESS):
         return False
     try:

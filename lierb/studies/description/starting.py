@@ -1,7 +1,7 @@
 """Initial poses and twists of a study's bodies, from its tables [initial].
 
-One body takes the arguments of `Joint.pose` and `Joint.twist`. Links of a mechanism are placed one
-on the other, each by its own table `initial`; loops that are open then are closed.
+The table of a single body has the arguments of `Joint.pose` and `Joint.twist`. Links of a mechanism
+are placed relative to their parents, each by its own table `initial`; open loops are then closed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Initial = Mapping[str, Any]
 
 
 def started(problem: Problem, initial: Initial, t0: float) -> tuple[Array, Array | None]:
-    """Compute twists and poses of one body that satisfy the joint."""
+    """Compute twists and poses of a single body that satisfy the joint."""
     joint = problem.joint
     pose = _placed(joint, initial)
     kinds = [k for k in ("omega", "twist", "velocities") if k in initial]
@@ -61,7 +61,7 @@ def started(problem: Problem, initial: Initial, t0: float) -> tuple[Array, Array
 
 
 def _placed(joint: Joint, initial: Initial) -> Array | None:
-    """Compute poses from coordinates, or rotation and place; None for the closed joint."""
+    """Compute poses from coordinates, or from rotation and place; None for the closed joint."""
     placed = [k for k in PLACES if k in initial]
     if "coordinates" in initial:
         if placed:
@@ -73,14 +73,14 @@ def _placed(joint: Joint, initial: Initial) -> Array | None:
 
 
 def _turned_and_placed(initial: Initial) -> Pose:
-    """Pose of the body's joint frame in the ground's or parent's."""
+    """Pose of the body's joint frame relative to the joint frame of the ground or parent."""
     turn = as_rotations("rotation", initial.get("rotation", np.eye(3)))
     place = as_numbers("place", initial.get("place", (0.0, 0.0, 0.0)), (3,))
     return components(turn, 2), components(place)
 
 
 def _on(joint: Joint, relative: Pose) -> Pose:
-    """Pose of the body in its ground or parent, G D B⁻¹."""
+    """Pose of the body relative to the ground or parent, G D B⁻¹."""
     ground, body = (pose_components(f) for f in (joint.ground_frame, joint.body_frame))
     return se3.compose(se3.compose(ground, relative), se3.inverse(body))
 
@@ -94,8 +94,8 @@ def started_mechanism(
     """Compute twists, (count, 6), and poses, (count, 4, 4), of all links.
 
     initial : tables of the links, by name.
-    close : AUTO closes open loops, and projects twists that violate rows, both to the nearest ones
-        in the mass metric; NEVER leaves them.
+    close : AUTO closes open loops and projects twists that violate constraints, to the nearest
+        poses and twists in the mass metric; NEVER leaves them.
     """
     with np.errstate(all="ignore"):  # overflow shows in the result
         placed = _poses(mechanism, initial)
@@ -124,7 +124,7 @@ def _spread(what: str, array: Array, count: int, item_axes: int) -> Array:
 
 
 def _is_a_tree(mechanism: Mechanism) -> bool:
-    """Return whether coordinates of the joints satisfy all rows."""
+    """Return True if all rows are satisfied at any joint coordinates."""
     own = {link.name for link in mechanism.links if motions_of(link.joint) or not link.joint.rows}
     rigid = {link.name for link in mechanism.links if link.joint.name == "fixed"}
     return all(at.name in own | rigid for at in mechanism.connections)
@@ -163,7 +163,7 @@ def _of_coordinates(name: str, joint: Joint, given: Any) -> Pose:
 def _twists(
     mechanism: Mechanism, initial: Mapping[str, Initial], poses: dict[str, Array]
 ) -> dict[int, Vec]:
-    """Compute each link's twist: its rates on its joint plus its parent's motion."""
+    """Compute each link's twist: its joint's rates plus its parent's motion."""
     placed = mechanism.poses("pose0", poses)
     twists: dict[int, Vec] = {}
     for i in mechanism.order:
@@ -177,7 +177,7 @@ def _twists(
             continue
         carried = ZERO6 if at.parent == NOWHERE else mechanism.carried(at, placed, twists)
         frame = pose_components(link.joint.body_frame)
-        if "omega" in given:  # the origin of its joint frame moves with the parent
+        if "omega" in given:  # the origin of the link's joint frame moves with the parent
             omega = components(as_numbers(f"{link.name}.omega", given["omega"], (3,)))
             own: Vec = (*mat_t_vec(frame[0], omega), *carried[3:])
         else:
@@ -198,7 +198,8 @@ def _rates(name: str, joint: Joint, given: Initial, relative: Pose) -> Vec:
 
 
 def _numbers(argument: str, given: Any, names: tuple[str, ...]) -> Array:
-    """Convert the numbers of a joint's coordinates; a list is of one link, not of a batch."""
+    """Convert joint coordinates to numbers; a list has those of one link, not of a batch."""
+
     if isinstance(given, list) and len(given) != len(names):
         expected = "a number" if len(names) == 1 else counted(len(names), "number")
         raise ArgumentError(

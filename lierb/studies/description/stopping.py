@@ -1,12 +1,12 @@
-"""Rule by which a study ends early: `[sample] stop_when`.
+"""Stopping rule that ends a study early: `[sample] stop_when`.
 
-    width of 95% of pointing_error_max < 0.01      the interval of that quantile, in its own unit
-    width of 95% of pointing_error_max < 2%        relative to the quantile
-    width of failed < 0.001                        of the share of bodies that fail
+    width of 95% of pointing_error_max < 0.01      interval of the quantile, in the column's unit
+    width of 95% of pointing_error_max < 2%        the same, relative to the quantile
+    width of failed < 0.001                        interval of the share of failed bodies
 
-After each part, in the order of the parts, the rule is applied to all bodies of the setting up to
-there; the first part after which it holds is the setting's last. The end of a study depends on the
-study alone, not on the process that runs its parts, or on interruptions.
+After each part, in the order of the parts, the rule is applied to all bodies of the setting so far.
+The first part after which the rule holds is the last part of the setting. The end of a study
+therefore depends on the study alone, not on processes or interruptions.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ EXPECTED = '"width of 95% of COLUMN < 0.01", "… < 2%", or "width of failed < 0
 
 
 class Rule(NamedTuple):
-    """Bound on a confidence interval's width: of a column's quantile, or of the failed share.
+    """Bound on the width of the confidence interval of a column's quantile or the failed share.
 
-    probability : of the quantile; None for the share that fails.   bound : on the interval's width.
-    is_relative : True if the bound is a share of the quantile's size.
+    probability : of the quantile; None for the failed share.   bound : of the interval's width.
+    is_relative : True if the bound is relative to the quantile.
     """
 
     probability: float | None
@@ -50,7 +50,7 @@ class Rule(NamedTuple):
     is_relative: bool
 
     def holds(self, bodies: Bodies) -> bool:
-        """Return whether the bodies are enough; False if they are too few for an interval."""
+        """Return True if the rule holds; False for too few bodies for an interval."""
         if self.probability is None:
             return share_width(bodies.failed, bodies.count) < self.bound
         quantile = quantile_of(bodies.ordered, self.probability)
@@ -58,9 +58,9 @@ class Rule(NamedTuple):
 
 
 def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = False) -> Rule:
-    """Parse a rule about a column of the problem's summaries. Raises StudyError.
+    """Parse a rule about a column of the problem's summary. Raises StudyError.
 
-    has_lane_clocks : True if each trajectory has its own steps, and columns that count them.
+    has_lane_clocks : True if each trajectory has its own steps, which summary columns count.
     """
     match = FORM.fullmatch(text)
     share, column, bound, percent = match.groups("") if match else ("",) * 4
@@ -85,16 +85,16 @@ def rule_of(text: str, problem: Problem | Mechanism, has_lane_clocks: bool = Fal
 
 
 class Bodies:
-    """Statistics of the bodies so far in one setting, which a rule is applied to."""
+    """Statistics of the finished bodies in one setting, for a stopping rule."""
 
     def __init__(self, rule: Rule) -> None:
         self.rule = rule
         self.count = self.failed = 0
-        self.ordered: Array = np.empty(0)  # the column, over the bodies that are ok
+        self.ordered: Array = np.empty(0)  # column values of the ok bodies
 
     @property
     def columns(self) -> list[str]:
-        """Names of the summary's columns that the rule depends on."""
+        """Names of the summary columns on which the rule depends."""
         return ["status"] if self.rule.probability is None else ["status", self.rule.column]
 
     def add(self, summary: pa.Table) -> None:

@@ -1,4 +1,4 @@
-"""Studies: a Monte Carlo run described by a TOML file, or by the same as Python objects.
+"""Studies: Monte Carlo runs described by a TOML file or by equivalent Python dictionaries.
 
     [body]         mass, inertia, com; or solid = "box" … with its size and density
     [joint]        type and frames, as `lierb.joints` takes them
@@ -9,7 +9,7 @@
     [integrate]    cspace, method, dt or rtol: one value or several, run as a product; t_end, …
     [output]       bodies in a part, compression
 
-A file is checked as a whole before anything runs; what is wrong is named with its line and key.
+A file is validated as a whole before the run; messages name the line and key of an error.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from lierb.studies.description.study_file import (
 from lierb.studies.description.study_tables import NEW_KEYS, StudyTables
 from lierb.support.shown import FAILED, Lines, Shown, counted
 
-PREVIEW = 8  # bodies that are made when a study is checked
+PREVIEW = 8  # number of bodies made to check a study
 BODIES = ("body", "bodies")
 
 
 class Study(Shown, StudyTables):
-    """A study, checked when it is made by `of` or `load`.
+    """Study, validated by `of` or `load`.
 
     Raises
     ------
     StudyError
-        The study is wrong; the message names the key. It is a ValueError.
+        The study is invalid; the message names the key. It is a ValueError.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class Study(Shown, StudyTables):
         Parameters
         ----------
         tables : dict
-            Tables of the file, see the page on the study file.
+            Tables of the file; see the page on the study file.
         source : str, optional
             Name of the file, for messages.
         text : str, optional
@@ -97,7 +97,7 @@ class Study(Shown, StudyTables):
         changes : dict, optional
             Changes of the tables, by dotted keys: {"sample.n": 1000}.
         folder : path, optional
-            Folder of the Python files that the study names. They are executed here.
+            Folder of the Python files to which the study refers. `of` executes them.
         code : Code, optional
             Texts of these files, by name, in place of the folder.
 
@@ -149,7 +149,7 @@ class Study(Shown, StudyTables):
         StudyError
             The study is wrong; the message names line and key.
         ArgumentError
-            The path is no path.
+            `path` cannot be converted to a path.
         OSError
             The file does not exist.
         """
@@ -191,7 +191,7 @@ class Study(Shown, StudyTables):
         ]
         try:
             count, quantities = counted(len(self.design), *BODIES), self.sample.quantities()
-        except LierbError as error:  # a study that was made without `of`
+        except LierbError as error:  # for a study made without `of`
             return f"lierb.Study {self.name!r}", [*rows, (FAILED, str(error))]
         drawn = "\n".join(f"{path}: {value!r}" for path, value in quantities.items())
         rows.insert(0, ("sampled", drawn or "nothing"))
@@ -222,7 +222,7 @@ class Study(Shown, StudyTables):
     def options(self, setting: Setting, model: Model, **own: Any) -> Options:
         """Return the options of a run. Raises the errors of `lierb.integrate`.
 
-        own : keywords of `lierb.integrate` in place of the study's.
+        own : keywords of `lierb.integrate` that replace those of the study.
         """
         run = self.integrate
         given = {
@@ -238,14 +238,14 @@ class Study(Shown, StudyTables):
 
     @property
     def stopping_rule(self) -> Rule | None:
-        """Rule by which the study ends early; None if all bodies are run."""
+        """Rule that ends the study early; None if all bodies are run."""
         text = self.sample.stop_when
         if text is None:
             return None
         return rule_of(text, self.batch(0, 1).problem, self.has_lane_clocks)
 
     def fingerprints(self) -> dict[str, str]:
-        """Compute fingerprints of the functions in its files, by list and label in the problem."""
+        """Fingerprints of the functions in the study's files, by list and label in the problem."""
         problem = self.batch(0, 1).problem
         made = {table: getattr(problem, table) for table in ELEMENTS}
         return {
@@ -265,7 +265,7 @@ class Study(Shown, StudyTables):
         count : int
             Number of bodies.
         design : Design, optional
-            The study's `design`, which would be made again otherwise.
+            The study's `design`. Default: it is made anew.
 
         Returns
         -------

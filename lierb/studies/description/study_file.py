@@ -1,7 +1,7 @@
-"""Text of a study's file, the lines of its keys, and the values that a file can hold.
+"""Text of a study's file, the lines of its keys, and conversion to values that a file can hold.
 
-`plain` converts the tables of a file and those made in Python: its result can be written as TOML
-and as JSON, and is read back unchanged.
+`plain` converts tables from a file or from Python. Its result can be written as TOML and JSON, and
+is read back unchanged.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from lierb.studies.description.sources import LONGEST_STUDY
 from lierb.support.arrays import as_floats, as_matrix, components, pose_matrix
 
 ELEMENTS = ("forces", "constraints", "observables", "events", "states", "controllers")
-MOST_TEXT = 1000  # characters of a text
-MOST_PARTS = 32  # parts of a dotted key: tomllib's time grows with their square
-DEEPEST = 16  # nested tables and lists; a study needs seven
-LARGEST = 2**64 - 1  # whole number: the largest seed
+MOST_TEXT = 1000  # most characters of a text value
+MOST_PARTS = 32  # most parts of a dotted key; tomllib's time grows with their square
+DEEPEST = 16  # most levels of nested tables and lists; a study needs seven
+LARGEST = 2**64 - 1  # largest whole number: the largest seed
 LONGEST_MESSAGE = 400  # characters
 
 _KEY = r"""(?:(?<![\w-])[\w-]{1,100}+|"(?:[^"\\\n]|\\.){0,100}+"|'[^'\n]{0,100}+')"""
@@ -39,9 +39,9 @@ _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 
 
 def read(path: Path) -> str:
-    """Read the text of a study's file, or pipe.
+    """Read the text of a study's file or pipe.
 
-    Raises StudyError for a folder, for what is no text or too large, OSError where nothing is.
+    Raises StudyError for a folder, a binary file or a too large file; OSError for a missing file.
     """
     try:
         with path.open("rb") as file:
@@ -67,7 +67,7 @@ TOO_LARGE = (
 
 
 def tables_in(text: str, source: str) -> dict[str, Any]:
-    """Parse a TOML text into tables. Raises StudyError with the line of an error."""
+    """Parse a TOML text into tables. Raises StudyError that names the line of an error."""
     if match := _LONG_KEY.search(text):
         raise StudyError(f"{_line_at(text, match.start(), source)}: a key of {MOST_PARTS}+ parts")
     try:
@@ -77,7 +77,7 @@ def tables_in(text: str, source: str) -> dict[str, Any]:
     except RecursionError:
         place = _line_at(text, _deepest(text), source)
         raise StudyError(f"{place}: lists or tables nested too deeply; expected {DEEP}") from None
-    except ValueError as error:  # Python parses no integer of more than 4300 digits
+    except ValueError as error:  # Python rejects integers of more than 4300 digits
         match = _LONG_NUMBER.search(text)
         place = _line_at(text, match.start(), source) if match else source
         raise StudyError(f"{place}: {_TOO_LARGE_NUMBER if match else error}") from None
@@ -88,7 +88,7 @@ _TOO_LARGE_NUMBER = "a whole number of more than 64 bits; write it with an expon
 
 
 def _line_at(text: str, index: int, source: str) -> str:
-    """Format the place of an index as `file:line: key`."""
+    """Format the location of a text index as `file:line: key`."""
     lines = text[: index + 1].split("\n")
     table: list[str] = []
     for line in lines[:-1]:
@@ -100,7 +100,7 @@ def _line_at(text: str, index: int, source: str) -> str:
 
 
 def _deepest(text: str) -> int:
-    """Return the index at which most brackets are open, those in strings included."""
+    """Return the index of the deepest nesting of brackets, including brackets in strings."""
     depth, deepest, where = 0, 0, 0
     for bracket in re.finditer(r"[\[\]{}]", text):
         depth += 1 if bracket[0] in "[{" else -1
@@ -112,7 +112,7 @@ def _deepest(text: str) -> int:
 def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     """Return the line of a TOML text that sets a key, or else the nearest table around it.
 
-    path : keys; of one of several tables, as of [[problem.links]], also its number or its name.
+    path : keys; for one of several tables, such as [[problem.links]], also its number or name.
     """
     lines, names = _lines_in(text)
     wanted = _numbered(path, names)
@@ -126,12 +126,12 @@ def line_of(text: str, path: tuple[Any, ...]) -> int | None:
     return best[1] if best else None
 
 
-ANY = None  # in a path: any of several tables
+ANY = None  # in a path: any table of a list
 Names = dict[tuple[Any, ...], list[str]]  # names of the tables in each list of tables
 
 
 def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
-    """Return number and path of each line that sets something, and the names of listed tables."""
+    """Return number and path of each line that sets a key or table, and listed tables' names."""
     lines: list[tuple[int, tuple[Any, ...]]] = []
     names: Names = {}
     table: list[str] = []
@@ -155,7 +155,7 @@ def _lines_in(text: str) -> tuple[list[tuple[int, tuple[Any, ...]]], Names]:
 
 
 def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
-    """Insert the number of the latest table after each list of tables in a path."""
+    """Insert, after each list of tables in a path, the number of the list's latest table."""
     numbered: tuple[Any, ...] = ()
     for part in path:
         numbered += (part,)
@@ -165,7 +165,7 @@ def _latest(path: tuple[str, ...], names: Names) -> tuple[Any, ...]:
 
 
 def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
-    """Replace names of listed tables by their numbers, or by ANY where a path has none."""
+    """Replace names of listed tables by their numbers; insert ANY for a missing name."""
     numbered: tuple[Any, ...] = ()
     for part in path:
         known = names.get(numbered)
@@ -181,7 +181,7 @@ def _numbered(path: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
 
 
 def _parts_of(line: str, table: list[str]) -> list[str] | None:
-    """Return the path that a line of TOML sets: a table's, or a key's in the table."""
+    """Return the path of the table or key that a line of TOML sets."""
     stripped = line.strip()
     if stripped.startswith("["):
         return [part.strip(" \"'") for part in stripped.strip("[]").split("]")[0].split(".")]
@@ -192,7 +192,7 @@ def _parts_of(line: str, table: list[str]) -> list[str] | None:
 
 
 def shortened(text: str) -> str:
-    """Leave out the middle of a message that is too long."""
+    """Shorten a long message by leaving out its middle."""
     half = LONGEST_MESSAGE // 2
     return text if len(text) <= LONGEST_MESSAGE else f"{text[:half]} … {text[-half:]}"
 
@@ -201,12 +201,12 @@ def shortened(text: str) -> str:
 
 
 def plain(tables: Any) -> dict[str, Any]:
-    """Convert tables to what a file can hold: new dictionaries and lists of numbers and text.
+    """Convert tables to values that a file can hold: new dictionaries and lists of numbers, text.
 
-    Arrays and tuples become lists, NumPy's numbers Python's, distributions their tables, SciPy's
-    rotations matrices, −0 becomes 0. What is None is not given.
+    Arrays and tuples become lists, NumPy numbers become Python numbers, distributions become
+    tables, SciPy rotations become matrices, and −0 becomes 0. Values of None are left out.
 
-    Raises StudyError with the key of anything else.
+    Raises StudyError with the key of any other value.
     """
     if not isinstance(tables, Mapping) and not hasattr(tables, "model_dump"):
         raise StudyError(f"a study is made of tables, a dictionary, got a {type(tables).__name__}")
@@ -215,7 +215,7 @@ def plain(tables: Any) -> dict[str, Any]:
 
 
 def plain_changes(changes: Any) -> dict[str, Any]:
-    """Convert changes by dotted keys to what a file can hold; None removes a key."""
+    """Convert changes by dotted keys to values that a file can hold; None removes a key."""
     if not isinstance(changes, Mapping):
         raise StudyError(f"changes must be a dictionary by dotted keys, got {brief(changes)}")
     return {
@@ -225,10 +225,10 @@ def plain_changes(changes: Any) -> dict[str, Any]:
 
 
 class _Plain:
-    """Conversion of nested values; `left` bounds their number, as a list may contain itself."""
+    """Conversion of nested values; `left` bounds their number, since a list may contain itself."""
 
     def __init__(self) -> None:
-        self.left = LONGEST_STUDY // 4  # a value on a line of its own takes four characters
+        self.left = LONGEST_STUDY // 4  # the shortest line with a value has four characters
 
     def value(self, given: Any, path: tuple[str, ...]) -> Any:
         self._take(1, path)

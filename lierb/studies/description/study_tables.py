@@ -1,4 +1,4 @@
-"""Tables of a study's file as one model, and what follows from them without making a body."""
+"""Tables of a study's file as one model, and properties that do not require the bodies."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lierb.support.shown import counted
 
 TABLES = ("summary", "history", "events")
 NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
-NOTHING = "nothing"  # quantity of a design in a study that draws none
+NOTHING = "nothing"  # quantity in the design of a study without sampled quantities
 HELD = ("links", "loops")  # lists of the problem whose items have a joint
 
 
@@ -54,12 +54,12 @@ class StudyTables(Section):
     @model_validator(mode="before")
     @classmethod
     def _as_in_a_file(cls, tables: Any) -> Any:
-        """Reduce the tables to what a file can hold, and add defaults that depend on others."""
+        """Convert the tables to values that a file can hold, and add dependent defaults."""
         return tables if isinstance(tables, StudyTables) else _with_defaults(plain(tables))
 
     @property
     def kind(self) -> str:
-        """Mechanism of each trajectory: `spherical joint`, `mechanism of 3 links and 1 loop`."""
+        """Kind of problem: `spherical joint`, or `mechanism of 3 links and 1 loop`."""
         if self.joint is not None:
             return f"{self.joint.type} joint"
         parts = [counted(len(self.problem.links), "link")]
@@ -75,21 +75,21 @@ class StudyTables(Section):
 
     @property
     def settings(self) -> list[Setting]:
-        """Settings that are run, a list of the product of its c-spaces, methods and steps."""
+        """Settings of the study: the product of its c-spaces, methods and steps."""
         run = self.integrate
         each = product(run.cspace, run.method, run.steps)
         return [Setting(cspace, method, *step) for cspace, method, step in each]
 
     @property
     def table_names(self) -> tuple[str, ...]:
-        """Names of the tables of its results."""
+        """Names of the result tables."""
         return tables_of_study(self.model_dump())
 
     # ---- Python files ----------------------------------------------------------------------------
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the Python files that the study refers to."""
+        """Names of the Python files to which the study refers."""
         references = (named(element.type) for _, element in self.problem.elements())
         return tuple(sorted({each.file for each in references if each}))
 
@@ -104,7 +104,7 @@ class StudyTables(Section):
         return {file: sha256_of_text(text) for file, text in self.code.items()}
 
     def with_code(self, code: Code) -> Self:
-        """Return the study with these texts of its Python files."""
+        """Return the study with other texts of its Python files."""
         study = self.model_copy()
         study._code = dict(code)
         return study
@@ -112,7 +112,7 @@ class StudyTables(Section):
     # ---- text ------------------------------------------------------------------------------------
 
     def to_toml(self) -> str:
-        """Write the text of a file of the same study.
+        """Write the study as the text of its file.
 
         Returns
         -------
@@ -123,12 +123,12 @@ class StudyTables(Section):
 
     def _tables(self) -> dict[str, Any]:
         tables = self.model_dump(exclude_none=True, exclude_defaults=True)
-        if self.problem.links:  # a mechanism has another default
+        if self.problem.links:  # the default of a mechanism differs
             tables["integrate"]["cspace"] = self.integrate.cspace
         return tables
 
     def digest(self) -> str:
-        """Compute a checksum of everything that the results depend on.
+        """Compute a checksum of everything on which the results depend.
 
         Returns
         -------
@@ -148,7 +148,7 @@ class StudyTables(Section):
 
 
 def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[str, ...]]]:
-    """Tables, and their keys that later versions have added: unset, they leave the digest alone."""
+    """Tables, and their keys added by later versions; unset, these do not change the digest."""
     for section in ("problem", "sample"):
         yield tables[section], ELEMENTS[1:]
     yield tables["problem"], HELD
@@ -176,7 +176,7 @@ def _with_defaults(tables: Any) -> Any:
 
 
 def tables_of_study(study: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of the tables that a study leaves.   study : its tables, as `model_dump` makes them."""
+    """Names of a study's result tables.   study : tables of the study, from `model_dump`."""
     run = study["integrate"]
     saves = run["save_every"] is not None or run.get("save_at") is not None
     is_there = (True, saves, bool(study.get("problem", {}).get("events")))

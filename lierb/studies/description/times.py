@@ -1,7 +1,7 @@
 """Times of the rows of a study's history: `save_at` in [integrate], a list or a rule.
 
 save_at = [0.0, 0.5, 2.0]                          s, in ascending order
-save_at = { every = 0.5, from = 1.0, to = 4.0 }    from and to are t0 and t_end by default
+save_at = { every = 0.5, from = 1.0, to = 4.0 }    defaults: from = t0, to = t_end
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from lierb.errors import ArgumentError
 from lierb.support.arrays import Array
 
 RULE = ("every", "from", "to")
-MOST_TIMES = 10**7  # rows of one trajectory: 1 GB and more
+MOST_TIMES = 10**7  # most rows of one trajectory: 1 GB and more
 NEARLY = 1e-9  # tolerance of `to` relative to `every`: 0.3 is not 3 × 0.1
 EXPECTED = "times in s, in ascending order, or { every = …, from = …, to = … }"
 
@@ -61,7 +61,7 @@ SaveAt = Annotated[
 
 
 def saved_times(given: Any, t0: float, t_end: float) -> Array:
-    """Compute the times of `save_at`, s. Raises ArgumentError for a rule that gives none."""
+    """Compute the times of `save_at`, s. Raises ArgumentError for a rule without any time."""
     if not isinstance(given, dict):
         return np.array(given, dtype=float)
     every = float(given["every"])

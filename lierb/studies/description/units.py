@@ -23,9 +23,9 @@ UNITS = {
 def unit_of(quantity: str, study: Study, problem: Problem | Mechanism) -> str:
     """Return the unit of a sampled quantity such as `initial.omega`.
 
-    Mixed units are separated by commas. The parameter of a user's function has none, "".
+    Mixed units are separated by commas. The unit of a user's parameter is unknown, "".
 
-    problem : the study's, the coordinates of whose joints are angles or lengths.
+    problem : problem of the study, whose joints determine the units of coordinates.
     """
     section, _, key = quantity.rpartition(".")
     table, _, label = section.partition(".")

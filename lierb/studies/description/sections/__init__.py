@@ -1,1 +1,1 @@
-"""Tables of a study's file, as pydantic models that check types and keys and make their objects."""
+"""Tables of a study's file: pydantic models that validate them and make lierb's objects."""

@@ -17,7 +17,7 @@ from lierb.studies.description.messages import called
 from lierb.studies.description.sections.fields import Frame, Numbers, Section, Twist, Vector
 from lierb.support.arrays import Array, as_floats
 
-POINTS = {  # points of a joint, and the frames whose origins they are
+POINTS = {  # points of a joint: the origins of these frames
     "body_point": "body_frame",
     "ground_point": "ground_frame",
     "parent_point": "ground_frame",
@@ -38,7 +38,7 @@ class BodySection(Section):
     density: float | None = None
 
     def make(self, sampled: dict[str, Array]) -> Body:
-        """Make the body, of each trajectory if quantities are sampled."""
+        """Make the body; a batch of bodies if quantities are sampled."""
         values = self.given() | sampled
         if "inertia" in sampled and sampled["inertia"].ndim == 2:  # principal moments
             values["inertia"] = sampled["inertia"][:, :, None] * np.eye(3)
@@ -48,7 +48,7 @@ class BodySection(Section):
             values["inertia"] = inertia_of(values.pop("second_moments"))
         if sampled and "inertia" in values:
             given = as_floats("inertia", values["inertia"])
-            # one matrix for all bodies, even if there are three of them
+            # one matrix for all bodies, even for a batch of three
             values["inertia"] = given[None] if given.shape == (3, 3) else given
         solid = values.pop("solid", None)
         made: Body = called("body", Body if solid is None else getattr(solids, solid), values)
@@ -56,7 +56,7 @@ class BodySection(Section):
 
 
 class JointSection(Section):
-    """A joint of the catalogue, or `type = "from_rows"` with its rows."""
+    """Joint of the catalogue, or `type = "from_rows"` with its rows."""
 
     type: str
     rows: list[str] | None = None
@@ -73,7 +73,7 @@ class JointSection(Section):
     parent_frame: Frame | None = None
 
     def make(self, sampled: dict[str, Array]) -> Joint:
-        """Make the joint, of each trajectory if quantities are sampled."""
+        """Make the joint; a batch of joints if quantities are sampled."""
         values = self.given() | sampled
         for point, frame in POINTS.items():
             if point in sampled and frame in values:  # move the frame's origin there
@@ -93,11 +93,11 @@ def _with_origins(frame: Any, places: Array) -> Array:
 
 
 class LinkStart(Section):
-    """Start of a link: pose by `coordinates`, `rotation` and `place`, or `pose`; its velocities.
+    """Start of a link: its pose by `coordinates`, `rotation` and `place`, or `pose`; its velocity.
 
-    `coordinates` and `velocities` are those of its joint and their rates; a number where there is
-    one. `rotation`, 3×3, and `place`, m, are its joint frame in that of its parent. `pose`, 4×4, is
-    in the ground frame. `omega` and `twist` are in its own axes.
+    coordinates, velocities : joint coordinates and their rates; a number for a single coordinate.
+    rotation, place : 3×3, and m; joint frame of the link relative to that of its parent.
+    pose : 4×4, in the ground frame.   omega, twist : in the link's axes.
     """
 
     coordinates: float | list[float] | None = None
@@ -110,7 +110,7 @@ class LinkStart(Section):
 
 
 class LinkSection(Section):
-    """A link of a mechanism: its body, the joint to its parent, and its start."""
+    """Link of a mechanism: its body, the joint to its parent, and its start."""
 
     name: str
     parent: str = GROUND
@@ -120,7 +120,7 @@ class LinkSection(Section):
 
 
 class LoopSection(Section):
-    """A joint that closes a loop, between two links or a link and the ground."""
+    """Joint that closes a loop between two links, or between a link and the ground."""
 
     name: str
     body: str
@@ -129,13 +129,14 @@ class LoopSection(Section):
 
 
 class InitialSection(Section):
-    """Start: velocities by `omega` and `point_velocity`, `twist` or `velocities`; pose as below.
+    """Start: velocity by `omega` and `point_velocity`, `twist` or `velocities`; pose as below.
 
-    `coordinates` are those of the joint, in the order of `Joint.coordinate_names`, and `velocities`
-    their rates. `rotation`, 3×3, and `place`, m, are the body's joint frame in the ground's.
-
-    For a mechanism there is only `close`: "auto" closes what is open, to the nearest pose and twist
-    by the masses; "never" leaves it. Each link's own table, [problem.links.initial], has its start.
+    coordinates, velocities : joint coordinates, in the order of `Joint.coordinate_names`, and their
+        rates.
+    rotation, place : 3×3, and m; joint frame of the body relative to that of the ground.
+    close : for a mechanism, which has no other key here. "auto" moves poses and twists that violate
+        constraints to the nearest consistent ones in the mass metric; "never" leaves them. Each
+        link's start is in its own table [problem.links.initial].
     """
 
     close: Literal["auto", "never"] | None = None

@@ -18,7 +18,7 @@ from lierb.studies.description.study_file import ELEMENTS
 from lierb.support.arrays import Array
 
 MOST_LINKS = 1000
-MOST_FORCES = 100  # all are in one kernel
+MOST_FORCES = 100  # all forces are compiled into one kernel
 
 
 def _type_of_force(given: str) -> str:
@@ -39,9 +39,9 @@ OF_FORCE = {"anyOf": [{"enum": [*forces.FORCE_UNITS], "type": "string"}, OF_FUNC
 
 
 class ElementSection(BaseModel):
-    """An element of a list in [problem], with its parameters; `name` distinguishes equal types.
+    """Element of a list in [problem], with its parameters; `name` distinguishes equal types.
 
-    on : in a mechanism, the link or the two links on which it acts, or the link of its joint.
+    on : in a mechanism, the link or two links on which the element acts, or the link of its joint.
     """
 
     model_config = SECTION | ConfigDict(extra="allow")
@@ -74,7 +74,7 @@ class ElementSection(BaseModel):
 
 
 class ColumnSection(ElementSection):
-    """An element whose `name` is its name in the results."""
+    """Element whose `name` is its name in the results."""
 
     def make(self, sampled: dict[str, Array], code: Code) -> Any:
         element = super().make(sampled, code)
@@ -82,38 +82,38 @@ class ColumnSection(ElementSection):
 
 
 class ForceSection(ElementSection):
-    """A force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
+    """Force of `lierb.forces`, or a function with `@lierb.wrench` in a file beside the study."""
 
     table = "forces"
     type: Annotated[str, AfterValidator(_type_of_force), WithJsonSchema(OF_FORCE)]
 
 
 class ConstraintSection(ElementSection):
-    """A function with `@lierb.constraint` in a file beside the study."""
+    """Function with `@lierb.constraint` in a file beside the study."""
 
     table = "constraints"
 
 
 class ObservableSection(ColumnSection):
-    """A function with `@lierb.observable` in a file beside the study; `name` is its column's."""
+    """Function with `@lierb.observable` in a file beside the study; `name` names its column."""
 
     table = "observables"
 
 
 class EventSection(ColumnSection):
-    """A function with `@lierb.event` in a file beside the study; `name` is that in the tables."""
+    """Function with `@lierb.event` in a file beside the study; `name` is used in the tables."""
 
     table = "events"
 
 
 class StatesSection(ElementSection):
-    """A function with `@lierb.states` in a file beside the study; with initial values."""
+    """Function with `@lierb.states` in a file beside the study, and initial values."""
 
     table = "states"
 
 
 class ControllerSection(ElementSection):
-    """A function with `@lierb.controller` in a file beside the study; with `every` and the like."""
+    """Function with `@lierb.controller` in a file beside the study, with `every` and the like."""
 
     table = "controllers"
 
@@ -138,6 +138,6 @@ class ProblemSection(Section):
                 yield table, element
 
     def held(self) -> Iterator[LinkSection | LoopSection]:
-        """Yield the links, and after them the loops."""
+        """Yield the links, then the loops."""
         yield from self.links
         yield from self.loops

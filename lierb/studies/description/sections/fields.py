@@ -20,7 +20,7 @@ SECTION = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=Fal
 
 
 class Section(BaseModel):
-    """A table of the file."""
+    """Table of the file."""
 
     model_config = SECTION
 
@@ -34,14 +34,14 @@ def _as_list(value: Any) -> Any:
 
 
 def _as_whole(value: Any) -> Any:
-    """Convert a float such as 1e6 to an integer, unless no file could hold that."""
+    """Convert a float such as 1e6 to an integer, if a file can hold the integer."""
     if isinstance(value, float) and value.is_integer() and abs(value) <= LARGEST:
         return int(value)
     return value
 
 
 def _one_or_several(kind: str) -> tuple[Any, Any]:
-    """Validator and schema of a list that may be written as its only item."""
+    """Validator and schema of a list; a list of one item may be written as the item."""
     one = {"type": kind}
     return BeforeValidator(_as_list), WithJsonSchema(
         {"anyOf": [one, {"type": "array", "items": one}]}

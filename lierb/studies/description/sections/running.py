@@ -20,9 +20,9 @@ class Baumgarte(Section):
 
 
 class IntegrateSection(Section):
-    """Arguments of `lierb.integrate`; cspace, method, dt and rtol may be lists, run as a product.
+    """Arguments of `lierb.integrate`; lists of cspace, method, dt and rtol are run as a product.
 
-    Steps are adaptive with rtol or atol, and dt is the first step.
+    With rtol or atol, steps are adaptive and dt is the first step.
     """
 
     model_config = SECTION | ConfigDict(
@@ -64,7 +64,7 @@ class IntegrateSection(Section):
 
     @property
     def steps(self) -> list[tuple[float | None, float | None]]:
-        """Pairs of dt and rtol: fixed steps have no rtol, adaptive ones the first step or None."""
+        """Pairs (dt, rtol): rtol is None for fixed steps; dt may be None for adaptive steps."""
         if not self.is_adaptive:
             return [(dt, None) for dt in self.dt]
         first = self.dt[0] if self.dt else None

@@ -19,14 +19,15 @@ from lierb.studies.description.sections.bodies import (
 from lierb.studies.description.sections.fields import SECTION, Count, Whole
 from lierb.studies.description.study_file import ELEMENTS
 
-OF_LINK = ("body", "joint", "initial")  # tables of a link that can be sampled; of a loop, its joint
+OF_LINK = ("body", "joint", "initial")  # sampled tables of a link; of a loop only "joint"
 
 
 class SampleSection(BaseModel):
-    """Number of bodies, and the quantities that are drawn for each, as [sample.SECTION.KEY] tables.
+    """Number of bodies, and tables [sample.SECTION.KEY] of the sampled quantities.
 
-    Those of a mechanism's links and loops are [sample.NAME.SECTION.KEY], as sample.rod.body.mass.
-    `stop_when` is the rule by which a study ends early; see `lierb.studies.description.stopping`.
+    Quantities of a mechanism's links and loops have tables [sample.NAME.SECTION.KEY], such as
+    [sample.rod.body.mass].
+    stop_when : rule that ends a study early; see `lierb.studies.description.stopping`.
     """
 
     model_config = SECTION | ConfigDict(
@@ -84,7 +85,7 @@ class SampleSection(BaseModel):
                 yield f"{name}.{section}", table
 
     def require_names(self, names: Collection[str]) -> None:
-        """Raise StudyError for tables of other names than these links and loops."""
+        """Raise StudyError for tables named otherwise than the links and loops."""
         for name in self.model_extra or {}:
             if name not in names:
                 raise StudyError(
@@ -97,7 +98,7 @@ def _sampled() -> list[str]:
 
 
 def _known_keys(section: str) -> Collection[str] | None:
-    """Keys that can be sampled in a section; None for an element, which checks its own."""
+    """Keys of a section that can be sampled; None for an element, which validates its own keys."""
     first, _, last = section.partition(".")
     if first in ELEMENTS:
         return None
@@ -118,12 +119,12 @@ KEYS: dict[str, tuple[str, ...]] = {
     "joint": tuple(k for k in JointSection.model_fields if k not in NOT_DRAWN),
 }
 KEYS_OF_LINK = KEYS | {"initial": tuple(LinkStart.model_fields)}
-# Names that no link may have: its columns, and its tables in [sample], are named after it.
+# Names that a link must not have, since its columns and its tables in [sample] have its name.
 RESERVED = frozenset({"sample", *SampleSection.model_fields})
 
 
 def distribution_of(key: str, value: Any) -> Any:
-    """Make a distribution from its table; numbers and lists are constants."""
+    """Make a distribution from its table; numbers and lists become constants."""
     if not isinstance(value, dict):
         with at(key):
             as_distribution("it", value)
