@@ -80,8 +80,8 @@ class StiffStepWarning(UserWarning):
 
     Forces are linearised at the start: springs and dampers at the initial state, friction at zero
     velocity, and stops in contact. For an eigenvalue λ of the result, an error grows from step to
-    step if |R(hλ)| > 1, though the force damps it. The warning is issued if the error doubles
-    within the run. Users' functions are not examined.
+    step if the magnitude of R(hλ) exceeds 1, though the force damps it. The warning is issued if
+    the error doubles within the run. Users' functions are not examined.
     """
 
 

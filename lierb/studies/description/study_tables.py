@@ -75,7 +75,7 @@ class StudyTables(Section):
 
     @property
     def settings(self) -> list[Setting]:
-        """Settings of the study: the product of its c-spaces, methods and steps."""
+        """Product of the c-spaces, methods and steps of the study."""
         run = self.integrate
         each = product(run.cspace, run.method, run.steps)
         return [Setting(cspace, method, *step) for cspace, method, step in each]
