@@ -71,7 +71,7 @@ class Run(Generic[Clocks]):
 
         jobs : [thread][record].
         """
-        entry = entry_of(integrate, self.plan, self.arrays["inputs"][0], counter, jobs[0])
+        entry = entry_of(integrate, self.plan.code, self.arrays["inputs"][0], counter, jobs[0])
         loop = (entry, counter, self.threads, jobs)
         run = compiled(integrate_on_threads, *loop)
         with running(self.threads):

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import RESUMED, UNSEEN, job_of, jobs_of
-from lierb.kernels.loops.record import carried_columns
+from lierb.kernels.loops.record import carried_rows
 from lierb.kernels.stepping.clock import StepClock
-from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.tree_table import table_of
 from lierb.runs.driver import Run
 from lierb.runs.inputs import Inputs
 from lierb.runs.lane_engine import LaneRun, LaneTime
@@ -20,6 +23,7 @@ from lierb.runs.output import Chunk, Output
 from lierb.runs.threads import CALL_SECONDS, threads_for
 from lierb.support.arrays import Array
 from lierb.support.forks import check_threads
+from lierb.support.memory import aligned
 from lierb.support.progress import BODY_STEPS, Progress, reporter
 
 # Least number of trajectories in a chunk. The carried state of so many stays in the cache.
@@ -87,7 +91,7 @@ class BlockRun(Run[StepClock]):
         size = -(-size // lanes) * lanes
         width = -(-min(size, count) // lanes) * lanes
         many = width if in_one_call < min(size, count) else 0
-        carried = np.empty((carried_columns(self.plan).count, many))
+        carried = np.empty((carried_rows(self.plan), many))
         return [Chunk(i, min(i + size, count), carried) for i in range(0, count, size)]
 
     def starts(self) -> Iterator[tuple[int, Array]]:
@@ -107,9 +111,19 @@ class BlockRun(Run[StepClock]):
             "differ": self.inputs.differ, "rows_per_link": self.output.rows,
             **self.times._asdict(),
         }  # fmt: skip
-        job = job_of(self.arrays | {"carried": chunk.carried}, numbers)
-        jobs = jobs_of(*[job] * self.threads)
+        arrays = self.arrays | {"carried": chunk.carried}
+        jobs = jobs_of(*(job_of(arrays | own, numbers) for own in self.thread_arrays))
         return self.run(integrate_blocks, np.zeros(2, dtype=np.int64), jobs)
+
+    @cached_property
+    def thread_arrays(self) -> list[dict[str, NDArray[Any]]]:
+        """Arrays of each thread alone: the table of a looped plan, and the thread's memory."""
+        plan = self.plan
+        if not isinstance(plan, MechanismPlan) or not plan.kinds:
+            return [{}] * self.threads
+        table, rows = table_of(plan)
+        memories = [aligned(rows, plan.lanes) for _ in range(self.threads)]
+        return [{"table": table, "memory": memory} for memory in memories]
 
     def _run_chunk(self, chunk: Chunk, begin: int) -> Iterator[int]:
         """Run a chunk to the end; yield the number of steps after each call of the driver."""

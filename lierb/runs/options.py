@@ -27,7 +27,7 @@ CHOICES = {
     "cspace": CSPACE_NAMES,
     "update": ("local", "global"),
     "check": ("raise", "warn", "off"),
-    "solver": ("auto", *FORMULATIONS),
+    "solver": ("auto", *FORMULATIONS, "looped", "unrolled"),
 }
 
 

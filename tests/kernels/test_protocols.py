@@ -120,7 +120,7 @@ def test_combine_and_move_follow_the_exponential(name, sums_first):
     system, body, state = SYSTEMS[name]()
     slopes, weights = slopes_of(system, body, state, 3), (0.5, 0.0, -0.75)
     units = Units(0.5 * H, H, H, sums_first)
-    ended = system.move(system.combine(body, state, weights, slopes, units))
+    ended = system.move(body, system.combine(body, state, weights, slopes, units))
     total = H * np.tensordot(weights, np.array(slopes.x, float), 1)
     for before, x, after in zip(
         matrices(system, state.chart), algebra(total), matrices(system, ended.chart), strict=True

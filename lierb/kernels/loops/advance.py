@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from lierb.kernels.groups.coefficients import TINY
-from lierb.kernels.loops.record import NAN, Record, are_finite, with_rank
+from lierb.kernels.loops.record import Record, are_finite, with_rank
 from lierb.kernels.numbers.arithmetic import (
     all_lanes,
     assumptions,
@@ -15,7 +15,7 @@ from lierb.kernels.numbers.arithmetic import (
     real,
     where,
 )
-from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.plan import AnyPlan
@@ -79,8 +79,7 @@ def _advanced(
             calls.set_exception_flags(maximum(known, fails))
         fresh = (now > 0.0) & alive
         return (
-            # NaN from the next step on; it spreads to the pose.
-            tuple(x if is_zero(x) else where(alive, x, NAN) for x in moved.v_or_mu),
+            system_of(plan).silenced(body, moved.v_or_mu, alive),
             where(fresh, now, record.status),
             where(fresh, real(k), record.failed_step),
         )

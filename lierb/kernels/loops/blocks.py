@@ -11,7 +11,7 @@ from __future__ import annotations
 import numba
 
 from lierb.compiler.code import OPTIONS, cached
-from lierb.compiler.loops import numbers_at
+from lierb.compiler.loops import integers_at, numbers_at
 from lierb.kernels.loops.advance import (
     advance,
     advance_invariant,
@@ -25,6 +25,7 @@ from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.record import (
     initial_record,
     initial_state,
+    keep_errors,
     load_body,
     load_carried,
     load_given,
@@ -58,6 +59,8 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
     if measure or save:
         time, is_last = time_of(clock, k), k == clock.steps
         shown, seen = observe(plan, body, state, record, k, time, share_of(clock, k))
+        if measure:
+            keep_errors(plan, body, seen)
         record = seen if measure else without_measures(plan, record, seen)
         if save:
             at = Place(row, tables.history.shape[1], column)
@@ -109,6 +112,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         job.dt, job.steps, job.measure_every, job.save_every, job.origin, job.first_step
     )
     carried, summary, ends = numbers_at(job.carried), numbers_at(job.summary), numbers_at(job.ends)
+    table, memory = integers_at(job.table), numbers_at(job.memory)
     tables, blocks = tables_at(job), (job.stop - job.first + lanes - 1) // lanes
     stop, resumes = job.until, job.begin == RESUMED
     is_new, block, behind = True, 0, 0
@@ -121,7 +125,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
         column, fresh = job.first + first, k == 0
         pack(job, inputs, first, is_new)
         if is_new or job.differ == BODIES:  # numbers shared by all blocks are loaded once
-            body = load_body(plan, inputs)
+            body = load_body(plan, inputs, table, memory)
         if is_new or job.differ != TWISTS:
             placed = load_placed(plan, body, inputs)
             given = load_given(plan, inputs, time_of(clock, 0))
@@ -156,7 +160,7 @@ def integrate_blocks(plan, inputs, counter, jobs):
             state, record, k = _advance_to(plan, body, state, record, clock, k, end, invariant)
             fresh = True
         if stop < clock.steps:
-            store_carried(plan, carried, first, state, record)
+            store_carried(plan, body, carried, first, state, record)
         else:
-            store_summary(plan, record, summary, column)
-            store_end(plan, state, record, ends, column)
+            store_summary(plan, body, record, summary, column)
+            store_end(plan, body, state, record, ends, column)

@@ -33,6 +33,8 @@ ARRAYS = {
     "places": "int64, [column of inputs][address for the first trajectory, bytes to the next]",
     "varying": "int64, [1][columns of inputs in which trajectories differ]",
     "inputs": "[thread][column][lane], where each thread gathers a block's numbers",
+    "table": "int64, [1][`lierb.kernels.systems.tree_table`], for a looped plan",
+    "memory": "[row][lane] of a thread, for a looped plan",
     "carried": "[column][trajectory of the chunk, padded to full blocks], between two calls",
     **RESULTS,
     # For lanes with separate clocks: arrays of the run,

@@ -97,8 +97,8 @@ def load_lanes(plan: AnyPlan, body: Any, carried: Any) -> Lanes:
     return Lanes(state, record, LaneClock(*clock), Held(*map(tuple, held)))
 
 
-def store_lanes(plan: AnyPlan, carried: Any, lanes: Lanes) -> None:
-    store_carried(plan, carried, 0, lanes.state, lanes.record)
+def store_lanes(plan: AnyPlan, body: Any, carried: Any, lanes: Lanes) -> None:
+    store_carried(plan, body, carried, 0, lanes.state, lanes.record)
     put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.held))
 
 

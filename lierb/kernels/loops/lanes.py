@@ -14,7 +14,7 @@ import numba
 
 from lierb.compiler.code import OPTIONS, cached
 from lierb.compiler.entries import call
-from lierb.compiler.loops import histories_at, numbers_at, shared
+from lierb.compiler.loops import histories_at, integers_at, numbers_at, shared
 from lierb.kernels.loops import event_search as search
 from lierb.kernels.loops import lane_between as inner
 from lierb.kernels.loops import lane_state
@@ -80,8 +80,8 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     lanes = inner.with_record(lanes, with_exceptions(plan, lanes.record, lanes.clock.steps))
     lane_state.put_shown(plan, body, inputs, lanes.state, lanes, numbers_at(own.shown))
     lane_state.store_lane_summary(plan, lanes, summary, own.lane_column)
-    store_summary(plan, lane_state.as_ended(lanes, span, termination), summary, 0)
-    store_end(plan, lanes.state, lanes.record, ends, 0)
+    store_summary(plan, body, lane_state.as_ended(lanes, span, termination), summary, 0)
+    store_end(plan, body, lanes.state, lanes.record, ends, 0)
     lane_state.store_lane_end(plan, lanes, ends)
 
 
@@ -222,7 +222,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     carried, events, jumps = numbers_at(own.carried), numbers_at(own.events), numbers_at(job.jumps)
     room = events.shape[0] - ws.most_events(inputs.shape[1], own.watched) - 1
     is_new = own.begin == 0
-    body = load_body(plan, inputs)
+    body = load_body(plan, inputs, integers_at(job.table), numbers_at(job.memory))
     lanes = lane_state.load_lanes(plan, body, carried)
     active, termination = row_of(plan, rows, ws.ACTIVE), row_of(plan, rows, ws.TERMINATION)
     while True:
@@ -238,7 +238,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if request[0, ws.ANY_ACTIVE] == 0.0:
                 break
             if is_new or job.differ == BODIES:
-                body = load_body(plan, inputs)
+                body = load_body(plan, inputs, integers_at(job.table), numbers_at(job.memory))
             lanes = _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits)
             is_new = False
         else:
@@ -271,6 +271,6 @@ def integrate_lanes(plan, inputs, counter, jobs):
             termination = steps.termination_now(lanes, span, limits, fresh, termination)
         if steps.is_to_tidy(lanes, fresh, termination):
             lanes = steps.tidied(plan, body, lanes, fresh, termination)
-    lane_state.store_lanes(plan, carried, lanes)
+    lane_state.store_lanes(plan, body, carried, lanes)
     put_row(plan, rows, ws.TERMINATION, termination)
     put_row(plan, rows, ws.ACTIVE, active)

@@ -45,10 +45,11 @@ from lierb.kernels.systems.observables import (
     with_value,
 )
 from lierb.kernels.systems.one_body import LARGEST
-from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import held_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
 from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
 
@@ -88,6 +89,14 @@ def carried_columns(plan: AnyPlan) -> Columns:
     return Columns(*columns, clock, *held_fields(plan))
 
 
+def carried_rows(plan: AnyPlan) -> int:
+    """Return the number of rows of `carried`: `carried_columns`, and a looped plan's states."""
+    own = carried_columns(plan.code).count
+    if isinstance(plan, MechanismPlan) and plan.kinds:
+        return own + int(table_of(plan)[0][0, STATE_ROWS])
+    return own
+
+
 def joint_columns(plan: AnyPlan) -> int:
     """Return the number of a summary's columns for JOINT_KEPT of a mechanism's joints."""
     return len(JOINT_KEPT) * len(system_of(plan).joints)
@@ -120,7 +129,10 @@ def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
     return _columns(plan, inputs, range(system_of(plan).inputs["state"].start), 0)
 
 
-def load_body(plan: AnyPlan, inputs: Any) -> Any:
+def load_body(plan: AnyPlan, inputs: Any, table: Any, memory: Any) -> Any:
+    """Load the constants.   table, memory : of a looped plan."""
+    if plan.is_looped:
+        return system_of(plan).loaded(inputs, table, memory)
     return system_of(plan).body(load_inputs(plan, inputs))
 
 
@@ -135,7 +147,12 @@ def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
-    state: State = system_of(plan).start(body, placed, load_inputs(plan, inputs))
+    system = system_of(plan)
+    state: State = (
+        system.started(body, inputs)
+        if plan.is_looped
+        else system.start(body, placed, load_inputs(plan, inputs))
+    )
     return state
 
 
@@ -156,6 +173,8 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
 
 def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     """Load the state that a run continues from."""
+    if plan.is_looped:
+        return system_of(plan).resumed(body, inputs)
     at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
     state: State = system_of(plan).state_of(numbers, body)
@@ -184,6 +203,8 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     numbers = (parts[name][0] for name in ("first_energy", "status", "failed_step", "dropped"))
     energy, status, step, dropped = numbers
     observed = kept_of(parts["observed"])
+    if plan.is_looped:
+        system_of(plan).load_state(body, carried, columns.count, first)
     record = Record(parts["kept"], energy, status, step, dropped, observed, parts["joints"])
     if plan.calls_functions:
         (before,) = parts["flags"]
@@ -196,7 +217,9 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     return state, record
 
 
-def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record: Record) -> None:
+def store_carried(
+    plan: AnyPlan, body: Any, carried: Any, first: Any, state: State, record: Record
+) -> None:
     """Store state, record and exception flags of a block, for the next call."""
     kept, *numbers, observed, joints = record
     flags = exception_flags(plan, record)
@@ -205,10 +228,17 @@ def store_carried(plan: AnyPlan, carried: Any, first: Any, state: State, record:
     behind = carried_columns(plan)["observed"].start
     for c, number in enumerate(flatten((observed, joints)), behind):
         store(carried, (c, first), number, plan.lanes)
+    if plan.is_looped:
+        system_of(plan).store_state(body, carried, carried_columns(plan).count, first)
 
 
-def store_end(plan: AnyPlan, state: State, record: Record, ends: Any, column: Any) -> None:
+def store_end(
+    plan: AnyPlan, body: Any, state: State, record: Record, ends: Any, column: Any
+) -> None:
     """Store the state, and the rank at the start, for a run that continues."""
+    if plan.is_looped:
+        system_of(plan).store_end(body, ends, column)
+        return
     numbers = [*flatten(state)]
     going_on = [numbers[c] for c in state_columns(plan)]
     if plan.keeps_rank:
@@ -342,6 +372,12 @@ def _joints_kept(
     return tuple(kept)
 
 
+def keep_errors(plan: AnyPlan, body: Any, record: Record) -> None:
+    """Update the retained errors of a looped plan's joints, which are not in the record."""
+    if plan.is_looped:
+        system_of(plan).keep_errors(body, record.status == OK)
+
+
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
     """Return the record after a step that is saved, not measured.   seen : record by `observe`."""
     if not may_raise(plan):
@@ -355,7 +391,7 @@ def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:
 
 for _formula in (
     load_body, load_placed, load_given, initial_state, initial_record, resumed_state,
-    resumed_record, with_rank, load_carried, store_carried, observe, without_measures,
+    resumed_record, with_rank, load_carried, store_carried, observe, keep_errors, without_measures,
     with_exceptions, store_end,
 ):  # fmt: skip
     kernel(_formula)

@@ -78,6 +78,8 @@ def store_row(
     put(tables.history, 2, [(c, at.row, at.column) for c in range(len(shown))], tuple(shown))
     for c in range(len(shown)):
         prefetch(tables.history, (c, at.row + 1, at.column), plan.lanes)
+    if plan.is_looped:
+        system_of(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
     if not (plan.multipliers or plan.reaction):
         return
     multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
@@ -105,6 +107,10 @@ def store_state(
     plan: AnyPlan, body: Any, inputs: Any, state: State, record: Record, tables: Tables, at: Place
 ) -> None:
     """Store one row of the states: R, r, ω and v, each [link, time][trajectory][component]."""
+    if plan.is_looped:
+        alive = record.status == OK
+        system_of(plan).store_links(body, tables.states, at.row, at.rows, at.column, alive)
+        return
     row = at.row
     for numbers in user_state(plan, body, inputs, state, record):
         for array, part in zip(tables.states, POSE_AND_TWIST.parts(numbers).values(), strict=True):
@@ -113,7 +119,7 @@ def store_state(
         row = row + at.rows
 
 
-def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> None:
+def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column: Any) -> None:
     """Store a summary: retained measures, status, and step of a failure."""
     r = record
     kept = [measure.shown(x) for (measure, _), x in zip(KEPT, r.kept, strict=True)]
@@ -124,6 +130,8 @@ def store_summary(plan: AnyPlan, record: Record, summary: Any, column: Any) -> N
     )
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
+    if plan.is_looped:
+        system_of(plan).store_kept(body, summary, SUMMARY.count, column)
 
 
 def store_start(

@@ -131,7 +131,8 @@ class ExplicitRungeKutta:
             falling = gravity
             if factors is not None:
                 falling = system.chart_gravity(body, stage.chart)
-            rates = system.stage_rates(body, stage, falling, fma(at.span, sum(weights), at.time))
+            time = fma(at.span, sum(weights), at.time)
+            rates = system.stage_rates(body, stage, falling, time, len(slopes.x))
             slopes = slopes.with_stage(rates)
             singular = maximum(singular, rates.singular)
         return slopes, singular
@@ -151,7 +152,7 @@ class ExplicitRungeKutta:
         # Sums without the state also appear in error estimates.
         units = Units(0.5 * x_unit, unit, h, self.embedded is not None)
         ended = system.combine(body, state, weights, slopes, units, factors)
-        return ended if factors is not None else system.move(ended)
+        return ended if factors is not None else system.move(body, ended)
 
     def counts_in_steps(self, system: AnySystem) -> bool:
         """Return whether a step measures time by its own length h.

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from lierb.kernels.numbers.arithmetic import fma
+from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.vec import Vec
-from lierb.kernels.numbers.zero import ZERO
+from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems.signals import PassiveElements
 from lierb.kernels.systems.state import Factors, Rates, Slopes, State, Units, Weights
+
+NAN = float("nan")
 
 
 class StateArithmetic(PassiveElements):
@@ -36,28 +38,33 @@ class StateArithmetic(PassiveElements):
         """
         chart, x = state.chart, state.x
         if factors is None:
-            x = self.in_algebra(body, _sum(x, units.x, weights, slopes.x, units))
+            x = self.in_algebra(body, summed(x, units.x, weights, slopes.x, units))
         else:
             chart = self._product(body, chart, factors, slopes.x, units)
             x = (ZERO,) * len(x)
-        v_or_mu = _sum(state.v_or_mu, units.v_or_mu, weights, slopes.v_or_mu, units)
-        (work,) = _sum((state.work,), units.other, weights, slopes.work, units)
-        states = _sum(state.states, units.other, weights, slopes.states, units)
+        v_or_mu = summed(state.v_or_mu, units.v_or_mu, weights, slopes.v_or_mu, units)
+        (work,) = summed((state.work,), units.other, weights, slopes.work, units)
+        states = summed(state.states, units.other, weights, slopes.states, units)
         return State(chart, x, v_or_mu, work, states)
 
-    def move(self, state: State) -> State:
+    def move(self, body: Any, state: State) -> State:
         """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
         if self.plan.is_local:
             return self.placed_by_chart(state)
         chart, x = self.recharted(state.chart, state.x)
         return state._replace(chart=chart, x=x)
 
+    def silenced(self, body: Any, v_or_mu: Vec, alive: Any) -> Vec:
+        return tuple(x if is_zero(x) else where(alive, x, NAN) for x in v_or_mu)
+
     def placed_by_chart(self, state: State) -> State:
         """Return the state with the pose C₀ exp X as its chart, and X structurally zero."""
         chart = self.moved(state.chart, state.x)
         return state._replace(chart=chart, x=(ZERO,) * len(state.x))
 
-    def stage_rates(self, body: Any, state: State, gravity: Any, time: Any) -> Rates:
+    def stage_rates(
+        self, body: Any, state: State, gravity: Any, time: Any, stage: int = 0
+    ) -> Rates:
         """Rates at C₀ exp X, including those of extra states; see `rates`."""
         if not state.states:
             return self.rates(body, state, gravity, time)
@@ -73,12 +80,12 @@ class StateArithmetic(PassiveElements):
         for weights in factors:
             if any(weights):
                 zero = tuple(0.0 * x for x in velocities[0])
-                x = _sum(zero, units.x, weights, velocities, units)
+                x = summed(zero, units.x, weights, velocities, units)
                 chart = self.moved(chart, self.in_algebra(body, x))
         return chart
 
 
-def _sum(base: Vec, unit: Any, weights: Weights, slopes: tuple[Vec, ...], units: Units) -> Vec:
+def summed(base: Vec, unit: Any, weights: Weights, slopes: tuple[Vec, ...], units: Units) -> Vec:
     """Return base + unit Σ wⱼ kⱼ."""
     if not units.sums_first:
         return weighted(base, weights, slopes, unit)

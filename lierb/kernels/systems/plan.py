@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
@@ -12,6 +12,7 @@ from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import Connection, Node
+from lierb.kernels.mechanics.tree_nodes import Kind
 
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
@@ -69,6 +70,13 @@ class AnyPlan(Tag):
         @property
         def rows(self) -> Rows:
             """Rows of all joints."""
+
+    is_looped: ClassVar[bool] = False  # True if the size of the system is known at run time only
+
+    @property
+    def code(self) -> AnyPlan:
+        """Plan on which the compiled code is specialised."""
+        return self
 
     @property
     def keeps_rank(self) -> bool:
@@ -147,20 +155,47 @@ UNSTABILISED = Stabilisation()
 
 
 @dataclass(frozen=True, kw_only=True)
+class LoopPlan(AnyPlan):
+    """Compiled integrator of any tree whose nodes have these kinds.
+
+    `lierb.kernels.systems.tree_table` describes the tree at run time.
+    """
+
+    kinds: tuple[Kind, ...]
+
+    __hash__ = AnyPlan.__hash__
+    is_looped = True
+
+    @property
+    def rows(self) -> Rows:
+        """No row has a multiplier."""
+        return ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class MechanismPlan(AnyPlan):
     """Compiled integrator of a mechanism.
 
     tree : nodes, each after its parent.
     connections : the joint of each link, in order; then the joint of each loop; then one connection
         for each element.   loops : number of loops.
+    kinds : kinds of nodes of the code, if it loops over the nodes; none if it is unrolled.
     """
 
     tree: tuple[Node, ...]
     connections: tuple[Connection, ...]
     loops: int
     stabilisation: Stabilisation = UNSTABILISED
+    kinds: tuple[Kind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
+
+    @cached_property
+    def code(self) -> AnyPlan:
+        if not self.kinds:
+            return self
+        common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
+        return LoopPlan(**common, kinds=self.kinds)
 
     @property
     def links(self) -> int:

@@ -100,8 +100,10 @@ class System(Protocol[Body, Motion]):
     def rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
         """Rates at C₀ exp X.   gravity : see `chart_gravity`.   time : s."""
 
-    def stage_rates(self, body: Body, state: State, gravity: Any, time: Any) -> Rates:
-        """Rates at C₀ exp X, including those of the extra states."""
+    def stage_rates(
+        self, body: Body, state: State, gravity: Any, time: Any, stage: int = 0
+    ) -> Rates:
+        """Rates at C₀ exp X, including those of the extra states.   stage : index in `Slopes`."""
 
     def combine(
         self,
@@ -117,7 +119,7 @@ class System(Protocol[Body, Motion]):
         factors : rows of weights, one for each exponential of the pose; None for X alone.
         """
 
-    def move(self, state: State) -> State:
+    def move(self, body: Body, state: State) -> State:
         """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
 
     def tidied(self, body: Body, chart: Any) -> Any:
@@ -125,6 +127,9 @@ class System(Protocol[Body, Motion]):
 
     def stabilised(self, body: Body, before: State, state: State, time: Any, h: Any) -> Stabilised:
         """Project a state onto its constraints.   before : state h seconds earlier.   time : s."""
+
+    def silenced(self, body: Body, v_or_mu: Vec, alive: Any) -> Vec:
+        """V or μ, NaN where a trajectory is not alive; it spreads to the pose in the next step."""
 
     # ---- error control ----
 

@@ -10,14 +10,18 @@ from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
 from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.one_body import BodyMotion
-from lierb.kernels.systems.plan import AnyPlan, MechanismPlan, Plan
+from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
+from lierb.kernels.systems.tree_loop import LoopBody, TreeLoop
 from lierb.kernels.systems.tree_system import TreeFormulation
 
 
 @lru_cache(256)
 def system_of(plan: AnyPlan) -> AnySystem:
     """System of a plan."""
+    if isinstance(plan, LoopPlan):
+        tree: System[LoopBody, None] = TreeLoop(plan)
+        return tree
     if isinstance(plan, MechanismPlan):
         mechanism: System[TreeConstants, TreeMotion] = TreeFormulation(plan)
         return mechanism

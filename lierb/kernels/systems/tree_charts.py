@@ -15,18 +15,22 @@ from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import quaternion, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.newton_euler import Kinematics
-from lierb.kernels.mechanics.rows import PITCHED, Screw
-from lierb.kernels.mechanics.tree import HERE, Ends, TreeConstants, TreeMotion
-from lierb.kernels.numbers.vec import ZERO3, ZERO6, Vec, dot
+from lierb.kernels.mechanics.tree import FREE, TreeConstants, TreeMotion
+from lierb.kernels.mechanics.tree_nodes import tidied
+from lierb.kernels.numbers.vec import ZERO6, Vec, dot
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.combine import StateArithmetic
-from lierb.kernels.systems.layout import Columns, Field
+from lierb.kernels.systems.layout import Columns
 from lierb.kernels.systems.one_body import recharted
 from lierb.kernels.systems.plan import MechanismPlan
 from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import State
-from lierb.kernels.systems.tree_inputs import charts_of, charts_side_by_side, sixes
+from lierb.kernels.systems.tree_inputs import (
+    charts_of,
+    charts_side_by_side,
+    sixes,
+    state_columns,
+)
 
 Charts = tuple[Chart, ...]  # one for each node
 
@@ -39,11 +43,7 @@ class TreeCharts(StateArithmetic):
 
     @cached_property
     def state(self) -> Columns:
-        count = len(self.plan.tree)
-        return Columns(
-            Field("charts", (7 * count,)), Field("x", (6 * count,)), Field("v", (6 * count,)),
-            Field("work"), Field("states", (size_of(states_of(self.plan)),)),
-        )  # fmt: skip
+        return state_columns(len(self.plan.tree), size_of(states_of(self.plan)))
 
     def state_of(self, numbers: Sequence[Any], body: TreeConstants | None = None) -> State:
         parts = self.state.parts(numbers)
@@ -112,15 +112,10 @@ class TreeCharts(StateArithmetic):
 
     def tidied(self, body: TreeConstants, chart: Charts) -> Charts:
         """Renormalise the quaternions; project poses of screw joints onto their subgroups."""
-        tidied = []
-        for node, constants, (p, d) in zip(self.plan.tree, body.nodes, chart, strict=True):
-            p = quaternion.normalised(p)
-            if node.is_reduced and PITCHED in node.slots:
-                at = Kinematics(quaternion.matrix(p), d, ZERO3, ZERO3, ZERO3, ZERO3, True)
-                off = Screw().value(at, Ends(HERE, HERE, constants.pitch))
-                d = (d[0], d[1], d[2] - off)
-            tidied.append((p, d))
-        return tuple(tidied)
+        return tuple(
+            tidied(node.slots if node.is_reduced else FREE, each, constants.pitch)
+            for node, constants, each in zip(self.plan.tree, body.nodes, chart, strict=True)
+        )
 
     def motion(self, body: TreeConstants, state: State, time: Any) -> TreeMotion:
         chart = state.chart if self.plan.is_local else self.moved(state.chart, state.x)

@@ -10,7 +10,6 @@ from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, unit_inertia
-from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import (
@@ -22,6 +21,7 @@ from lierb.kernels.mechanics.tree import (
     Node,
     NodeConstants,
 )
+from lierb.kernels.mechanics.tree_nodes import charts_of_slots
 from lierb.kernels.numbers.arithmetic import fma
 from lierb.kernels.numbers.vec import (
     IDENTITY,
@@ -77,14 +77,18 @@ def inputs_of(links: int, loops: int, elements: tuple[Element, ...]) -> Columns:
     return Columns(*own, *held, GRAVITY, *parameters, *starts)
 
 
+def state_columns(nodes: int, states: int) -> Columns:
+    """Columns of a mechanism's state.   states : number of the extra states' numbers."""
+    return Columns(
+        Field("charts", (7 * nodes,)), Field("x", (6 * nodes,)), Field("v", (6 * nodes,)),
+        Field("work"), Field("states", (states,)),
+    )  # fmt: skip
+
+
 def charts_of(node: Node) -> Any:
     """Module with the formulas of the group of a node's chart."""
-    if (
-        node.is_reduced
-        and sum(slot != FIXED for slot in node.slots) == 1
-        and max(node.slots[:3]) >= 0
-    ):
-        return turns
+    if node.is_reduced:
+        return charts_of_slots(node.slots)
     return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
 
 
@@ -110,19 +114,19 @@ def with_burdens(
     return tuple(n._replace(burden=each) for n, each in zip(nodes, burdens, strict=True))
 
 
-def first_of_joint(plan: MechanismPlan, i: int) -> int:
+def first_of_joint(tree: tuple[Node, ...], i: int) -> int:
     """Index of the first of the nodes that form the joint of a link's node."""
-    parent = plan.tree[i].parent
-    return parent if parent != GROUND and plan.tree[parent].link == MASSLESS else i
+    parent = tree[i].parent
+    return parent if parent != GROUND and tree[parent].link == MASSLESS else i
 
 
-def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeConstants:
+def node_constants(tree: tuple[Node, ...], i: int, read: dict[str, Vec]) -> NodeConstants:
     """Constants of node i.   read : numbers of all inputs, by name."""
-    node = plan.tree[i]
+    node = tree[i]
     link = node.link
     if link == MASSLESS:  # the first motion of the next node's joint
         nothing = Rigid(ZERO, ZERO3, diagonal(ZERO3))
-        link = plan.tree[i + 1].link
+        link = tree[i + 1].link
         rigid, inertia, com, frame = nothing, nothing.inertia, ZERO3, HERE
     else:
         (mass,) = read[f"{link}.mass"]
@@ -133,14 +137,14 @@ def node_constants(plan: MechanismPlan, i: int, read: dict[str, Vec]) -> NodeCon
         about_point = axpy(mass, unit_inertia(com), inertia)
         rigid = Rigid(mass, scale(mass, com), about_point)
     hang, gravity = HERE, ZERO3
-    if first_of_joint(plan, i) == i:
+    if first_of_joint(tree, i) == i:
         ground = pose_of(read[f"{link}.ground_frame"])
         hang = ground
         if node.parent == GROUND:
             gravity = mat_t_vec(ground[0], read["gravity"])
         else:
             hang = se3.compose(
-                se3.inverse(pose_of(read[f"{plan.tree[node.parent].link}.body_frame"])), ground
+                se3.inverse(pose_of(read[f"{tree[node.parent].link}.body_frame"])), ground
             )
     (pitch,) = read[f"{link}.pitch"]
     return NodeConstants(rigid, inertia, com, hang, gravity, frame, pitch)
@@ -186,10 +190,10 @@ def placed_element(
 # ---- starts ------------------------------------------------------------------------------------
 
 
-def given_start(constants: NodeConstants, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
-    """Pose of a node in the ground frame, and its twist."""
-    pose = se3.compose(pose_of(read[f"{link}.pose"]), constants.frame)
-    return pose, twist_at(constants.frame, read[f"{link}.twist"])
+def given_start(frame: Pose, read: dict[str, Vec], link: int) -> tuple[Pose, Vec]:
+    """Pose of a node in the ground frame, and its twist.   frame : its frame in the user's."""
+    pose = se3.compose(pose_of(read[f"{link}.pose"]), frame)
+    return pose, twist_at(frame, read[f"{link}.twist"])
 
 
 def apart(

@@ -63,7 +63,7 @@ class TreeFormulation(Projection, TreeMeasures):
 
     def body(self, numbers: list[Any]) -> TreeConstants:
         plan, read = self.plan, self.inputs.parts(numbers)
-        nodes = tuple(node_constants(plan, i, read) for i in range(len(plan.tree)))
+        nodes = tuple(node_constants(plan.tree, i, read) for i in range(len(plan.tree)))
         nodes = with_burdens(plan.tree, nodes)
         ends = [joint_ends(plan, nodes, number, read) for number in range(len(plan.joints))]
         acting = [*zip(plan.elements, plan.connections[len(ends) :], strict=True)]
@@ -87,7 +87,7 @@ class TreeFormulation(Projection, TreeMeasures):
         """Return the state; components off a joint's subgroup are dropped."""
         plan, read = self.plan, self.inputs.parts(numbers)
         starts = {
-            i: given_start(body.nodes[i], read, node.link)
+            i: given_start(body.nodes[i].frame, read, node.link)
             for i, node in enumerate(plan.tree)
             if node.link != MASSLESS
         }
@@ -95,7 +95,7 @@ class TreeFormulation(Projection, TreeMeasures):
         charts: list[Chart] = []
         velocities: list[Vec] = []
         for i, (place, twist) in [*starts.items()][:-1]:
-            first = first_of_joint(plan, i)
+            first = first_of_joint(plan.tree, i)
             outside, moving = starts[plan.tree[first].parent]
             seat = se3.compose(se3.inverse(outside), place)
             relative = sub(twist, twist_at(seat, moving))

@@ -23,12 +23,16 @@ class Index(Traced):
         added = other.value if isinstance(other, Index) else self.value.type(other)
         return Index(self.trace, self.builder.add(self.value, added))
 
+    def __mul__(self, other: int | Index) -> Index:
+        factor = other.value if isinstance(other, Index) else self.value.type(other)
+        return Index(self.trace, self.builder.mul(self.value, factor))
+
     def real(self) -> Lane:
         return Lane(self.trace, self.builder.sitofp(self.value, DOUBLE))
 
 
 class ArrayRef(Traced):
-    """A traced C-contiguous float64 array, read and written a pack at a time."""
+    """A traced C-contiguous array: of float64, read and written a pack at a time, or of int64."""
 
     __slots__ = ("data", "index_type", "shape")
 
@@ -38,6 +42,10 @@ class ArrayRef(Traced):
         self.data = array.data
         self.shape = cgutils.unpack_tuple(self.builder, array.shape, ty.ndim)
         self.index_type = self.shape[0].type
+
+    @property
+    def address(self) -> Index:
+        return Index(self.trace, self.builder.ptrtoint(self.data, self.index_type))
 
     def _as_value(self, i: Any) -> ir.Value:
         return i.value if isinstance(i, Index) else ir.Constant(self.index_type, i)

@@ -24,6 +24,8 @@ from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.tracing.arrays import ArrayRef, Index
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Predicate, Trace
 
+ITEMS = (types.float64, types.int64)  # of arrays that formulas take
+
 
 class LaneType(types.Type):
     """Numba type of a pack of `lanes` doubles."""
@@ -143,7 +145,7 @@ def _to_trace(context: Any, trace: Trace, ty: types.Type, value: Any) -> Any:
         return Lane(trace, context.cast(builder, value, ty, types.float64))
     if isinstance(ty, LaneType):
         return Lane(trace, value)
-    if isinstance(ty, types.Array) and ty.layout == "C" and ty.dtype == types.float64:
+    if isinstance(ty, types.Array) and ty.layout == "C" and ty.dtype in ITEMS:
         return ArrayRef(trace, context, ty, value)
     raise numba.errors.TypingError(
         f"lierb's formulas take numbers, tuples of numbers and arrays, not {ty}"
@@ -164,6 +166,8 @@ def _type_of_trace(result: Any) -> types.Type:
         return types.NamedTuple(kinds, type(result)) if is_named else types.Tuple(kinds)
     if isinstance(result, Predicate):
         return types.boolean
+    if isinstance(result, Index):
+        return types.intp
     if not isinstance(result, Lane):
         return ConstantType(result if is_zero(result) else float(result))
     return LaneType(result.lanes) if result.lanes > 1 else types.float64

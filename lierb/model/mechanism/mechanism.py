@@ -178,7 +178,9 @@ class Mechanism(TreeKinematics):
 
     def plan(self, formulation: Formulation, **described: Any) -> MechanismPlan:
         stabilisation = formulation.stabilisation or UNSTABILISED
-        return mechanism_plan_of(self, formulation.cspaces, stabilisation, **described)
+        return mechanism_plan_of(
+            self, formulation.cspaces, stabilisation, formulation.solver, **described
+        )
 
     def violation(
         self, pose0: Any, twist0: Any, t0: float = 0.0, number: int | None = None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,14 +13,18 @@ from lierb.errors import ArgumentError, brief, require_name, unknown_name
 from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
+from lierb.kernels.mechanics.tree_nodes import Kind
 from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
 from lierb.model.formulation import CSpace, Formulation, stabilisation_of
 from lierb.model.joints.joint import Joint
+from lierb.model.joints.joint_type import JOINTS
 from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
+TREE_SOLVERS = ("looped", "unrolled")
+UNROLLED_FREEDOMS = 5  # with more, loops over the nodes are faster than unrolled code
 
 
 def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
@@ -51,10 +57,10 @@ def formulation_of(
 ) -> Formulation:
     """Validate the options that select the equations. Raises ArgumentError."""
     cspaces, stabilisation = cspaces_of(mechanism, cspace), stabilisation_of(stabilise)
-    if solver != "auto":
+    if solver not in ("auto", *TREE_SOLVERS):
         raise ArgumentError(
-            f'solver="{solver}" is for a lierb.Problem; a mechanism has none to choose: '
-            "leave solver out"
+            f'solver="{solver}" is for a lierb.Problem; a mechanism has '
+            f"{', '.join(TREE_SOLVERS)} to choose from: leave solver out"
         )
     if stabilisation.kind == "project" and update == "global":
         raise ArgumentError(
@@ -68,6 +74,7 @@ def mechanism_plan_of(
     mechanism: Tree,
     cspaces: tuple[str, ...],
     stabilisation: Stabilisation,
+    solver: str = "auto",
     **described: Any,
 ) -> MechanismPlan:
     """Return the plan of a mechanism with a c-space for each link."""
@@ -103,7 +110,7 @@ def mechanism_plan_of(
         hangs = number != NONE and joints[number].hangs
         rows = tuple(element.kind.row(k, i) for i in range(element.kind.rows))
         acting.append(Connection(nodes[c.body], nodes[c.parent], rows, hangs, number))
-    return MechanismPlan(
+    plan = MechanismPlan(
         lanes=DEFAULT_LANES,
         tree=tuple(tree),
         connections=(*joints, *acting),
@@ -111,6 +118,47 @@ def mechanism_plan_of(
         stabilisation=stabilisation,
         **described,
     )
+    return looped(plan) if solver == "looped" or (solver == "auto" and loops_pay(plan)) else plan
+
+
+def loops_pay(plan: MechanismPlan) -> bool:
+    """Return whether loops over the nodes are faster than unrolled code, and possible."""
+    free = sum(len(node.free) for node in plan.tree)
+    return free > UNROLLED_FREEDOMS and not why_unrolled(plan)
+
+
+def why_unrolled(plan: MechanismPlan) -> str:
+    """Return what a plan has that looped code has not, or an empty string."""
+    reasons = {
+        "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
+        "joints of two motions": any(node.link == MASSLESS for node in plan.tree),
+        "rows with multipliers": bool(plan.rows_with_multipliers),
+        "forces, constraints or observables": bool(plan.elements),
+        "a clock for each trajectory": plan.has_lane_clocks,
+        'update="global"': not plan.is_local,
+        "a commutator-free method": bool(plan.exponentials),
+        "recorded multipliers or reactions": plan.multipliers or plan.reaction,
+        "stabilisation": plan.stabilisation.kind != "none",
+    }
+    return next((reason for reason, applies in reasons.items() if applies), "")
+
+
+def looped(plan: MechanismPlan) -> MechanismPlan:
+    """Return a plan with looped code. Raises ArgumentError if there is none."""
+    if reason := why_unrolled(plan):
+        raise ArgumentError(
+            f'solver="looped" does not support {reason}; leave solver out, for unrolled code'
+        )
+    joints = plan.connections
+    own = (Kind(node.slots, joints[node.link].rows) for node in plan.tree)
+    return replace(plan, kinds=tuple(dict.fromkeys((*_catalogue(), *own))))
+
+
+@cache
+def _catalogue() -> tuple[Kind, ...]:
+    """Kinds of all joints of the catalogue whose motions are a subgroup."""
+    rows = (joint.rows for joint in JOINTS.values() if joint.subgroup)
+    return tuple(Kind(slots_of(each), each) for each in rows)
 
 
 def is_group(joint: Joint) -> bool:

@@ -1,0 +1,333 @@
+"""Formulas of one node of a tree whose nodes are in memory: the passes of articulated bodies.
+
+All axes are the ground's, and a node's origin is its joint's point. Nothing is turned on its way
+from node to node: an inertia is moved by r, from the parent's origin to the node's, and each rigid
+body is turned instead. Accelerations are those of points, so that no absolute velocity appears:
+
+    (α, a) = (α′, a′ + α′ × r) + b + S ν̇,
+    b = (ω′ × ω_rel, ω′ × (ω′ × r + 2 w) + R (ω_rel × v_rel)),   w = R v_rel.
+
+The outward pass `place` computes their part without ν̇, gravity as an acceleration of the ground
+included. The inward pass `gather` computes articulated inertias (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, ch. 7). The outward pass `accelerate` computes ν̇.
+
+The code of a node is specialised on its *kind*, the slots of its joint's motions. Arguments in
+memory are rows of a node, of its parent, or of a child: see `lierb.kernels.tracing.memory.Rows`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from lierb.kernels.groups import quaternion, se3, turns
+from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.mechanics import subgroup
+from lierb.kernels.mechanics.constraints import (
+    position_error_squared,
+    rate_errors_squared,
+    rotation_error_squared,
+)
+from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows, Screw
+from lierb.kernels.mechanics.spatial import (
+    Articulated,
+    Pose,
+    Rigid,
+    conjugated,
+    twist_at,
+    wrench_from,
+)
+from lierb.kernels.mechanics.subgroup import Slots
+from lierb.kernels.mechanics.tree import HERE, Ends, NodeConstants, combined, free_directions
+from lierb.kernels.numbers.arithmetic import flatten, fma
+from lierb.kernels.numbers.vec import (
+    IDENTITY,
+    UNIT,
+    ZERO3,
+    Vec,
+    add,
+    column,
+    cross,
+    cross_add,
+    dot,
+    mat_t_vec,
+    mat_vec,
+    neg,
+    scale,
+    sub,
+)
+from lierb.kernels.numbers.zero import ZERO
+
+MOST = 6  # freedoms of a node
+
+# Rows of a node's constants: H, mass, first moment, inertia about the joint's point, pitch;
+HANG, POINT, MASS, MOMENT, INERTIA, PITCH, CONSTANTS = 0, 9, 12, 13, 16, 22, 23
+# and those for measures and the user's frames: centre of mass, inertia about it, the node's frame.
+COM, CENTRAL, FRAME, DETAILS = 0, 3, 9, 21
+# Rows of a node's motion: R, ω, r, (α, a) without ν̇, (α, a) by ν̇ alone, origin, its velocity;
+TURN, OMEGA, ARM, START, BY_RATES, PLACE, SPEED, PULLS = 0, 9, 12, 15, 21, 27, 30, 33
+# from PULLS on (SᵀIS)⁻¹Uᵀ of each freedom about the parent's origin, ν̇ by loads alone, (SᵀIS)⁻¹.
+MOTION = (PULLS + 6 * MOST + MOST + MOST * MOST) | 1  # odd: nodes are in different cache sets
+# Rows of an articulated inertia, and of the wrench that acts on it.
+PASSED_WRENCH, PASSED = 21, 27
+
+
+class Kind(NamedTuple):
+    """Kind of a node, on which its code is specialised: slots and rows of its joint."""
+
+    slots: Slots
+    rows: Rows
+
+    @property
+    def freedoms(self) -> int:
+        return sum(slot >= 0 for slot in self.slots)
+
+    @property
+    def charts(self) -> Any:
+        """Module with the formulas of the joint's group."""
+        return charts_of_slots(self.slots)
+
+    @property
+    def chart_rows(self) -> list[int]:
+        """Indices of the numbers of (p, d) that are in memory; others are constants."""
+        named = subgroup.on_subgroup(self.slots, (("0", "1", "2", "3"), ("4", "5", "6")))
+        return [int(x) for x in flatten(named) if isinstance(x, str)]
+
+    def pitch(self, constants: Any) -> Any:
+        return constants[PITCH] if PITCHED in self.slots else ZERO
+
+    def load_chart(self, rows: Any) -> Chart:
+        numbers: list[Any] = [ZERO] * 7
+        for row, place in enumerate(self.chart_rows):
+            numbers[place] = rows[row]
+        return subgroup.on_subgroup(self.slots, (tuple(numbers[:4]), tuple(numbers[4:])))
+
+    def store_chart(self, rows: Any, chart: Chart) -> tuple[Any, ...]:
+        """Store a chart; return the numbers that are in memory."""
+        numbers = (*chart[0], *chart[1])
+        stored = tuple(numbers[i] for i in self.chart_rows)
+        rows.put(0, *stored)
+        return stored
+
+    def lifted(self, rows: Any, pitch: Any) -> Vec:
+        """V_rel or X/2, (6,), from one row for each freedom."""
+        return subgroup.lifted(self.slots, rows[0 : self.freedoms], pitch)
+
+    def is_whole(self, part: int) -> bool:
+        """Return whether all turns (part 0), or all slides (part 1), are free."""
+        return min(self.slots[3 * part : 3 * part + 3]) >= 0
+
+    def free(self, turn: Any, pitch: Any) -> list[Vec]:
+        """S in the ground's axes, the ground's own unit vectors if all turns or slides are free."""
+        indices = [i for i in range(6) if self.slots[i] >= 0]
+        columns = []
+        for i, s in zip(indices, free_directions(self.slots, pitch), strict=True):
+            if self.is_whole(i // 3):
+                columns.append(UNIT[i] + ZERO3 if i < 3 else ZERO3 + UNIT[i - 3])
+            else:
+                columns.append(mat_vec(turn, s[:3]) + mat_vec(turn, s[3:]))
+        return columns
+
+
+def charts_of_slots(slots: Slots) -> Any:
+    """Module with the formulas of a subgroup's charts: `turns` for a turn about one axis."""
+    is_turn = sum(slot != FIXED for slot in slots) == 1 and max(slots[:3]) >= 0
+    return turns if is_turn else quaternion
+
+
+def tidied(slots: Slots, chart: Chart, pitch: Any) -> Chart:
+    """Renormalise the quaternion; project the pose of a screw joint onto its subgroup."""
+    p, d = chart
+    p = quaternion.normalised(p)
+    if PITCHED in slots:
+        at = Kinematics(quaternion.matrix(p), d, ZERO3, ZERO3, ZERO3, ZERO3, True)
+        off = Screw().value(at, Ends(HERE, HERE, pitch))
+        d = (d[0], d[1], d[2] - off)
+    return p, d
+
+
+# ---- constants -----------------------------------------------------------------------------------
+
+
+def store_constants(n: NodeConstants, constants: Any, details: Any) -> None:
+    rigid, lower = n.rigid, _lower(n.rigid.inertia)
+    constants.put(HANG, *n.hang[0], *n.hang[1], rigid.mass, *rigid.moment, *lower, n.pitch)
+    details.put(COM, *n.com, *_lower(n.inertia), *n.frame[0], *n.frame[1])
+
+
+def frame_of(details: Any) -> Pose:
+    """A node's frame in the user's body frame."""
+    return details[FRAME : FRAME + 9], details[FRAME + 9 : FRAME + 12]
+
+
+def set_ground(gravity: Vec, motion: Any, details: Any) -> None:
+    """Store the motion of the ground, which accelerates against gravity, and its frame."""
+    motion.put(TURN, *IDENTITY, *ZERO3, *ZERO3, *ZERO3, *neg(gravity))
+    motion.put(BY_RATES, *ZERO3, *ZERO3, *ZERO3, *ZERO3)
+    details.put(FRAME, *IDENTITY, *ZERO3)
+
+
+# ---- passes --------------------------------------------------------------------------------------
+
+
+def place(
+    kind: Kind, constants: Any, chart: Any, x: Any, v: Any, above: Any, here: Any, whole: bool
+) -> Vec:
+    """Outward: axes, ω, r, (α, a) without ν̇. Return Ẋ, one number for each freedom.
+
+    x, v : rows of X/2 and V_rel.   whole : whether to compute the origin's place and velocity, too.
+    """
+    pitch, group = kind.pitch(constants), kind.charts
+    hang = constants[HANG : HANG + 9], constants[POINT : POINT + 3]
+    moving, half = kind.lifted(v, pitch), kind.lifted(x, pitch)
+    before, outer = above[TURN : TURN + 9], above[OMEGA : OMEGA + 3]
+    alpha, a = above[START : START + 3], above[START + 3 : START + 6]
+
+    angles = quaternion.angle_coefficients(half)
+    chart_now = group.compose_exp(kind.load_chart(chart), half, angles)
+    d = (turns if group is turns else quaternion).pose(chart_now)
+    turn, arm = se3.compose(se3.compose((before, ZERO3), hang), d)
+    spin, slide = moving[:3], moving[3:]
+    own, along = mat_vec(turn, spin), mat_vec(turn, slide)
+    omega = add(outer, own)
+    swing = cross_add(outer, arm, scale(2.0, along))
+    bent = add(a, mat_vec(turn, cross(spin, slide)))
+    start = cross_add(outer, own, alpha) + cross_add(outer, swing, cross_add(alpha, arm, bent))
+    here.put(TURN, *turn, *omega, *arm, *start)
+    if whole:
+        origin, speed = above[PLACE : PLACE + 3], above[SPEED : SPEED + 3]
+        here.put(PLACE, *add(origin, arm), *cross_add(outer, arm, add(speed, along)))
+    rate = group.dexpinv(neg(half), moving, angles)
+    return subgroup.coordinates(kind.slots, rate)
+
+
+def gather(kind: Kind, constants: Any, child: Any, here: Any) -> tuple[Articulated, Vec, Vec]:
+    """Inward: articulated inertia and wrench that a node passes on, about its origin; and r.
+
+    child : what its children pass on, about the node's origin; zero without children.
+    """
+    turn, arm = here[TURN : TURN + 9], here[ARM : ARM + 3]
+    omega, start = here[OMEGA : OMEGA + 3], here[START : START + 6]
+    below = child[0:PASSED]
+    # The rigid body is turned here, where the next node's numbers have to be waited for.
+    moment = mat_vec(turn, constants[MOMENT : MOMENT + 3])
+    inertia = conjugated(turn, _symmetric(constants[INERTIA : INERTIA + 6]))
+    rigid = Rigid(constants[MASS], moment, inertia)
+    hanging = Articulated(_symmetric(below[:6]), below[6:15], _symmetric(below[15:21]))
+    total = rigid.from_frame(HERE).and_also(hanging)
+    lacking = sub(below[PASSED_WRENCH:], rigid.needed(start, omega))
+    free = kind.free(turn, kind.pitch(constants))
+    columns = [total.momentum(s) for s in free]
+    count = len(columns)
+    gains: Vec = ()
+    if columns:
+        gains = subgroup.inverse([[dot(s, u) for u in columns] for s in free])
+    pushes = tuple(dot(s, lacking) for s in free)
+    rows = [gains[count * k : count * k + count] for k in range(count)]
+    forced = tuple(dot(gain, pushes) for gain in rows)
+    eased = [combined(gain, columns) for gain in rows]
+    pulls = [wrench_from((IDENTITY, arm), g) for g in eased]
+    here.put(PULLS, *(x for pull in pulls for x in pull), *forced, *gains)
+    for u, g in zip(columns, eased, strict=True):
+        total = total.less(u, g)
+    return total, sub(lacking, combined(forced, columns)), arm
+
+
+def pass_on(passed: Any, total: Articulated, lacking: Vec, arm: Vec) -> None:
+    """Store an articulated inertia and its wrench about the parent's origin."""
+    moved = _shifted(total, arm)
+    inertia = _lower(moved.angular) + moved.mixed + _lower(moved.linear)
+    passed.put(0, *inertia, *wrench_from((IDENTITY, arm), lacking))
+
+
+def accelerate(kind: Kind, constants: Any, above: Any, here: Any) -> Vec:
+    """Outward: (α, a) by ν̇. Return V̇_rel, one number for each freedom.
+
+    A node waits for its parent: sums are split so that the parent's numbers are used last.
+    """
+    turn, arm = here[TURN : TURN + 9], here[ARM : ARM + 3]
+    before = above[BY_RATES : BY_RATES + 6]
+    free = kind.free(turn, kind.pitch(constants))
+    count = len(free)
+    pulls = [here[PULLS + 6 * k : PULLS + 6 * k + 6] for k in range(count)]
+    forced = here[PULLS + 6 * count : PULLS + 7 * count]
+    carried = twist_at((IDENTITY, arm), before)
+    rate = tuple(
+        (f - dot(pull[:3], before[:3])) - dot(pull[3:], before[3:])
+        for f, pull in zip(forced, pulls, strict=True)
+    )
+    here.put(BY_RATES, *combined(rate, free, carried))
+    if count and kind.is_whole(0):
+        rate = mat_t_vec(turn, rate[:3]) + rate[3:]
+    if count and kind.is_whole(1):
+        rate = rate[:-3] + mat_t_vec(turn, rate[-3:])
+    return rate
+
+
+def move(kind: Kind, constants: Any, chart: Any, x: Any) -> Vec:
+    """Store C₀ exp X as the chart; return its numbers.   x : rows of X/2."""
+    half = kind.lifted(x, kind.pitch(constants))
+    return kind.store_chart(chart, kind.charts.compose_exp(kind.load_chart(chart), half))
+
+
+# ---- measures ------------------------------------------------------------------------------------
+
+
+def energy(constants: Any, details: Any, here: Any, gravity: Vec) -> Any:
+    """Kinetic energy, and potential energy of gravity, J."""
+    turn, omega, mass = here[TURN : TURN + 9], here[OMEGA : OMEGA + 3], constants[MASS]
+    arm = mat_vec(turn, details[COM : COM + 3])
+    moving = cross_add(omega, arm, here[SPEED : SPEED + 3])
+    spin = mat_t_vec(turn, omega)
+    turning = dot(spin, mat_vec(_symmetric(details[CENTRAL : CENTRAL + 6]), spin))
+    kinetic = 0.5 * fma(mass, dot(moving, moving), turning)
+    return fma(-mass, dot(gravity, add(here[PLACE : PLACE + 3], arm)), kinetic)
+
+
+def errors_squared(kind: Kind, constants: Any, chart: Any, v: Any) -> tuple[Any, ...]:
+    """Squares of `measures.JOINT_ERRORS` of the node's joint."""
+    pitch = kind.pitch(constants)
+    q, d = (turns if kind.charts is turns else quaternion).pose(kind.load_chart(chart))
+    moving = kind.lifted(v, pitch)
+    x = Kinematics(q, d, moving[:3], ZERO3, moving[3:], ZERO3, True)
+    ends = Ends(HERE, HERE, pitch)
+    rates = rate_errors_squared(kind.rows, x, ends, moving)
+    position = position_error_squared(kind.rows, x, ends)
+    return position, rotation_error_squared(kind.rows, x, ends), *rates
+
+
+def in_user_frame(details: Any, here: Any) -> Vec:
+    """R (9,) row by row, r (3,), ω (3,), v (3,) of a link, in the user's frames."""
+    frame, turn = frame_of(details), here[TURN : TURN + 9]
+    pose = se3.compose((turn, here[PLACE : PLACE + 3]), se3.inverse(frame))
+    spin, moving = (mat_t_vec(turn, here[at : at + 3]) for at in (OMEGA, SPEED))
+    return pose[0] + pose[1] + se3.Ad(frame, spin + moving)
+
+
+# ---- matrices ------------------------------------------------------------------------------------
+
+
+def _symmetric(numbers: Vec) -> Vec:
+    xx, xy, yy, xz, yz, zz = numbers
+    return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
+
+
+def _lower(m: Vec) -> Vec:
+    return (m[0], m[3], m[4], m[6], m[7], m[8])
+
+
+def _shifted(inertia: Articulated, p: Vec) -> Articulated:
+    """Return inertia.from_frame((IDENTITY, p)) with every product fused, 42 instead of 63."""
+    linear, mixed = inertia.linear, inertia.mixed
+    columns = [cross_add(p, column(linear, j), column(mixed, j)) for j in range(3)]
+    moved = tuple(columns[j][i] for i in range(3) for j in range(3))
+    lower: dict[tuple[int, int], Any] = {}
+    for i in range(3):
+        for j in range(i + 1):
+            (k, m), (n, o) = (((x + 1) % 3, (x + 2) % 3) for x in (i, j))
+            lever = fma(
+                p[k], mixed[3 * j + m], fma(-p[m], mixed[3 * j + k], inertia.angular[3 * i + j])
+            )
+            lower[i, j] = fma(p[n], moved[3 * i + o], fma(-p[o], moved[3 * i + n], lever))
+    angular = tuple(lower[max(i, j), min(i, j)] for i in range(3) for j in range(3))
+    return Articulated(angular, moved, linear)

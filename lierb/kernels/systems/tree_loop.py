@@ -1,0 +1,584 @@
+"""System of a tree of any size: loops over nodes whose numbers are in memory.
+
+The code depends on the kinds of nodes, not on the tree (`lierb.kernels.systems.tree_table`), so
+that it is compiled once for all trees. Charts and velocities of a state are in the memory of its
+thread, one state at a time: `combine` stores X and V of a stage beside them, `move` makes the stage
+the state. A `State` has the sum of all numbers of charts and velocities in place of V: it is finite
+if they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from lierb.kernels.functions.signals import NO_SIGNALS, Signals
+from lierb.kernels.groups import se3
+from lierb.kernels.mechanics import subgroup, tree_nodes
+from lierb.kernels.mechanics.spatial import twist_at
+from lierb.kernels.mechanics.tree import FREE, GROUND, Connection, Node
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, Kind
+from lierb.kernels.numbers.arithmetic import flatten, load, maximum, plain, scatter, sqrt, where
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, sub
+from lierb.kernels.numbers.zero import ZERO, is_zero
+from lierb.kernels.systems import tree_table as at
+from lierb.kernels.systems.combine import summed
+from lierb.kernels.systems.layout import POSE_AND_TWIST, Columns, Field
+from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
+from lierb.kernels.systems.plan import LoopPlan
+from lierb.kernels.systems.signals import PassiveElements
+from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
+from lierb.kernels.systems.tree_inputs import (
+    JOINT,
+    LINK,
+    START,
+    chart_of,
+    given_start,
+    node_constants,
+)
+from lierb.kernels.tracing.arrays import Index
+from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
+
+NAN = float("nan")
+WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
+_PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
+ENERGY, ORTHOGONALITY, ERRORS = 0, 1, 2  # rows of sums
+
+
+class LoopBody(NamedTuple):
+    """Addresses of a tree's table and of a thread's memory, with the constants of the nodes.
+
+    mass : of the first link, as an example of the number type.
+    """
+
+    table: Any
+    memory: Any
+    mass: Any
+    dropped: Any = ZERO
+    signals: Signals = NO_SIGNALS
+
+
+class _Node:
+    """A node at run time."""
+
+    def __init__(self, tree: _Tree, i: Index) -> None:
+        self.tree, self.i = tree, i
+
+    def entry(self, name: int) -> Index:
+        return integer_at(self.tree.table, self.i * at.TABLE + (at.HEADER + name))
+
+    def part(self, first: int, width: int, of: Index | None = None) -> Rows:
+        """Rows of a node in a section with `width` rows for each.   of : another node."""
+        i = self.i if of is None else of
+        return self.tree.rows(self.tree[first] + i * width)
+
+    @property
+    def constants(self) -> Rows:
+        return self.part(at.CONSTANTS_ROW, CONSTANTS)
+
+    @property
+    def details(self) -> Rows:
+        return self.part(at.DETAILS_ROW, DETAILS)
+
+    @property
+    def chart(self) -> Rows:
+        return self.tree.rows(self.entry(at.CHART))
+
+    def freedoms(self, first: int) -> Rows:
+        """Rows of a node in a section with a row for each freedom."""
+        return self.tree.rows(self.tree[first] + self.entry(at.FREEDOM))
+
+    def slopes(self, first: int, stage: int) -> Rows:
+        before = self.tree[at.FREEDOMS] * stage
+        return self.tree.rows(self.tree[first] + before + self.entry(at.FREEDOM))
+
+    @property
+    def motion(self) -> Rows:
+        return self.part(at.MOTION_ROW, MOTION)
+
+    @property
+    def above(self) -> Rows:
+        return self.part(at.MOTION_ROW, MOTION, self.entry(at.PARENT))
+
+    def each_kind(self, do: Callable[[Kind], None]) -> None:
+        """Emit the code of all kinds, of which the node's runs."""
+        switch(self.entry(at.KIND), self.tree.plan.kinds, do)
+
+
+class _Tree:
+    """A tree at run time: tree[name] is a number of the table's header."""
+
+    def __init__(self, plan: LoopPlan, table: Index, memory: Index) -> None:
+        self.plan, self.table, self.memory = plan, table, memory
+
+    def __getitem__(self, name: int) -> Index:
+        return integer_at(self.table, name)
+
+    def rows(self, first: Index | int) -> Rows:
+        return Rows(self.memory, self.plan.lanes, first)
+
+    def section(self, name: int) -> Rows:
+        return self.rows(self[name])
+
+    def node(self, i: Index) -> _Node:
+        return _Node(self, i)
+
+    @property
+    def ground(self) -> _Node:
+        return self.node(self[at.NODES] * 0)
+
+    def for_nodes(self, do: Callable[[_Node], None], backward: bool = False) -> None:
+        for_each(self[at.NODES], lambda i: do(self.node(i + 1)), backward)
+
+
+@dataclass(frozen=True)
+class TreeLoop(PassiveElements):
+    """A `lierb.kernels.systems.system.System`: a mechanism whose nodes are in memory."""
+
+    plan: LoopPlan
+
+    joints: tuple[Connection, ...] = ()  # their errors are in memory, not in a `Record`
+    inputs = Columns(Field("state", (0,)))  # read from memory
+    state = Columns(Field("v", (1,)), Field("work"))
+    invariant = ()
+    is_homogeneous = False
+    is_light = False
+    takes_small_angle_steps = False
+    rows = ()
+
+    def _tree(self, body: LoopBody) -> _Tree:
+        return _Tree(self.plan, body.table, body.memory)
+
+    def _run(self, name: str, body: LoopBody, do: Callable[[_Tree], None], *more: Index) -> None:
+        """Call a procedure on the tree, whose code is emitted once."""
+
+        def formula(table: Index, memory: Index, *others: Index) -> None:
+            do(_Tree(self.plan, table, memory), *others)
+
+        procedure(f"{__name__}.{name}.{self.plan.lanes}", formula, body.table, body.memory, *more)
+
+    # ---- start ----
+
+    def placed(self, body: LoopBody, numbers: list[Any]) -> tuple[()]:
+        return ()
+
+    def pose_check(self, numbers: list[Any], time: Any) -> tuple[()]:
+        return ()
+
+    def is_on_joint(self, check: tuple[()], numbers: list[Any], time: Any) -> Any:
+        """Return 1: `Mechanism.violation` examines starts before they are packed."""
+        return 1.0
+
+    def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
+        return State((), (), (numbers[0],))
+
+    def loaded(self, inputs: Any, table: Any, memory: Any) -> LoopBody:
+        """Load the constants of all nodes from the inputs into memory."""
+        tree = _Tree(self.plan, table.address, memory.address)
+        ground = tree.ground
+
+        def numbers(first: Index, count: int) -> Vec:
+            return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(count))
+
+        gravity = numbers(tree[at.GRAVITY_COLUMN], 3)
+        tree_nodes.set_ground(gravity, ground.motion, ground.details)
+        ground.constants.put(0, *gravity)
+
+        def one(node: _Node) -> None:
+            number = node.entry(at.LINK)
+            own = numbers(number * WIDTHS[0], WIDTHS[0])
+            held = numbers(tree[at.JOINT_COLUMN] + number * WIDTHS[1], WIDTHS[1])
+            parts = Columns(*LINK).parts(own) | Columns(*JOINT).parts(held)
+            read = {f"0.{name}": part for name, part in parts.items()}
+            outer = node.part(at.DETAILS_ROW, DETAILS, node.entry(at.PARENT))
+            frame = tree_nodes.frame_of(outer)
+            read["1.body_frame"] = frame[0] + frame[1]
+            found = node_constants(_PAIR, 1, read)
+            tree_nodes.store_constants(found, node.constants, node.details)
+
+        tree.for_nodes(one)
+        first = tree.node(tree[at.NODES] * 0 + 1)
+        return LoopBody(tree.table, tree.memory, first.constants[tree_nodes.MASS])
+
+    def started(self, body: LoopBody, inputs: Any) -> State:
+        """Store the start, from poses and twists in the user's frames; return its `State`."""
+        tree = self._tree(body)
+        zero = tree[at.NODES] * 0
+        seats = at.MOTION_ROW  # place and twist of each node, where motions are stored later
+
+        def given(node: _Node) -> None:
+            first = tree[at.START_COLUMN] + node.entry(at.LINK) * WIDTHS[2]
+            numbers = [load(inputs, (first + i, 0), self.plan.lanes) for i in range(WIDTHS[2])]
+            parts = Columns(*START).parts(numbers)
+            read = {f"0.{name}": part for name, part in parts.items()}
+            frame = tree_nodes.frame_of(node.details)
+            place, twist = given_start(frame, read, 0)
+            node.part(seats, MOTION).put(0, *place[0], *place[1], *twist)
+
+        tree.for_nodes(given)
+        tree.node(zero).part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
+
+        def relative(node: _Node) -> None:
+            own, outer = node.part(seats, MOTION), node.above
+            outside = outer[0:9], outer[9:12]
+            seat = se3.compose(se3.inverse(outside), (own[0:9], own[9:12]))
+            moving = sub(own[12:18], twist_at(seat, outer[12:18]))
+            constants = node.constants
+            hang = constants[0:9], constants[9:12]
+            d = se3.compose(se3.inverse(hang), seat)
+
+            def do(kind: Kind) -> None:
+                slots, pitch = kind.slots, kind.pitch(constants)
+                chart = chart_of(Node(GROUND, 0, "reduced", slots, ()), d)
+                chart = subgroup.on_subgroup(slots, chart)
+                chart = tree_nodes.tidied(slots, chart, pitch)
+                kind.store_chart(node.chart, chart)
+                node.freedoms(at.V_ROW).put(0, *subgroup.coordinates(slots, moving))
+
+            node.each_kind(do)
+
+        tree.for_nodes(relative)
+        constants, motion = tree.ground.constants, tree.ground.motion
+        tree_nodes.set_ground(constants[0:3], motion, tree.ground.details)
+        return self._begun(body)
+
+    def resumed(self, body: LoopBody, inputs: Any) -> State:
+        """Store a state to continue from, and return its `State`."""
+        tree = self._tree(body)
+
+        def one(node: _Node) -> None:
+            before = node.i + -1
+
+            def numbers(name: int, width: int) -> Vec:
+                first = tree[name] + before * width
+                return tuple(load(inputs, (first + i, 0), self.plan.lanes) for i in range(width))
+
+            chart, v = numbers(at.CHART_COLUMN, 7), numbers(at.V_COLUMN, 6)
+
+            def do(kind: Kind) -> None:
+                kind.store_chart(node.chart, (chart[:4], chart[4:]))
+                node.freedoms(at.V_ROW).put(0, *subgroup.coordinates(kind.slots, v))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+        return self._begun(body)
+
+    def _begun(self, body: LoopBody) -> State:
+        tree = self._tree(body)
+        kept = tree.section(at.KEPT_ROW)
+        for_each(tree[at.LINKS] * len(JOINT_KEPT), lambda i: kept.put(i, 0.0))
+        return State((), (), (0.0 * body.mass,))
+
+    # ---- steps ----
+
+    def chart_gravity(self, body: LoopBody, chart: Any) -> None:
+        """Return None: gravity enters at the ground."""
+
+    def combine(
+        self,
+        body: LoopBody,
+        state: State,
+        weights: Weights,
+        slopes: Slopes,
+        units: Units,
+        factors: Factors | None = None,
+    ) -> State:
+        """Store X/2 and V of a stage."""
+        assert factors is None
+        tree, lanes = self._tree(body), self.plan.lanes
+        stages = [j for j, w in enumerate(weights) if not (isinstance(w, float) and w == 0.0)]
+        chosen = tuple(weights[j] for j in stages)
+        count = tree[at.FREEDOMS]
+        x, v, before = map(tree.section, (at.X_ROW, at.STAGE_ROW, at.V_ROW))
+        of_x, of_v = (
+            [Rows(body.memory, lanes, tree[name] + count * j) for j in stages]
+            for name in (at.X_SLOPES, at.V_SLOPES)
+        )
+
+        def one(i: Index) -> None:
+            nothing: Vec = (ZERO,)
+            half = summed(nothing, units.x, chosen, tuple((k[i],) for k in of_x), units)
+            now = summed((before[i],), units.v_or_mu, chosen, tuple((k[i],) for k in of_v), units)
+            x.put(i, half[0])
+            v.put(i, now[0])
+
+        for_each(count, one)
+        return state
+
+    def stage_rates(
+        self, body: LoopBody, state: State, gravity: None, time: Any, stage: int = 0
+    ) -> Rates:
+        """Store the slopes of a stage as those of number `stage`."""
+        tree = self._tree(body)
+        ahead = tree[at.FREEDOMS] * stage
+        self._run("rates", body, self._rates, ahead)
+        return Rates((), (), ZERO)
+
+    def _rates(self, tree: _Tree, ahead: Index) -> None:
+        def slopes(node: _Node, name: int) -> Rows:
+            return tree.rows(tree[name] + ahead + node.entry(at.FREEDOM))
+
+        def place(node: _Node) -> None:
+            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
+            v, into = node.freedoms(at.STAGE_ROW), slopes(node, at.X_SLOPES)
+            above, here = node.above, node.motion
+
+            def do(kind: Kind) -> None:
+                into.put(0, *tree_nodes.place(kind, *parts, v, above, here, whole=False))
+
+            node.each_kind(do)
+
+        def gather(node: _Node) -> None:
+            constants, here = node.constants, node.motion
+            own, children = (tree.rows(node.entry(name)) for name in (at.PASSES, at.CHILDREN))
+
+            def do(kind: Kind) -> None:
+                total, lacking, arm = tree_nodes.gather(kind, constants, children, here)
+                if_not_zero(
+                    node.entry(at.PARENT), lambda: tree_nodes.pass_on(own, total, lacking, arm)
+                )
+
+            node.each_kind(do)
+            sibling = node.entry(at.SIBLING)
+
+            def add() -> None:
+                other = tree.rows(sibling)
+                pairs = zip(own[0:PASSED], other[0:PASSED], strict=True)
+                own.put(0, *(x + y for x, y in pairs))
+
+            if_not_zero(sibling, add)
+
+        def accelerate(node: _Node) -> None:
+            constants, above, here = node.constants, node.above, node.motion
+            into = slopes(node, at.V_SLOPES)
+            node.each_kind(
+                lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
+            )
+
+        tree.for_nodes(place)
+        tree.for_nodes(gather, backward=True)
+        tree.for_nodes(accelerate)
+
+    def move(self, body: LoopBody, state: State) -> State:
+        """Make the stage the state."""
+        tree = self._tree(body)
+        total = tree.section(at.SUMS_ROW)
+        total.put(0, 0.0)
+
+        def one(node: _Node) -> None:
+            constants, x = node.constants, node.freedoms(at.X_ROW)
+            stage, v = (node.freedoms(name) for name in (at.STAGE_ROW, at.V_ROW))
+
+            def do(kind: Kind) -> None:
+                speeds = stage[0 : kind.freedoms]
+                v.put(0, *speeds)
+                numbers = tree_nodes.move(kind, constants, node.chart, x)
+                total.put(0, sum((*numbers, *speeds), start=total[0]))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+        return state._replace(v_or_mu=(total[0],))
+
+    def silenced(self, body: LoopBody, v: Vec, alive: Any) -> Vec:
+        """Store NaN in the velocities of the lanes that are not alive."""
+        tree = self._tree(body)
+        rows = tree.section(at.V_ROW)
+        for_each(tree[at.FREEDOMS], lambda i: rows.put(i, where(alive, rows[i], NAN)))
+        return v
+
+    def tidied(self, body: LoopBody, chart: Any) -> Any:
+        tree = self._tree(body)
+
+        def one(node: _Node) -> None:
+            constants, rows = node.constants, node.chart
+
+            def do(kind: Kind) -> None:
+                chart = kind.load_chart(rows)
+                kind.store_chart(rows, tree_nodes.tidied(kind.slots, chart, kind.pitch(constants)))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+        return chart
+
+    def stabilised(
+        self, body: LoopBody, before: State, state: State, time: Any, h: Any
+    ) -> Stabilised:
+        return Stabilised(state)
+
+    def turns_and_places(self, chart: Any) -> tuple[Vec, Vec]:
+        return (), ()
+
+    def angular_speeds_squared(self, body: LoopBody, state: State) -> list[Any]:
+        return []
+
+    # ---- measures ----
+
+    def motion(self, body: LoopBody, state: State, time: Any) -> None:
+        """Store the motion of the nodes at the state."""
+        tree = self._tree(body)
+        x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
+
+        def copy(i: Index) -> None:
+            x.put(i, 0.0)
+            stage.put(i, v[i])
+
+        for_each(tree[at.FREEDOMS], copy)
+
+        self._run("motion", body, self._motion)
+
+    def _motion(self, tree: _Tree) -> None:
+        def one(node: _Node) -> None:
+            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
+            moving, above, here = node.freedoms(at.STAGE_ROW), node.above, node.motion
+
+            def do(kind: Kind) -> None:
+                tree_nodes.place(kind, *parts, moving, above, here, whole=True)
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+
+    def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
+        return ()
+
+    def dropped(self, body: LoopBody, state: State) -> Any:
+        return ZERO
+
+    def measured(
+        self, body: LoopBody, state: State, motion: None, time: Any, first_energy: Any = ZERO
+    ) -> Observed:
+        """Return every measure; store the errors of the joints."""
+        self._run("measure", body, self._measure)
+        sums = self._tree(body).section(at.SUMS_ROW)
+        energy, orthogonality, *errors = sums[0 : ERRORS + len(JOINT_ERRORS)]
+        names = (measure.name for measure in JOINT_ERRORS)
+        values = dict(zip(names, errors, strict=True)) | {
+            "energy": energy,
+            "energy_drift": energy - first_energy - state.work,
+            "work": state.work,
+            "orthogonality_error": orthogonality,
+        }
+        return Observed(values)
+
+    def _measure(self, tree: _Tree) -> None:
+        sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
+        sums.put(0, *(0.0,) * at.SUMS)
+
+        def one(node: _Node) -> None:
+            constants, here = node.constants, node.motion
+            own = tree_nodes.energy(constants, node.details, here, gravity)
+            off = orthogonality_squared(here[0:9])
+            sums.put(ENERGY, sums[ENERGY] + own, maximum(sums[ORTHOGONALITY], off))
+            errors = node.part(at.ERRORS_ROW, len(JOINT_ERRORS), node.entry(at.LINK))
+
+            def do(kind: Kind) -> None:
+                v = node.freedoms(at.V_ROW)
+                squares = tree_nodes.errors_squared(kind, constants, node.chart, v)
+                errors.put(0, *squares)
+                for row, square in enumerate(squares, ERRORS):
+                    if not is_zero(square):
+                        sums.put(row, maximum(sums[row], square))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+
+    def keep_errors(self, body: LoopBody, alive: Any) -> None:
+        """Update JOINT_KEPT of every joint in memory by the errors that `measured` has stored."""
+        tree = self._tree(body)
+
+        def one(link: Index) -> None:
+            errors = tree.rows(tree[at.ERRORS_ROW] + link * len(JOINT_ERRORS))
+            kept = tree.rows(tree[at.KEPT_ROW] + link * len(JOINT_KEPT))
+            for row, (measure, how) in enumerate(JOINT_KEPT):
+                square = errors[JOINT_ERRORS.index(measure)]
+                if how == "final":
+                    kept.put(row, where(alive, plain(square), NAN))
+                else:
+                    kept.put(row, where(alive, maximum(kept[row], square), kept[row]))
+
+        for_each(tree[at.LINKS], one)
+
+    # ---- results: written into the result arrays, as many as there are links ----
+
+    def store_errors(
+        self, body: LoopBody, history: Any, first: int, row: Any, column: Any, alive: Any
+    ) -> None:
+        """Store JOINT_ERRORS of every joint in a history, from column `first` on."""
+        tree, count = self._tree(body), len(JOINT_ERRORS)
+
+        def one(link: Index) -> None:
+            squares = tree.rows(tree[at.ERRORS_ROW] + link * count)[0:count]
+            errors = [where(alive, sqrt(square), NAN) for square in squares]
+            columns = [link * count + (first + c) for c in range(count)]
+            places = [(c, row, column) for c in columns]
+            scatter(history, 2, places, errors, self.plan.lanes)
+
+        for_each(tree[at.LINKS], one)
+
+    def store_kept(self, body: LoopBody, summary: Any, first: int, column: Any) -> None:
+        """Store JOINT_KEPT of every joint in a summary, from column `first` on."""
+        tree, count = self._tree(body), len(JOINT_KEPT)
+
+        def one(link: Index) -> None:
+            kept = tree.rows(tree[at.KEPT_ROW] + link * count)[0:count]
+            places = [(link * count + (first + c), column) for c in range(count)]
+            scatter(summary, 1, places, [sqrt(square) for square in kept], self.plan.lanes)
+
+        for_each(tree[at.LINKS], one)
+
+    def store_links(
+        self, body: LoopBody, states: tuple[Any, ...], row: Any, rows: Any, column: Any, alive: Any
+    ) -> None:
+        """Store R, r, ω and v of every link in the user's frames; NaN where not alive."""
+        self.motion(body, State((), (), ()), ZERO)
+        tree = self._tree(body)
+
+        def one(node: _Node) -> None:
+            numbers = tree_nodes.in_user_frame(node.details, node.motion)
+            shown = tuple(where(alive, x, NAN) for x in numbers)
+            at_row = node.entry(at.LINK) * rows + row
+            for array, part in zip(states, POSE_AND_TWIST.parts(shown).values(), strict=True):
+                places = [(at_row, column, c) for c in range(len(part))]
+                scatter(array, 1, places, part, self.plan.lanes)
+
+        tree.for_nodes(one)
+
+    def store_end(self, body: LoopBody, ends: Any, column: Any) -> None:
+        """Store the state for a run that continues: numbers of the charts, then of V_rel."""
+        tree = self._tree(body)
+
+        def put(first: Index, numbers: Any) -> None:
+            some = [x for x in flatten(numbers) if not is_zero(x)]
+            if some:
+                places = [(first + c, column) for c in range(len(some))]
+                scatter(ends, 1, places, some, self.plan.lanes)
+
+        def one(node: _Node) -> None:
+            chart, v, constants = node.chart, node.freedoms(at.V_ROW), node.constants
+            columns = node.entry(at.CHART_END), node.entry(at.V_END)
+
+            def do(kind: Kind) -> None:
+                put(columns[0], kind.load_chart(chart))
+                put(columns[1], kind.lifted(v, kind.pitch(constants)))
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
+
+    def store_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
+        """Store charts, velocities and JOINT_KEPT between two calls, from row `first` on."""
+        tree, lanes = self._tree(body), self.plan.lanes
+        rows = tree.section(at.CHART_ROW)
+        for_each(tree[at.STATE_ROWS], lambda i: carried.store((i + first, column), rows[i], lanes))
+
+    def load_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
+        tree, lanes = self._tree(body), self.plan.lanes
+        rows = tree.section(at.CHART_ROW)
+        for_each(
+            tree[at.STATE_ROWS], lambda i: rows.put(i, carried.load((i + first, column), lanes))
+        )

@@ -1,0 +1,126 @@
+"""Table of a tree whose nodes are in memory: its nodes, and the places of their numbers.
+
+A table is an array of int64: HEADER numbers, then TABLE numbers for each node. Node 0 is the
+ground; each node comes after its parent. *Rows* are those of a thread's memory, [row][lane].
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lierb.kernels.mechanics import subgroup
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, Kind
+from lierb.kernels.numbers.arithmetic import flatten
+from lierb.kernels.numbers.zero import is_zero
+from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
+from lierb.kernels.systems.plan import MechanismPlan
+from lierb.kernels.systems.tree_inputs import inputs_of, state_columns
+
+# Header: numbers of nodes (without the ground), freedoms and links; columns of the inputs;
+(
+    NODES, FREEDOMS, LINKS, JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN,
+    # first rows of the nodes' constants; of the state: charts, velocities, JOINT_KEPT of each link;
+    CONSTANTS_ROW, DETAILS_ROW, CHART_ROW, V_ROW, KEPT_ROW, STATE_ROWS,
+    # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
+    X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW, HEADER,
+) = range(23)  # fmt: skip
+# A node's numbers: kind and parent; rows of its chart; its first freedom; rows of what it passes
+# on, of what its children pass on, and of what its next sibling passes on, or 0; its link; columns
+# of its chart and its velocity at the end of a run.
+(
+    KIND, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END, V_END, TABLE,
+) = range(11)  # fmt: skip
+SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints
+
+
+@lru_cache(64)
+def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
+    """Return a plan's table, and the number of rows of a thread's memory."""
+    count, kinds = len(plan.tree), [Kind(*_kind_of(plan, i)) for i in range(len(plan.tree))]
+    freedoms, charts = (sum(x) for x in zip(*((k.freedoms, len(k.chart_rows)) for k in kinds)))
+    inputs = inputs_of(plan.links, plan.loops, plan.elements)
+    header = np.zeros(HEADER, np.int64)
+    header[[NODES, FREEDOMS, LINKS]] = count, freedoms, plan.links
+    header[JOINT_COLUMN] = inputs["0.ground_frame"].start
+    header[GRAVITY_COLUMN], header[START_COLUMN] = inputs["gravity"].start, inputs["0.pose"].start
+    state = state_columns(count, 0)
+    header[[CHART_COLUMN, V_COLUMN]] = [
+        inputs.count + state[name].start for name in ("charts", "v")
+    ]
+    nodes = np.zeros((count + 1, TABLE), np.int64)
+    slots = _slots(plan, nodes)
+    slopes = len(plan.stages) + (len(plan.extension.stages) if plan.extension else 0)
+    sizes = {
+        CONSTANTS_ROW: (count + 1) * CONSTANTS,
+        DETAILS_ROW: (count + 1) * DETAILS,
+        CHART_ROW: charts,
+        V_ROW: freedoms,
+        KEPT_ROW: len(JOINT_KEPT) * plan.links,
+        X_ROW: freedoms,
+        STAGE_ROW: freedoms,
+        MOTION_ROW: (count + 1) * MOTION,
+        PASSED_ROW: slots * PASSED,
+        X_SLOPES: slopes * freedoms,
+        V_SLOPES: slopes * freedoms,
+        ERRORS_ROW: len(JOINT_ERRORS) * plan.links,
+        SUMS_ROW: SUMS,
+    }
+    end = 0
+    for name, size in sizes.items():
+        header[name], end = end, end + size
+    header[STATE_ROWS] = charts + freedoms + sizes[KEPT_ROW]
+    chart, freedom, ends = header[CHART_ROW], 0, [0, sum(_stored(k)[0] for k in kinds)]
+    for i, (node, kind) in enumerate(zip(plan.tree, kinds, strict=True), 1):
+        nodes[i, [CHART_END, V_END]] = ends
+        ends = [end + size for end, size in zip(ends, _stored(kind), strict=True)]
+        nodes[i, [KIND, PARENT, LINK]] = plan.kinds.index(kind), node.parent + 1, node.link
+        nodes[i, [CHART, FREEDOM]] = chart, freedom
+        chart, freedom = chart + len(kind.chart_rows), freedom + kind.freedoms
+    nodes[:, [PASSES, CHILDREN]] *= PASSED
+    nodes[:, [PASSES, CHILDREN]] += header[PASSED_ROW]
+    nodes[:, SIBLING] = np.where(
+        nodes[:, SIBLING], header[PASSED_ROW] + PASSED * nodes[:, SIBLING], 0
+    )
+    return np.concatenate([header, nodes.ravel()])[None], end
+
+
+def _kind_of(plan: MechanismPlan, i: int) -> tuple[tuple[int, ...], tuple]:
+    node = plan.tree[i]
+    return node.slots, plan.connections[node.link].rows
+
+
+def _stored(kind: Kind) -> tuple[int, int]:
+    """Numbers of a node's chart and velocity that are stored at the end of a run."""
+    ones = (1.0,) * 6
+    chart = subgroup.on_subgroup(kind.slots, (ones[:4], ones[:3]))
+    parts = chart, subgroup.lifted(kind.slots, ones, 1.0)
+    some = [sum(not is_zero(x) for x in flatten(part)) for part in parts]
+    return some[0], some[1]
+
+
+def _slots(plan: MechanismPlan, nodes: NDArray[np.int64]) -> int:
+    """Assign to each node a slot for what it passes on; return the number of slots.
+
+    A node takes over the slot of its first child, so that few slots suffice, which stay in the
+    cache. Slot 0 remains zero, for nodes without children.
+    """
+    children: list[list[int]] = [[] for _ in nodes]
+    for i, node in enumerate(plan.tree, 1):
+        children[node.parent + 1].append(i)
+    known, unused = 0, []
+    for i in range(len(plan.tree), 0, -1):
+        if children[i]:
+            first = nodes[children[i][0], PASSES]
+            nodes[i, [PASSES, CHILDREN]] = first
+        else:
+            known += not unused
+            nodes[i, PASSES] = unused.pop() if unused else known
+        parent = plan.tree[i - 1].parent + 1
+        later = [k for k in children[parent] if k > i]
+        if later and parent:
+            nodes[i, SIBLING] = nodes[later[0], PASSES]
+            unused.append(int(nodes[later[0], PASSES]))
+    return known + 1
