@@ -119,7 +119,7 @@ class BlockRun(Run[StepClock]):
     def thread_arrays(self) -> list[dict[str, NDArray[Any]]]:
         """Arrays of each thread alone: the table of a looped plan, and the thread's memory."""
         plan = self.plan
-        if not isinstance(plan, MechanismPlan) or not plan.kinds:
+        if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
             return [{}] * self.threads
         table, rows = table_of(plan)
         memories = [aligned(rows, plan.lanes) for _ in range(self.threads)]

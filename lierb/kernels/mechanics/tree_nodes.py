@@ -73,14 +73,17 @@ PASSED_WRENCH, PASSED = 21, 27
 
 
 class Kind(NamedTuple):
-    """Kind of a node, on which its code is specialised: slots and rows of its joint."""
+    """Kind of a node, on which the code of its passes is specialised."""
 
     slots: Slots
-    rows: Rows
 
     @property
     def freedoms(self) -> int:
         return sum(slot >= 0 for slot in self.slots)
+
+    @property
+    def is_free(self) -> bool:
+        return min(self.slots) >= 0
 
     @property
     def charts(self) -> Any:
@@ -129,6 +132,27 @@ class Kind(NamedTuple):
         return columns
 
 
+ALONE, MASSLESS, SECOND = range(3)  # roles: the only node of its joint, or the one of two
+
+
+class JointKind(NamedTuple):
+    """Kind of a joint, on which the code of starts and measures is specialised.
+
+    rows : rows of the joint; none for a massless node, the first of the two of a joint.
+    first : slots of the massless node before, if the joint has two nodes.
+    """
+
+    kind: Kind
+    rows: Rows
+    first: Slots | None = None
+
+    @property
+    def role(self) -> int:
+        if self.first is not None:
+            return SECOND
+        return ALONE if self.rows or self.kind.is_free else MASSLESS
+
+
 def charts_of_slots(slots: Slots) -> Any:
     """Module with the formulas of a subgroup's charts: `turns` for a turn about one axis."""
     is_turn = sum(slot != FIXED for slot in slots) == 1 and max(slots[:3]) >= 0
@@ -153,6 +177,11 @@ def store_constants(n: NodeConstants, constants: Any, details: Any) -> None:
     rigid, lower = n.rigid, _lower(n.rigid.inertia)
     constants.put(HANG, *n.hang[0], *n.hang[1], rigid.mass, *rigid.moment, *lower, n.pitch)
     details.put(COM, *n.com, *_lower(n.inertia), *n.frame[0], *n.frame[1])
+
+
+def hang_of(constants: Any) -> Pose:
+    """H, the joint's frame on the parent."""
+    return constants[HANG : HANG + 9], constants[POINT : POINT + 3]
 
 
 def frame_of(details: Any) -> Pose:
@@ -284,16 +313,19 @@ def energy(constants: Any, details: Any, here: Any, gravity: Vec) -> Any:
     return fma(-mass, dot(gravity, add(here[PLACE : PLACE + 3], arm)), kinetic)
 
 
-def errors_squared(kind: Kind, constants: Any, chart: Any, v: Any) -> tuple[Any, ...]:
-    """Squares of `measures.JOINT_ERRORS` of the node's joint."""
-    pitch = kind.pitch(constants)
-    q, d = (turns if kind.charts is turns else quaternion).pose(kind.load_chart(chart))
-    moving = kind.lifted(v, pitch)
-    x = Kinematics(q, d, moving[:3], ZERO3, moving[3:], ZERO3, True)
+def on_joint(kind: Kind, constants: Any, chart: Any, v: Any) -> tuple[Pose, Vec]:
+    """D of a node and V_rel.   chart, v : rows of its chart and velocity."""
+    shapes = turns if kind.charts is turns else quaternion
+    return shapes.pose(kind.load_chart(chart)), kind.lifted(v, kind.pitch(constants))
+
+
+def errors_squared(rows: Rows, d: Pose, moving: Vec, pitch: Any) -> tuple[Any, ...]:
+    """Squares of `measures.JOINT_ERRORS` of a joint, from D and V_rel of its motion."""
+    x = Kinematics(*d, moving[:3], ZERO3, moving[3:], ZERO3, True)
     ends = Ends(HERE, HERE, pitch)
-    rates = rate_errors_squared(kind.rows, x, ends, moving)
-    position = position_error_squared(kind.rows, x, ends)
-    return position, rotation_error_squared(kind.rows, x, ends), *rates
+    rates = rate_errors_squared(rows, x, ends, moving)
+    position = position_error_squared(rows, x, ends)
+    return position, rotation_error_squared(rows, x, ends), *rates
 
 
 def in_user_frame(details: Any, here: Any) -> Vec:

@@ -12,7 +12,7 @@ from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
 from lierb.kernels.mechanics.tree import Connection, Node
-from lierb.kernels.mechanics.tree_nodes import Kind
+from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
 
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
 
@@ -156,12 +156,13 @@ UNSTABILISED = Stabilisation()
 
 @dataclass(frozen=True, kw_only=True)
 class LoopPlan(AnyPlan):
-    """Compiled integrator of any tree whose nodes have these kinds.
+    """Compiled integrator of any tree whose nodes and joints have these kinds.
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
     """
 
     kinds: tuple[Kind, ...]
+    joint_kinds: tuple[JointKind, ...]
 
     __hash__ = AnyPlan.__hash__
     is_looped = True
@@ -179,23 +180,32 @@ class MechanismPlan(AnyPlan):
     tree : nodes, each after its parent.
     connections : the joint of each link, in order; then the joint of each loop; then one connection
         for each element.   loops : number of loops.
-    kinds : kinds of nodes of the code, if it loops over the nodes; none if it is unrolled.
+    joint_kinds : kinds of joints of the code, if it loops over nodes; none if it is unrolled.
     """
 
     tree: tuple[Node, ...]
     connections: tuple[Connection, ...]
     loops: int
     stabilisation: Stabilisation = UNSTABILISED
-    kinds: tuple[Kind, ...] = ()
+    joint_kinds: tuple[JointKind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
 
     @cached_property
     def code(self) -> AnyPlan:
-        if not self.kinds:
+        if not self.is_in_memory:
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
-        return LoopPlan(**common, kinds=self.kinds)
+        return LoopPlan(**common, kinds=self.kinds, joint_kinds=self.joint_kinds)
+
+    @property
+    def is_in_memory(self) -> bool:
+        """True if the code loops over nodes in memory."""
+        return bool(self.joint_kinds)
+
+    @cached_property
+    def kinds(self) -> tuple[Kind, ...]:
+        return tuple(dict.fromkeys(joint.kind for joint in self.joint_kinds))
 
     @property
     def links(self) -> int:

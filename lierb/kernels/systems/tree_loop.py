@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
-from lierb.kernels.mechanics.spatial import twist_at
-from lierb.kernels.mechanics.tree import FREE, GROUND, Connection, Node
-from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, Kind
+from lierb.kernels.mechanics.spatial import Pose, Rigid, diagonal, twist_at
+from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Connection, Node, NodeConstants
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten, load, maximum, plain, scatter, sqrt, where
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, sub
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
 from lierb.kernels.systems.combine import summed
@@ -34,6 +34,7 @@ from lierb.kernels.systems.tree_inputs import (
     LINK,
     START,
     chart_of,
+    factored,
     given_start,
     node_constants,
 )
@@ -41,6 +42,7 @@ from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
 NAN = float("nan")
+NOTHING = Rigid(ZERO, ZERO3, diagonal(ZERO3))  # of a massless node
 WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
 ENERGY, ORTHOGONALITY, ERRORS = 0, 1, 2  # rows of sums
@@ -100,6 +102,14 @@ class _Node:
     @property
     def above(self) -> Rows:
         return self.part(at.MOTION_ROW, MOTION, self.entry(at.PARENT))
+
+    def each_joint(self, do: Callable[[JointKind], None]) -> None:
+        """Emit the code of all kinds of joints, of which that of the node's joint runs."""
+        switch(self.entry(at.JOINT), self.tree.plan.joint_kinds, do)
+
+    @property
+    def parent(self) -> _Node:
+        return self.tree.node(self.entry(at.PARENT))
 
     def each_kind(self, do: Callable[[Kind], None]) -> None:
         """Emit the code of all kinds, of which the node's runs."""
@@ -191,11 +201,14 @@ class TreeLoop(PassiveElements):
             held = numbers(tree[at.JOINT_COLUMN] + number * WIDTHS[1], WIDTHS[1])
             parts = Columns(*LINK).parts(own) | Columns(*JOINT).parts(held)
             read = {f"0.{name}": part for name, part in parts.items()}
-            outer = node.part(at.DETAILS_ROW, DETAILS, node.entry(at.PARENT))
-            frame = tree_nodes.frame_of(outer)
+            frame = tree_nodes.frame_of(node.parent.details)
             read["1.body_frame"] = frame[0] + frame[1]
             found = node_constants(_PAIR, 1, read)
-            tree_nodes.store_constants(found, node.constants, node.details)
+
+            nothing = NodeConstants(NOTHING, NOTHING.inertia, ZERO3, found.hang, ZERO3, HERE, ZERO)
+            cases = (found, nothing, found._replace(hang=HERE))  # by role
+            into = node.constants, node.details
+            switch(node.entry(at.ROLE), cases, lambda n: tree_nodes.store_constants(n, *into))
 
         tree.for_nodes(one)
         first = tree.node(tree[at.NODES] * 0 + 1)
@@ -220,23 +233,32 @@ class TreeLoop(PassiveElements):
         tree.node(zero).part(seats, MOTION).put(0, *IDENTITY, *ZERO3, *ZERO6)
 
         def relative(node: _Node) -> None:
-            own, outer = node.part(seats, MOTION), node.above
+            base = tree.node(node.entry(at.BASE))
+            own, outer = node.part(seats, MOTION), base.above
             outside = outer[0:9], outer[9:12]
             seat = se3.compose(se3.inverse(outside), (own[0:9], own[9:12]))
             moving = sub(own[12:18], twist_at(seat, outer[12:18]))
-            constants = node.constants
-            hang = constants[0:9], constants[9:12]
+            hang = tree_nodes.hang_of(base.constants)
             d = se3.compose(se3.inverse(hang), seat)
 
-            def do(kind: Kind) -> None:
-                slots, pitch = kind.slots, kind.pitch(constants)
+            def store(node: _Node, kind: Kind, d: Pose, moving: Vec) -> None:
+                slots, pitch = kind.slots, kind.pitch(node.constants)
                 chart = chart_of(Node(GROUND, 0, "reduced", slots, ()), d)
                 chart = subgroup.on_subgroup(slots, chart)
-                chart = tree_nodes.tidied(slots, chart, pitch)
-                kind.store_chart(node.chart, chart)
+                kind.store_chart(node.chart, tree_nodes.tidied(slots, chart, pitch))
                 node.freedoms(at.V_ROW).put(0, *subgroup.coordinates(slots, moving))
 
-            node.each_kind(do)
+            def do(joint: JointKind) -> None:
+                if joint.role == tree_nodes.MASSLESS:
+                    return  # stored with the next node
+                if joint.first is None:
+                    store(node, joint.kind, d, moving)
+                    return
+                first, last = factored(joint.first, joint.kind.slots, d, moving)
+                store(base, Kind(joint.first), *first)
+                store(node, joint.kind, *last)
+
+            node.each_joint(do)
 
         tree.for_nodes(relative)
         constants, motion = tree.ground.constants, tree.ground.motion
@@ -465,6 +487,9 @@ class TreeLoop(PassiveElements):
         return Observed(values)
 
     def _measure(self, tree: _Tree) -> None:
+        def on_joint(node: _Node, kind: Kind) -> tuple[Pose, Vec]:
+            return tree_nodes.on_joint(kind, node.constants, node.chart, node.freedoms(at.V_ROW))
+
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
         sums.put(0, *(0.0,) * at.SUMS)
 
@@ -474,16 +499,24 @@ class TreeLoop(PassiveElements):
             off = orthogonality_squared(here[0:9])
             sums.put(ENERGY, sums[ENERGY] + own, maximum(sums[ORTHOGONALITY], off))
             errors = node.part(at.ERRORS_ROW, len(JOINT_ERRORS), node.entry(at.LINK))
+            base = tree.node(node.entry(at.BASE))
 
-            def do(kind: Kind) -> None:
-                v = node.freedoms(at.V_ROW)
-                squares = tree_nodes.errors_squared(kind, constants, node.chart, v)
+            def do(joint: JointKind) -> None:
+                if joint.role == tree_nodes.MASSLESS:
+                    return  # measured with the next node
+                d, moving = on_joint(node, joint.kind)
+                if joint.first is not None:
+                    first, turning = on_joint(base, Kind(joint.first))
+                    moving = add(twist_at(d, turning), moving)
+                    d = se3.compose(first, d)
+                pitch = joint.kind.pitch(constants)
+                squares = tree_nodes.errors_squared(joint.rows, d, moving, pitch)
                 errors.put(0, *squares)
                 for row, square in enumerate(squares, ERRORS):
                     if not is_zero(square):
                         sums.put(row, maximum(sums[row], square))
 
-            node.each_kind(do)
+            node.each_joint(do)
 
         tree.for_nodes(one)
 
@@ -539,6 +572,10 @@ class TreeLoop(PassiveElements):
         tree = self._tree(body)
 
         def one(node: _Node) -> None:
+            is_link = node.entry(at.ROLE) + -tree_nodes.MASSLESS
+            if_not_zero(is_link, lambda: link(node))
+
+        def link(node: _Node) -> None:
             numbers = tree_nodes.in_user_frame(node.details, node.motion)
             shown = tuple(where(alive, x, NAN) for x in numbers)
             at_row = node.entry(at.LINK) * rows + row

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, Kind
+from lierb.kernels.mechanics.tree import MASSLESS
+from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
 from lierb.kernels.systems.plan import MechanismPlan
-from lierb.kernels.systems.tree_inputs import inputs_of, state_columns
+from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
 
 # Header: numbers of nodes (without the ground), freedoms and links; columns of the inputs;
 (
@@ -27,19 +28,22 @@ from lierb.kernels.systems.tree_inputs import inputs_of, state_columns
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
     X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW, HEADER,
 ) = range(23)  # fmt: skip
-# A node's numbers: kind and parent; rows of its chart; its first freedom; rows of what it passes
-# on, of what its children pass on, and of what its next sibling passes on, or 0; its link; columns
-# of its chart and its velocity at the end of a run.
+# A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
+# parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
+# on, and of what its next sibling passes on, or 0; its link, or that of the next node for a
+# massless one; columns of chart and velocity at the end of a run.
 (
-    KIND, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END, V_END, TABLE,
-) = range(11)  # fmt: skip
+    KIND, JOINT, ROLE, BASE, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END,
+    V_END, TABLE,
+) = range(14)  # fmt: skip
 SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints
 
 
 @lru_cache(64)
 def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     """Return a plan's table, and the number of rows of a thread's memory."""
-    count, kinds = len(plan.tree), [Kind(*_kind_of(plan, i)) for i in range(len(plan.tree))]
+    count, joints = len(plan.tree), [joint_kind_of(plan, i) for i in range(len(plan.tree))]
+    kinds = [joint.kind for joint in joints]
     freedoms, charts = (sum(x) for x in zip(*((k.freedoms, len(k.chart_rows)) for k in kinds)))
     inputs = inputs_of(plan.links, plan.loops, plan.elements)
     header = np.zeros(HEADER, np.int64)
@@ -76,7 +80,11 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     for i, (node, kind) in enumerate(zip(plan.tree, kinds, strict=True), 1):
         nodes[i, [CHART_END, V_END]] = ends
         ends = [end + size for end, size in zip(ends, _stored(kind), strict=True)]
-        nodes[i, [KIND, PARENT, LINK]] = plan.kinds.index(kind), node.parent + 1, node.link
+        link = node.link if node.link != MASSLESS else plan.tree[i].link
+        nodes[i, [KIND, PARENT, LINK]] = plan.kinds.index(kind), node.parent + 1, link
+        nodes[i, ROLE] = joints[i - 1].role
+        nodes[i, BASE] = first_of_joint(plan.tree, i - 1) + 1
+        nodes[i, JOINT] = plan.joint_kinds.index(joints[i - 1])
         nodes[i, [CHART, FREEDOM]] = chart, freedom
         chart, freedom = chart + len(kind.chart_rows), freedom + kind.freedoms
     nodes[:, [PASSES, CHILDREN]] *= PASSED
@@ -87,9 +95,14 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     return np.concatenate([header, nodes.ravel()])[None], end
 
 
-def _kind_of(plan: MechanismPlan, i: int) -> tuple[tuple[int, ...], tuple]:
+def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:
+    """Kind of the joint of node i."""
     node = plan.tree[i]
-    return node.slots, plan.connections[node.link].rows
+    if node.link == MASSLESS:
+        return JointKind(Kind(node.slots), ())
+    first = first_of_joint(plan.tree, i)
+    before = plan.tree[first].slots if first != i else None
+    return JointKind(Kind(node.slots), plan.connections[node.link].rows, before)
 
 
 def _stored(kind: Kind) -> tuple[int, int]:

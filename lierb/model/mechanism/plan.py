@@ -13,8 +13,9 @@ from lierb.errors import ArgumentError, brief, require_name, unknown_name
 from lierb.kernels.mechanics.rows import FIXED
 from lierb.kernels.mechanics.subgroup import Slots, slots_of
 from lierb.kernels.mechanics.tree import FREE, GROUND, MASSLESS, NONE, Connection, Node
-from lierb.kernels.mechanics.tree_nodes import Kind
+from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
 from lierb.kernels.systems.plan import MechanismPlan, Stabilisation
+from lierb.kernels.systems.tree_table import joint_kind_of
 from lierb.kernels.tracing.cpu import DEFAULT_LANES
 from lierb.model.connections import NOWHERE
 from lierb.model.formulation import CSpace, Formulation, stabilisation_of
@@ -131,7 +132,6 @@ def why_unrolled(plan: MechanismPlan) -> str:
     """Return what a plan has that looped code has not, or an empty string."""
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
-        "joints of two motions": any(node.link == MASSLESS for node in plan.tree),
         "rows with multipliers": bool(plan.rows_with_multipliers),
         "forces, constraints or observables": bool(plan.elements),
         "a clock for each trajectory": plan.has_lane_clocks,
@@ -149,16 +149,21 @@ def looped(plan: MechanismPlan) -> MechanismPlan:
         raise ArgumentError(
             f'solver="looped" does not support {reason}; leave solver out, for unrolled code'
         )
-    joints = plan.connections
-    own = (Kind(node.slots, joints[node.link].rows) for node in plan.tree)
-    return replace(plan, kinds=tuple(dict.fromkeys((*_catalogue(), *own))))
+    own = (joint_kind_of(plan, i) for i in range(len(plan.tree)))
+    return replace(plan, joint_kinds=tuple(dict.fromkeys((*_catalogue(), *own))))
 
 
 @cache
-def _catalogue() -> tuple[Kind, ...]:
-    """Kinds of all joints of the catalogue whose motions are a subgroup."""
-    rows = (joint.rows for joint in JOINTS.values() if joint.subgroup)
-    return tuple(Kind(slots_of(each), each) for each in rows)
+def _catalogue() -> tuple[JointKind, ...]:
+    """Kinds of the joints of the catalogue that have coordinates, each on one or two nodes."""
+    kinds = []
+    for joint in JOINTS.values():
+        if joint.factors:
+            first, last = (_only(factor.slot) for factor in joint.factors)
+            kinds += [JointKind(Kind(first), ()), JointKind(Kind(last), joint.rows, first)]
+        elif joint.subgroup:
+            kinds.append(JointKind(Kind(slots_of(joint.rows)), joint.rows))
+    return tuple(dict.fromkeys(kinds))
 
 
 def is_group(joint: Joint) -> bool:
