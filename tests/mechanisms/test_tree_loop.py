@@ -91,3 +91,25 @@ def test_every_joint_agrees_with_unrolled_formulas(method):
         for name, numbers in zip(mechanism.names, expected, strict=True):
             found = numbers_of(result, name, trajectory)
             np.testing.assert_allclose(found, np.array(numbers, float), rtol=0, atol=30 * CLOSE)
+
+
+def test_forces_agree_with_unrolled_formulas():
+    tree = tree_of(("revolute", "universal", "free", "revolute", "cylindrical", "spherical"))
+    drawn = lierb.forces.spring_damper(
+        stiffness=7.0, damping=0.4, length=0.3, body_point=(0.1, 0.2, 0.0), ground_point=(0.5, 0, 0)
+    )
+    forces = [
+        drawn.on("link2"),
+        drawn.on("link4", "link1"),
+        lierb.forces.torsional_spring(stiffness=3.0, damping=0.2).on("link3"),
+        lierb.forces.drag(linear=0.2, angular=0.1).on("link5"),
+        lierb.forces.joint_friction(coulomb=0.3, speed=0.5).on("link0"),
+    ]
+    mechanism = lierb.Mechanism(tree.links, gravity=GRAVITY, forces=forces)
+    start = start_of(mechanism, 4)
+    result = looped(mechanism, start, dt=0.01, t_end=0.1)
+    for trajectory in (0, 3):
+        expected = in_numpy(mechanism, start, trajectory, 0.01, 10)
+        for name, numbers in zip(mechanism.names, expected, strict=True):
+            found = numbers_of(result, name, trajectory)
+            np.testing.assert_allclose(found, np.array(numbers, float), rtol=0, atol=30 * CLOSE)

@@ -27,7 +27,7 @@ from lierb.kernels.mechanics.constraints import (
     rate_errors_squared,
     rotation_error_squared,
 )
-from lierb.kernels.mechanics.newton_euler import Kinematics
+from lierb.kernels.mechanics.newton_euler import Kinematics, Motion
 from lierb.kernels.mechanics.rows import FIXED, PITCHED, Rows, Screw
 from lierb.kernels.mechanics.spatial import (
     Articulated,
@@ -70,6 +70,7 @@ TURN, OMEGA, ARM, START, BY_RATES, PLACE, SPEED, PULLS = 0, 9, 12, 15, 21, 27, 3
 MOTION = (PULLS + 6 * MOST + MOST + MOST * MOST) | 1  # odd: nodes are in different cache sets
 # Rows of an articulated inertia, and of the wrench that acts on it.
 PASSED_WRENCH, PASSED = 21, 27
+FRAME_ROWS = 12  # of an element: the frame on its other node, before its own numbers
 
 
 class Kind(NamedTuple):
@@ -196,6 +197,11 @@ def set_ground(gravity: Vec, motion: Any, details: Any) -> None:
     details.put(FRAME, *IDENTITY, *ZERO3)
 
 
+def com_and_inertia(details: Any) -> tuple[Vec, Vec]:
+    """Centre of mass, and inertia about it."""
+    return details[COM : COM + 3], _symmetric(details[CENTRAL : CENTRAL + 6])
+
+
 # ---- passes --------------------------------------------------------------------------------------
 
 
@@ -230,10 +236,13 @@ def place(
     return subgroup.coordinates(kind.slots, rate)
 
 
-def gather(kind: Kind, constants: Any, child: Any, here: Any) -> tuple[Articulated, Vec, Vec]:
+def gather(
+    kind: Kind, constants: Any, child: Any, here: Any, load: Vec | None
+) -> tuple[Articulated, Vec, Vec]:
     """Inward: articulated inertia and wrench that a node passes on, about its origin; and r.
 
     child : what its children pass on, about the node's origin; zero without children.
+    load : wrench on the node about its origin, or None.
     """
     turn, arm = here[TURN : TURN + 9], here[ARM : ARM + 3]
     omega, start = here[OMEGA : OMEGA + 3], here[START : START + 6]
@@ -245,6 +254,8 @@ def gather(kind: Kind, constants: Any, child: Any, here: Any) -> tuple[Articulat
     hanging = Articulated(_symmetric(below[:6]), below[6:15], _symmetric(below[15:21]))
     total = rigid.from_frame(HERE).and_also(hanging)
     lacking = sub(below[PASSED_WRENCH:], rigid.needed(start, omega))
+    if load is not None:
+        lacking = add(lacking, load)
     free = kind.free(turn, kind.pitch(constants))
     columns = [total.momentum(s) for s in free]
     count = len(columns)
@@ -297,6 +308,30 @@ def move(kind: Kind, constants: Any, chart: Any, x: Any) -> Vec:
     """Store C₀ exp X as the chart; return its numbers.   x : rows of X/2."""
     half = kind.lifted(x, kind.pitch(constants))
     return kind.store_chart(chart, kind.charts.compose_exp(kind.load_chart(chart), half))
+
+
+# ---- elements ------------------------------------------------------------------------------------
+
+
+def between(outer: Pose, here: Any, other: Any, time: Any) -> tuple[Motion, Vec]:
+    """Motion of a node relative to a frame on another one, and the node's place from the other's.
+
+    here, other : motions of both nodes, with places and velocities.
+    """
+    turn, place = here[TURN : TURN + 9], here[PLACE : PLACE + 3]
+    base, origin = other[TURN : TURN + 9], other[PLACE : PLACE + 3]
+    spin, drift = other[OMEGA : OMEGA + 3], other[SPEED : SPEED + 3]
+    q, d = se3.compose(se3.inverse(se3.compose((base, origin), outer)), (turn, place))
+    lever = sub(place, origin)
+    turning = sub(here[OMEGA : OMEGA + 3], spin)
+    moving = sub(here[SPEED : SPEED + 3], cross_add(spin, lever, drift))
+    return Motion(time, q, d, mat_t_vec(turn, turning), mat_t_vec(turn, moving)), lever
+
+
+def loads_of(wrench: tuple[Vec, Vec], here: Any, lever: Vec) -> tuple[Vec, Vec]:
+    """Wrenches on both nodes about their origins, for one in the axes of the first."""
+    torque, force = (mat_vec(here[TURN : TURN + 9], part) for part in wrench)
+    return torque + force, neg(cross_add(lever, force, torque) + force)
 
 
 # ---- measures ------------------------------------------------------------------------------------

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from lierb.compiler.tags import Tag
 from lierb.kernels.mechanics.constraints import holds_a_point
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import CSPACES, SE3, SO3xR3
 from lierb.kernels.mechanics.rows import Row, Rows
-from lierb.kernels.mechanics.tree import Connection, Node
+from lierb.kernels.mechanics.tree import GROUND, Connection, Node
 from lierb.kernels.mechanics.tree_nodes import JointKind, Kind
 
 Stages = tuple[tuple[float, ...], ...]  # rows of weights of the stages before
@@ -154,15 +154,28 @@ class Stabilisation:
 UNSTABILISED = Stabilisation()
 
 
+class ElementKind(NamedTuple):
+    """Kind of an element between two nodes in memory.
+
+    on_ground : True if its other node is the ground.   on_joint : True if its frames are those of
+    a joint, not those of the nodes.
+    """
+
+    element: Element
+    on_ground: bool
+    on_joint: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class LoopPlan(AnyPlan):
-    """Compiled integrator of any tree whose nodes and joints have these kinds.
+    """Compiled integrator of any tree whose nodes, joints and elements have these kinds.
 
     `lierb.kernels.systems.tree_table` describes the tree at run time.
     """
 
     kinds: tuple[Kind, ...]
     joint_kinds: tuple[JointKind, ...]
+    element_kinds: tuple[ElementKind, ...] = ()
 
     __hash__ = AnyPlan.__hash__
     is_looped = True
@@ -196,7 +209,20 @@ class MechanismPlan(AnyPlan):
         if not self.is_in_memory:
             return self
         common = {field.name: getattr(self, field.name) for field in fields(AnyPlan)}
-        return LoopPlan(**common, kinds=self.kinds, joint_kinds=self.joint_kinds)
+        kinds = tuple(dict.fromkeys(self.element_kinds))
+        common["elements"] = tuple(dict.fromkeys(kind.element for kind in kinds))
+        return LoopPlan(
+            **common, kinds=self.kinds, joint_kinds=self.joint_kinds, element_kinds=kinds
+        )
+
+    @cached_property
+    def element_kinds(self) -> tuple[ElementKind, ...]:
+        """Kind of each element."""
+        places = self.connections[len(self.joints) :]
+        return tuple(
+            ElementKind(element, at.other == GROUND, at.joint >= 0)
+            for element, at in zip(self.elements, places, strict=True)
+        )
 
     @property
     def is_in_memory(self) -> bool:

@@ -173,18 +173,28 @@ def placed_element(
         name: read[f"element{k}.{name}"] if shape else read[f"element{k}.{name}"][0]
         for name, shape in element.shapes.items()
     }
-    if element.takes_body:
-        body = nodes[c.node]
-        turned = conjugated(body.frame[0], body.inertia)
-        com = mat_vec_add(body.frame[0], body.com, body.frame[1])
-        constants = body.rigid.mass, turned, com
-        given |= {f"body.{name}": x for (name, _), x in zip(BODY, constants, strict=True)}
-    axes, origin = nodes[c.node].frame
-    ground = HERE if c.other == GROUND else nodes[c.other].frame
+    body = nodes[c.node]
+    own, ground = body.frame, HERE if c.other == GROUND else nodes[c.other].frame
     if c.joint >= 0:
-        ground = pose_of(read[f"{c.joint}.ground_frame"])
-        axes, origin = pose_of(read[f"{c.joint}.body_frame"])
-    return element.placed(given, Frames(ground, axes, origin))
+        own, ground = (pose_of(read[f"{c.joint}.{name}_frame"]) for name in ("body", "ground"))
+    constants = body.rigid.mass, body.inertia, body.com, body.frame
+    return placed_on(element, given, *constants, own, ground)
+
+
+def placed_on(
+    element: Element, given: dict[str, Any], mass: Any, inertia: Mat, com: Vec, frame: Pose,
+    own: Pose, ground: Pose,
+) -> Any:  # fmt: skip
+    """Parameters of an element on a node.
+
+    inertia, com : of the node, in its axes.   frame : the node's frame in the user's body frame.
+    own, ground : frames between which the element acts, in the user's frames of the two bodies.
+    """
+    if element.takes_body:
+        turned = conjugated(frame[0], inertia)
+        constants = mass, turned, mat_vec_add(frame[0], com, frame[1])
+        given |= {f"body.{name}": x for (name, _), x in zip(BODY, constants, strict=True)}
+    return element.placed(given, Frames(ground, *own))
 
 
 # ---- starts ------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import prod
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
@@ -19,14 +20,23 @@ from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.spatial import Pose, Rigid, diagonal, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Connection, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
-from lierb.kernels.numbers.arithmetic import flatten, load, maximum, plain, scatter, sqrt, where
+from lierb.kernels.numbers.arithmetic import (
+    flatten,
+    load,
+    maximum,
+    plain,
+    refilled,
+    scatter,
+    sqrt,
+    where,
+)
 from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
 from lierb.kernels.systems.combine import summed
-from lierb.kernels.systems.layout import POSE_AND_TWIST, Columns, Field
+from lierb.kernels.systems.layout import POSE_AND_TWIST, Columns, Field, pose_of
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
-from lierb.kernels.systems.plan import LoopPlan
+from lierb.kernels.systems.plan import ElementKind, LoopPlan
 from lierb.kernels.systems.signals import PassiveElements
 from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.tree_inputs import (
@@ -37,7 +47,9 @@ from lierb.kernels.systems.tree_inputs import (
     factored,
     given_start,
     node_constants,
+    placed_on,
 )
+from lierb.kernels.systems.tree_table import placed_shape
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
@@ -45,7 +57,7 @@ NAN = float("nan")
 NOTHING = Rigid(ZERO, ZERO3, diagonal(ZERO3))  # of a massless node
 WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
-ENERGY, ORTHOGONALITY, ERRORS = 0, 1, 2  # rows of sums
+ENERGY, ORTHOGONALITY, ERRORS, POWER = 0, 1, 2, 6  # rows of sums
 
 
 class LoopBody(NamedTuple):
@@ -116,6 +128,44 @@ class _Node:
         switch(self.entry(at.KIND), self.tree.plan.kinds, do)
 
 
+class _Element:
+    """An element at run time."""
+
+    def __init__(self, tree: _Tree, k: Index) -> None:
+        self.tree, self.k = tree, k
+
+    def entry(self, name: int) -> Index:
+        return integer_at(self.tree.table, self.tree[at.ELEMENT_TABLE] + self.k * at.ELEMENT + name)
+
+    @property
+    def node(self) -> _Node:
+        return self.tree.node(self.entry(at.NODE))
+
+    @property
+    def other(self) -> _Node:
+        """Its other node, or the ground."""
+        return self.tree.node(self.entry(at.OTHER))
+
+    @property
+    def rows(self) -> Rows:
+        return self.tree.rows(self.entry(at.ROW))
+
+    def each_kind(self, do: Callable[[ElementKind], None]) -> None:
+        """Emit the code of all kinds, of which the element's runs."""
+        if self.tree.plan.element_kinds:
+            switch(self.entry(at.ELEMENT_KIND), self.tree.plan.element_kinds, do)
+
+    def placed(self, kind: ElementKind) -> tuple[Pose, Any]:
+        """Frame on the other node, and parameters of the element."""
+        rows, count = self.rows, tree_nodes.FRAME_ROWS
+        outer = tree_nodes.hang_of(rows) if kind.on_joint else HERE
+        shape = placed_shape(kind)
+        stored = sum(not is_zero(x) for x in flatten(shape))
+        numbers = iter(rows[count : count + stored])
+        filled = (x if is_zero(x) else next(numbers) for x in flatten(shape))
+        return outer, refilled(shape, filled)
+
+
 class _Tree:
     """A tree at run time: tree[name] is a number of the table's header."""
 
@@ -137,6 +187,10 @@ class _Tree:
     @property
     def ground(self) -> _Node:
         return self.node(self[at.NODES] * 0)
+
+    def for_elements(self, do: Callable[[_Element], None]) -> None:
+        if self.plan.element_kinds:
+            for_each(self[at.ELEMENTS], lambda k: do(_Element(self, k)))
 
     def for_nodes(self, do: Callable[[_Node], None], backward: bool = False) -> None:
         for_each(self[at.NODES], lambda i: do(self.node(i + 1)), backward)
@@ -160,10 +214,10 @@ class TreeLoop(PassiveElements):
     def _tree(self, body: LoopBody) -> _Tree:
         return _Tree(self.plan, body.table, body.memory)
 
-    def _run(self, name: str, body: LoopBody, do: Callable[[_Tree], None], *more: Index) -> None:
+    def _run(self, name: str, body: LoopBody, do: Callable[[_Tree], None], *more: Any) -> None:
         """Call a procedure on the tree, whose code is emitted once."""
 
-        def formula(table: Index, memory: Index, *others: Index) -> None:
+        def formula(table: Index, memory: Index, *others: Any) -> None:
             do(_Tree(self.plan, table, memory), *others)
 
         procedure(f"{__name__}.{name}.{self.plan.lanes}", formula, body.table, body.memory, *more)
@@ -181,7 +235,8 @@ class TreeLoop(PassiveElements):
         return 1.0
 
     def state_of(self, numbers: Sequence[Any], body: LoopBody | None = None) -> State:
-        return State((), (), (numbers[0],))
+        v, work = numbers
+        return State((), (), (v,), work if self.plan.does_work else ZERO)
 
     def loaded(self, inputs: Any, table: Any, memory: Any) -> LoopBody:
         """Load the constants of all nodes from the inputs into memory."""
@@ -211,8 +266,33 @@ class TreeLoop(PassiveElements):
             switch(node.entry(at.ROLE), cases, lambda n: tree_nodes.store_constants(n, *into))
 
         tree.for_nodes(one)
+        tree.for_elements(lambda element: self._load_element(element, numbers))
         first = tree.node(tree[at.NODES] * 0 + 1)
         return LoopBody(tree.table, tree.memory, first.constants[tree_nodes.MASS])
+
+    def _load_element(self, element: _Element, numbers: Callable[[Index, int], Vec]) -> None:
+        tree, node = element.tree, element.node
+        first = tree[at.JOINT_COLUMN] + element.entry(at.ON_JOINT) * WIDTHS[1]
+        joint = Columns(*JOINT).parts(numbers(first, WIDTHS[1]))
+        constants, details = node.constants, node.details
+        mass, (com, inertia) = constants[tree_nodes.MASS], tree_nodes.com_and_inertia(details)
+        frame, other = (tree_nodes.frame_of(each.details) for each in (node, element.other))
+
+        def do(kind: ElementKind) -> None:
+            own, ground, outer = frame, HERE if kind.on_ground else other, HERE
+            if kind.on_joint:
+                own, ground = pose_of(joint["body_frame"]), pose_of(joint["ground_frame"])
+                outer = se3.compose(se3.inverse(other), ground)
+            column, given = element.entry(at.COLUMN), {}
+            for name, shape in kind.element.shapes.items():
+                found = numbers(column, prod(shape))
+                given[name], column = found if shape else found[0], column + prod(shape)
+            placed = placed_on(kind.element, given, mass, inertia, com, frame, own, ground)
+            pairs = zip(flatten(placed), flatten(placed_shape(kind)), strict=True)
+            stored = (x for x, shape in pairs if not is_zero(shape))
+            element.rows.put(0, *outer[0], *outer[1], *stored)
+
+        element.each_kind(do)
 
     def started(self, body: LoopBody, inputs: Any) -> State:
         """Store the start, from poses and twists in the user's frames; return its `State`."""
@@ -291,7 +371,8 @@ class TreeLoop(PassiveElements):
         tree = self._tree(body)
         kept = tree.section(at.KEPT_ROW)
         for_each(tree[at.LINKS] * len(JOINT_KEPT), lambda i: kept.put(i, 0.0))
-        return State((), (), (0.0 * body.mass,))
+        zero = 0.0 * body.mass
+        return State((), (), (zero,), zero if self.plan.does_work else ZERO)
 
     # ---- steps ----
 
@@ -327,7 +408,8 @@ class TreeLoop(PassiveElements):
             v.put(i, now[0])
 
         for_each(count, one)
-        return state
+        (work,) = summed((state.work,), units.other, weights, slopes.work, units)
+        return state._replace(work=work)
 
     def stage_rates(
         self, body: LoopBody, state: State, gravity: None, time: Any, stage: int = 0
@@ -335,10 +417,13 @@ class TreeLoop(PassiveElements):
         """Store the slopes of a stage as those of number `stage`."""
         tree = self._tree(body)
         ahead = tree[at.FREEDOMS] * stage
-        self._run("rates", body, self._rates, ahead)
-        return Rates((), (), ZERO)
+        self._run("rates", body, self._rates, ahead, time)
+        power = tree.section(at.SUMS_ROW)[POWER] if self.plan.does_work else ZERO
+        return Rates((), (), power)
 
-    def _rates(self, tree: _Tree, ahead: Index) -> None:
+    def _rates(self, tree: _Tree, ahead: Index, time: Any) -> None:
+        acts = bool(self.plan.element_kinds)
+
         def slopes(node: _Node, name: int) -> Rows:
             return tree.rows(tree[name] + ahead + node.entry(at.FREEDOM))
 
@@ -348,7 +433,7 @@ class TreeLoop(PassiveElements):
             above, here = node.above, node.motion
 
             def do(kind: Kind) -> None:
-                into.put(0, *tree_nodes.place(kind, *parts, v, above, here, whole=False))
+                into.put(0, *tree_nodes.place(kind, *parts, v, above, here, whole=acts))
 
             node.each_kind(do)
 
@@ -356,8 +441,10 @@ class TreeLoop(PassiveElements):
             constants, here = node.constants, node.motion
             own, children = (tree.rows(node.entry(name)) for name in (at.PASSES, at.CHILDREN))
 
+            load = node.part(at.LOADS_ROW, 6)[0:6] if acts else None
+
             def do(kind: Kind) -> None:
-                total, lacking, arm = tree_nodes.gather(kind, constants, children, here)
+                total, lacking, arm = tree_nodes.gather(kind, constants, children, here, load)
                 if_not_zero(
                     node.entry(at.PARENT), lambda: tree_nodes.pass_on(own, total, lacking, arm)
                 )
@@ -380,8 +467,30 @@ class TreeLoop(PassiveElements):
             )
 
         tree.for_nodes(place)
+        if acts:
+            loads = tree.section(at.LOADS_ROW)
+            for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
+            tree.section(at.SUMS_ROW).put(POWER, 0.0)
+            tree.for_elements(lambda element: self._act(element, time))
         tree.for_nodes(gather, backward=True)
         tree.for_nodes(accelerate)
+
+    def _act(self, element: _Element, time: Any) -> None:
+        """Add an element's wrench to the loads on its nodes, and its power to the sum."""
+        node, other, sums = element.node, element.other, element.tree.section(at.SUMS_ROW)
+        places = [each.part(at.LOADS_ROW, 6) for each in (node, other)]
+
+        def do(kind: ElementKind) -> None:
+            outer, placed = element.placed(kind)
+            x, lever = tree_nodes.between(outer, node.motion, other.motion, time)
+            wrench = kind.element.wrench(placed, x)
+            if kind.element.does_work:
+                sums.put(POWER, sums[POWER] + kind.element.power(placed, x, wrench))
+            loads = tree_nodes.loads_of(wrench, node.motion, lever)
+            for place, more in zip(places, loads, strict=True):
+                place.put(0, *add(place[0:6], more))
+
+        element.each_kind(do)
 
     def move(self, body: LoopBody, state: State) -> State:
         """Make the stage the state."""
@@ -518,7 +627,20 @@ class TreeLoop(PassiveElements):
 
             node.each_joint(do)
 
+        def potential(element: _Element) -> None:
+            node, other = element.node.motion, element.other.motion
+
+            def do(kind: ElementKind) -> None:
+                outer, placed = element.placed(kind)
+                x, _ = tree_nodes.between(outer, node, other, ZERO)  # no potential depends on time
+                energy = kind.element.energy(placed, x)
+                if not is_zero(energy):
+                    sums.put(ENERGY, sums[ENERGY] + energy)
+
+            element.each_kind(do)
+
         tree.for_nodes(one)
+        tree.for_elements(potential)
 
     def keep_errors(self, body: LoopBody, alive: Any) -> None:
         """Update JOINT_KEPT of every joint in memory by the errors that `measured` has stored."""

@@ -7,27 +7,41 @@ ground; each node comes after its parent. *Rows* are those of a thread's memory,
 from __future__ import annotations
 
 from functools import lru_cache
+from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.tree import MASSLESS
-from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
+from lierb.kernels.mechanics.tree import HERE, MASSLESS
+from lierb.kernels.mechanics.tree_nodes import (
+    CONSTANTS,
+    DETAILS,
+    FRAME_ROWS,
+    MOTION,
+    PASSED,
+    JointKind,
+    Kind,
+)
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
-from lierb.kernels.systems.plan import MechanismPlan
-from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_columns
+from lierb.kernels.systems.plan import ElementKind, MechanismPlan
+from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_on, state_columns
 
 # Header: numbers of nodes (without the ground), freedoms and links; columns of the inputs;
 (
     NODES, FREEDOMS, LINKS, JOINT_COLUMN, GRAVITY_COLUMN, START_COLUMN, CHART_COLUMN, V_COLUMN,
+    # the number of elements, and their place in the table;
+    ELEMENTS, ELEMENT_TABLE,
     # first rows of the nodes' constants; of the state: charts, velocities, JOINT_KEPT of each link;
     CONSTANTS_ROW, DETAILS_ROW, CHART_ROW, V_ROW, KEPT_ROW, STATE_ROWS,
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
-    X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW, HEADER,
-) = range(23)  # fmt: skip
+    X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW,
+    # loads on the nodes, and rows of the elements.
+    LOADS_ROW, ELEMENT_ROWS, HEADER,
+) = range(27)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a
@@ -36,7 +50,9 @@ from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, state_c
     KIND, JOINT, ROLE, BASE, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END,
     V_END, TABLE,
 ) = range(14)  # fmt: skip
-SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints
+# An element's numbers: its kind, its two nodes, its link's joint, its first column and its row.
+ELEMENT_KIND, NODE, OTHER, ON_JOINT, COLUMN, ROW, ELEMENT = range(7)
+SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints, power
 
 
 @lru_cache(64)
@@ -71,6 +87,8 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         V_SLOPES: slopes * freedoms,
         ERRORS_ROW: len(JOINT_ERRORS) * plan.links,
         SUMS_ROW: SUMS,
+        LOADS_ROW: 6 * (count + 1),
+        ELEMENT_ROWS: sum(map(element_rows, plan.element_kinds)),
     }
     end = 0
     for name, size in sizes.items():
@@ -92,7 +110,38 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     nodes[:, SIBLING] = np.where(
         nodes[:, SIBLING], header[PASSED_ROW] + PASSED * nodes[:, SIBLING], 0
     )
-    return np.concatenate([header, nodes.ravel()])[None], end
+    elements = _elements(plan, int(header[ELEMENT_ROWS]))
+    header[[ELEMENTS, ELEMENT_TABLE]] = len(elements), HEADER + nodes.size
+    return np.concatenate([header, nodes.ravel(), elements.ravel()])[None], end
+
+
+def _elements(plan: MechanismPlan, row: int) -> NDArray[np.int64]:
+    table = np.zeros((len(plan.elements), ELEMENT), np.int64)
+    kinds = plan.code.element_kinds
+    columns = inputs_of(plan.links, plan.loops, plan.elements)
+    places = plan.connections[len(plan.joints) :]
+    for k, (kind, at) in enumerate(zip(plan.element_kinds, places, strict=True)):
+        names = list(kind.element.shapes)
+        column = columns[f"element{k}.{names[0]}"].start if names else 0
+        table[k] = kinds.index(kind), at.node + 1, at.other + 1, max(at.joint, 0), column, row
+        row += element_rows(kind)
+    return table
+
+
+def element_rows(kind: ElementKind) -> int:
+    """Rows of an element: the frame on its other node, and its parameters."""
+    return FRAME_ROWS + sum(not is_zero(x) for x in flatten(placed_shape(kind)))
+
+
+@lru_cache(256)
+def placed_shape(kind: ElementKind) -> Any:
+    """Parameters of an element between two nodes, of which only the structural zeros matter."""
+    given: dict[str, Any] = {
+        name: (0.7,) * prod(shape) if shape else 0.7 for name, shape in kind.element.shapes.items()
+    }
+    frame = (0.7,) * 9, (0.7,) * 3
+    ground = HERE if kind.on_ground and not kind.on_joint else frame
+    return placed_on(kind.element, given, 0.7, frame[0], frame[1], frame, frame, ground)
 
 
 def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:

@@ -89,7 +89,7 @@ def if_not_zero(number: Index, do: Callable[[], None]) -> None:
         do()
 
 
-def procedure(name: str, formula: Callable[..., None], *operands: Index) -> None:
+def procedure(name: str, formula: Callable[..., None], *operands: Index | Lane) -> None:
     """Emit a call of formula(*operands), whose code the module has once.
 
     name : of the code, the same for the same formula and constants.
@@ -97,14 +97,15 @@ def procedure(name: str, formula: Callable[..., None], *operands: Index) -> None
     trace = operands[0].trace
     module = trace.builder.module
     if name not in module.globals:
-        integers = [x.value.type for x in operands]
-        function = ir.Function(module, ir.FunctionType(ir.VoidType(), integers), name)
+        types = [x.value.type for x in operands]
+        function = ir.Function(module, ir.FunctionType(ir.VoidType(), types), name)
         function.linkage = "internal"
         function.attributes.alignstack = LINE
         for attribute in ("noinline", "nounwind"):
             function.attributes.add(attribute)
         own = Trace(ir.IRBuilder(function.append_basic_block()), trace.target)
         own.rounds_twice = trace.rounds_twice
-        formula(*(Index(own, operand) for operand in function.args))
+        pairs = zip(operands, function.args, strict=True)
+        formula(*(type(x)(own, operand) for x, operand in pairs))
         own.builder.ret_void()
     trace.builder.call(module.globals[name], [x.value for x in operands])

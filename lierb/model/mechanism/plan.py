@@ -132,8 +132,10 @@ def why_unrolled(plan: MechanismPlan) -> str:
     """Return what a plan has that looped code has not, or an empty string."""
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
+        "loops": plan.loops > 0,
         "rows with multipliers": bool(plan.rows_with_multipliers),
-        "forces, constraints or observables": bool(plan.elements),
+        "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
+        "functions that are called body by body": plan.calls_functions,
         "a clock for each trajectory": plan.has_lane_clocks,
         'update="global"': not plan.is_local,
         "a commutator-free method": bool(plan.exponentials),
