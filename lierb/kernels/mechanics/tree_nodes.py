@@ -205,12 +205,10 @@ def com_and_inertia(details: Any) -> tuple[Vec, Vec]:
 # ---- passes --------------------------------------------------------------------------------------
 
 
-def place(
-    kind: Kind, constants: Any, chart: Any, x: Any, v: Any, above: Any, here: Any, whole: bool
-) -> Vec:
+def place(kind: Kind, constants: Any, chart: Any, x: Any, v: Any, above: Any, here: Any) -> Vec:
     """Outward: axes, ω, r, (α, a) without ν̇. Return Ẋ, one number for each freedom.
 
-    x, v : rows of X/2 and V_rel.   whole : whether to compute the origin's place and velocity, too.
+    x, v : rows of X/2 and V_rel.
     """
     pitch, group = kind.pitch(constants), kind.charts
     hang = constants[HANG : HANG + 9], constants[POINT : POINT + 3]
@@ -229,11 +227,17 @@ def place(
     bent = add(a, mat_vec(turn, cross(spin, slide)))
     start = cross_add(outer, own, alpha) + cross_add(outer, swing, cross_add(alpha, arm, bent))
     here.put(TURN, *turn, *omega, *arm, *start)
-    if whole:
-        origin, speed = above[PLACE : PLACE + 3], above[SPEED : SPEED + 3]
-        here.put(PLACE, *add(origin, arm), *cross_add(outer, arm, add(speed, along)))
     rate = group.dexpinv(neg(half), moving, angles)
     return subgroup.coordinates(kind.slots, rate)
+
+
+def place_origin(kind: Kind, constants: Any, v: Any, above: Any, here: Any) -> None:
+    """Outward, after `place`: the place and the velocity of a node's origin."""
+    outer, arm = above[OMEGA : OMEGA + 3], here[ARM : ARM + 3]
+    slide = kind.lifted(v, kind.pitch(constants))[3:]
+    along = mat_vec(here[TURN : TURN + 9], slide)
+    origin, speed = above[PLACE : PLACE + 3], above[SPEED : SPEED + 3]
+    here.put(PLACE, *add(origin, arm), *cross_add(outer, arm, add(speed, along)))
 
 
 def gather(

@@ -103,9 +103,9 @@ class _Node:
         """Rows of a node in a section with a row for each freedom."""
         return self.tree.rows(self.tree[first] + self.entry(at.FREEDOM))
 
-    def slopes(self, first: int, stage: int) -> Rows:
-        before = self.tree[at.FREEDOMS] * stage
-        return self.tree.rows(self.tree[first] + before + self.entry(at.FREEDOM))
+    def slopes(self, first: int, ahead: Index) -> Rows:
+        """Rows of a node in a section of slopes.   ahead : rows of the stages before."""
+        return self.tree.rows(self.tree[first] + ahead + self.entry(at.FREEDOM))
 
     @property
     def motion(self) -> Rows:
@@ -214,7 +214,9 @@ class TreeLoop(PassiveElements):
     def _tree(self, body: LoopBody) -> _Tree:
         return _Tree(self.plan, body.table, body.memory)
 
-    def _run(self, name: str, body: LoopBody, do: Callable[[_Tree], None], *more: Any) -> None:
+    def _run(
+        self, name: str, body: LoopBody | _Tree, do: Callable[[_Tree], None], *more: Any
+    ) -> None:
         """Call a procedure on the tree, whose code is emitted once."""
 
         def formula(table: Index, memory: Index, *others: Any) -> None:
@@ -424,19 +426,6 @@ class TreeLoop(PassiveElements):
     def _rates(self, tree: _Tree, ahead: Index, time: Any) -> None:
         acts = bool(self.plan.element_kinds)
 
-        def slopes(node: _Node, name: int) -> Rows:
-            return tree.rows(tree[name] + ahead + node.entry(at.FREEDOM))
-
-        def place(node: _Node) -> None:
-            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
-            v, into = node.freedoms(at.STAGE_ROW), slopes(node, at.X_SLOPES)
-            above, here = node.above, node.motion
-
-            def do(kind: Kind) -> None:
-                into.put(0, *tree_nodes.place(kind, *parts, v, above, here, whole=acts))
-
-            node.each_kind(do)
-
         def gather(node: _Node) -> None:
             constants, here = node.constants, node.motion
             own, children = (tree.rows(node.entry(name)) for name in (at.PASSES, at.CHILDREN))
@@ -461,12 +450,12 @@ class TreeLoop(PassiveElements):
 
         def accelerate(node: _Node) -> None:
             constants, above, here = node.constants, node.above, node.motion
-            into = slopes(node, at.V_SLOPES)
+            into = node.slopes(at.V_SLOPES, ahead)
             node.each_kind(
                 lambda kind: into.put(0, *tree_nodes.accelerate(kind, constants, above, here))
             )
 
-        tree.for_nodes(place)
+        self._call_place(tree, ahead, is_whole=acts)
         if acts:
             loads = tree.section(at.LOADS_ROW)
             for_each(tree[at.NODES] * 6 + 6, lambda i: loads.put(i, 0.0))
@@ -474,6 +463,27 @@ class TreeLoop(PassiveElements):
             tree.for_elements(lambda element: self._act(element, time))
         tree.for_nodes(gather, backward=True)
         tree.for_nodes(accelerate)
+
+    def _call_place(self, tree: _Tree, ahead: Index, is_whole: bool) -> None:
+        """Emit a call of the outward pass at X and V of the stage, which stores Ẋ."""
+        whole = tree[at.NODES] if is_whole else tree[at.NODES] * 0
+        self._run("place", tree, self._place, ahead, whole)
+
+    def _place(self, tree: _Tree, ahead: Index, whole: Index) -> None:
+        def one(node: _Node) -> None:
+            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
+            v, into = node.freedoms(at.STAGE_ROW), node.slopes(at.X_SLOPES, ahead)
+            above, here = node.above, node.motion
+
+            def do(kind: Kind) -> None:
+                into.put(0, *tree_nodes.place(kind, *parts, v, above, here))
+                if_not_zero(
+                    whole, lambda: tree_nodes.place_origin(kind, *parts[:1], v, above, here)
+                )
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
 
     def _act(self, element: _Element, time: Any) -> None:
         """Add an element's wrench to the loads on its nodes, and its power to the sum."""
@@ -559,19 +569,7 @@ class TreeLoop(PassiveElements):
 
         for_each(tree[at.FREEDOMS], copy)
 
-        self._run("motion", body, self._motion)
-
-    def _motion(self, tree: _Tree) -> None:
-        def one(node: _Node) -> None:
-            parts = (node.constants, node.chart, node.freedoms(at.X_ROW))
-            moving, above, here = node.freedoms(at.STAGE_ROW), node.above, node.motion
-
-            def do(kind: Kind) -> None:
-                tree_nodes.place(kind, *parts, moving, above, here, whole=True)
-
-            node.each_kind(do)
-
-        tree.for_nodes(one)
+        self._call_place(tree, tree[at.NODES] * 0, is_whole=True)
 
     def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
         return ()
