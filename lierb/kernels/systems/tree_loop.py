@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import prod
 from typing import Any, NamedTuple
 
@@ -477,9 +478,8 @@ class TreeLoop(PassiveElements):
 
             def do(kind: Kind) -> None:
                 into.put(0, *tree_nodes.place(kind, *parts, v, above, here))
-                if_not_zero(
-                    whole, lambda: tree_nodes.place_origin(kind, *parts[:1], v, above, here)
-                )
+                place = partial(tree_nodes.place_origin, kind, node.constants, v, above, here)
+                if_not_zero(whole, place)
 
             node.each_kind(do)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numba
 import numpy as np
 
 from lierb.errors import ArgumentError, brief, require_name, unknown_name
@@ -132,7 +133,9 @@ def why_unrolled(plan: MechanismPlan) -> str:
     """Return what a plan has that looped code has not, or an empty string."""
     reasons = {
         "links outside the reduced c-space": any(not n.is_reduced for n in plan.tree),
+        "NUMBA_DISABLE_JIT": bool(numba.config.DISABLE_JIT),
         "loops": plan.loops > 0,
+        "joints whose motions are no group": any(node.rows for node in plan.tree),
         "rows with multipliers": bool(plan.rows_with_multipliers),
         "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
