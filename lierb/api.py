@@ -122,12 +122,15 @@ def integrate(
         product of the joints' subgroups. Default: "SE3", and "reduced" for a mechanism.
     update : {"local", "global"}, optional
         "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
-    solver : {"auto", "saddle", "subgroup"}, optional
+    solver : {"auto", "saddle", "subgroup", "looped", "unrolled"}, optional
         "saddle" solves the index-1 saddle-point problem in every stage, as the paper does.
         "subgroup" is for a joint whose motions form a subgroup of SE(3), on "SE3" or "reduced": the
         solution is a constant gain, computed once. It requires check="raise"; a start that violates
         the joint by less than the tolerance is projected to the subgroup. "auto" is "subgroup" if
-        possible, otherwise "saddle". For a mechanism only "auto" applies.
+        possible, otherwise "saddle". For a mechanism, "looped" is code that loops over the links of
+        any tree and is compiled once for all trees: reduced coordinates, steps of one length,
+        forces, no loops. "unrolled" is code for one tree, which is compiled for it. "auto" is
+        "looped" for more than seven links, if possible.
     stabilise : "project" or Stabilisation, optional
         Stabilisation of a mechanism's loops, and of its joints on "SE3" and "SO3xR3", which drift
         otherwise. "project" projects pose and velocity to the constraints after each step, by the

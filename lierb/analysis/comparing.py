@@ -102,7 +102,7 @@ def convergence(
         Configuration spaces, as in `integrate`. Default: the default of `integrate`.
     update : {"local", "global"}, optional
         As in `integrate`.
-    solver : {"auto", "saddle", "subgroup"}, optional
+    solver : {"auto", "saddle", "subgroup", "looped", "unrolled"}, optional
         As in `integrate`.
     stabilise : "project" or Stabilisation, optional
         As in `integrate`.

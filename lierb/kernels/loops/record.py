@@ -48,7 +48,7 @@ from lierb.kernels.systems.one_body import LARGEST
 from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
 from lierb.kernels.systems.signals import held_fields, lane_end, signals_width
 from lierb.kernels.systems.state import NON_FINITE, OK, RAISED, State
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.systems.tree_table import STATE_ROWS, table_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
@@ -132,7 +132,7 @@ def load_inputs(plan: AnyPlan, inputs: Any) -> list[Any]:
 def load_body(plan: AnyPlan, inputs: Any, table: Any, memory: Any) -> Any:
     """Load the constants.   table, memory : of a looped plan."""
     if plan.is_looped:
-        return system_of(plan).loaded(inputs, table, memory)
+        return in_memory(plan).loaded(inputs, table, memory)
     return system_of(plan).body(load_inputs(plan, inputs))
 
 
@@ -147,12 +147,9 @@ def load_given(plan: AnyPlan, inputs: Any, time: Any) -> Any:
 
 
 def initial_state(plan: AnyPlan, body: Any, placed: Any, inputs: Any) -> State:
-    system = system_of(plan)
-    state: State = (
-        system.started(body, inputs)
-        if plan.is_looped
-        else system.start(body, placed, load_inputs(plan, inputs))
-    )
+    if plan.is_looped:
+        return in_memory(plan).started(body, inputs)
+    state: State = system_of(plan).start(body, placed, load_inputs(plan, inputs))
     return state
 
 
@@ -174,7 +171,7 @@ def initial_record(plan: AnyPlan, body: Any, state: State) -> Record:
 def resumed_state(plan: AnyPlan, body: Any, inputs: Any) -> State:
     """Load the state that a run continues from."""
     if plan.is_looped:
-        return system_of(plan).resumed(body, inputs)
+        return in_memory(plan).resumed(body, inputs)
     at = system_of(plan).inputs["state"]
     numbers = _columns(plan, inputs, range(at.start, at.stop), 0)
     state: State = system_of(plan).state_of(numbers, body)
@@ -204,7 +201,7 @@ def load_carried(plan: AnyPlan, body: Any, carried: Any, first: Any) -> tuple[St
     energy, status, step, dropped = numbers
     observed = kept_of(parts["observed"])
     if plan.is_looped:
-        system_of(plan).load_state(body, carried, columns.count, first)
+        in_memory(plan).load_state(body, carried, columns.count, first)
     record = Record(parts["kept"], energy, status, step, dropped, observed, parts["joints"])
     if plan.calls_functions:
         (before,) = parts["flags"]
@@ -229,7 +226,7 @@ def store_carried(
     for c, number in enumerate(flatten((observed, joints)), behind):
         store(carried, (c, first), number, plan.lanes)
     if plan.is_looped:
-        system_of(plan).store_state(body, carried, carried_columns(plan).count, first)
+        in_memory(plan).store_state(body, carried, carried_columns(plan).count, first)
 
 
 def store_end(
@@ -237,7 +234,7 @@ def store_end(
 ) -> None:
     """Store the state, and the rank at the start, for a run that continues."""
     if plan.is_looped:
-        system_of(plan).store_end(body, ends, column)
+        in_memory(plan).store_end(body, ends, column)
         return
     numbers = [*flatten(state)]
     going_on = [numbers[c] for c in state_columns(plan)]
@@ -375,7 +372,7 @@ def _joints_kept(
 def keep_errors(plan: AnyPlan, body: Any, record: Record) -> None:
     """Update the retained errors of a looped plan's joints, which are not in the record."""
     if plan.is_looped:
-        system_of(plan).keep_errors(body, record.status == OK)
+        in_memory(plan).keep_errors(body, record.status == OK)
 
 
 def without_measures(plan: AnyPlan, record: Record, seen: Record) -> Record:

@@ -13,7 +13,7 @@ from lierb.kernels.systems.measures import KEPT, SUMMARY
 from lierb.kernels.systems.observables import columns_of
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.state import OK, State
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.trace import kernel
 
 
@@ -79,7 +79,7 @@ def store_row(
     for c in range(len(shown)):
         prefetch(tables.history, (c, at.row + 1, at.column), plan.lanes)
     if plan.is_looped:
-        system_of(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
+        in_memory(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
     if not (plan.multipliers or plan.reaction):
         return
     multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
@@ -109,7 +109,7 @@ def store_state(
     """Store one row of the states: R, r, ω and v, each [link, time][trajectory][component]."""
     if plan.is_looped:
         alive = record.status == OK
-        system_of(plan).store_links(body, tables.states, at.row, at.rows, at.column, alive)
+        in_memory(plan).store_links(body, tables.states, at.row, at.rows, at.column, alive)
         return
     row = at.row
     for numbers in user_state(plan, body, inputs, state, record):
@@ -131,7 +131,7 @@ def store_summary(plan: AnyPlan, body: Any, record: Record, summary: Any, column
     places = [*range(len(numbers)), *(SUMMARY.count + c for c in range(len(watched)))]
     scatter(summary, 1, [(c, column) for c in places], (*numbers, *watched), plan.lanes)
     if plan.is_looped:
-        system_of(plan).store_kept(body, summary, SUMMARY.count, column)
+        in_memory(plan).store_kept(body, summary, SUMMARY.count, column)
 
 
 def store_start(

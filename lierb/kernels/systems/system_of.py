@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 from lierb.kernels.mechanics.newton_euler import BodyConstants
 from lierb.kernels.mechanics.tree import TreeConstants, TreeMotion
@@ -12,16 +12,22 @@ from lierb.kernels.systems.formulations import FORMULATIONS
 from lierb.kernels.systems.one_body import BodyMotion
 from lierb.kernels.systems.plan import AnyPlan, LoopPlan, MechanismPlan, Plan
 from lierb.kernels.systems.system import AnySystem, System
-from lierb.kernels.systems.tree_loop import LoopBody, TreeLoop
+from lierb.kernels.systems.tree_loop import TreeLoop
 from lierb.kernels.systems.tree_system import TreeFormulation
+
+
+@lru_cache(256)
+def in_memory(plan: AnyPlan) -> TreeLoop:
+    """System of a looped plan, which has what steps of one length need, and stores its results."""
+    assert isinstance(plan, LoopPlan)
+    return TreeLoop(plan)
 
 
 @lru_cache(256)
 def system_of(plan: AnyPlan) -> AnySystem:
     """System of a plan."""
     if isinstance(plan, LoopPlan):
-        tree: System[LoopBody, None] = TreeLoop(plan)
-        return tree
+        return cast(AnySystem, in_memory(plan))
     if isinstance(plan, MechanismPlan):
         mechanism: System[TreeConstants, TreeMotion] = TreeFormulation(plan)
         return mechanism

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
-from lierb.kernels.mechanics.spatial import Pose, Rigid, diagonal, twist_at
+from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
 from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Connection, Node, NodeConstants
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import (
@@ -31,7 +31,7 @@ from lierb.kernels.numbers.arithmetic import (
     sqrt,
     where,
 )
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, Vec, add, sub
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, add, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
 from lierb.kernels.systems.combine import summed
@@ -55,7 +55,7 @@ from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
 NAN = float("nan")
-NOTHING = Rigid(ZERO, ZERO3, diagonal(ZERO3))  # of a massless node
+NOTHING = Rigid(ZERO, ZERO3, ZERO9)  # of a massless node
 WIDTHS = tuple(Columns(*fields).count for fields in (LINK, JOINT, START))
 _PAIR = (Node(GROUND, 1, "reduced", FREE, ()), Node(0, 0, "reduced", FREE, ()))
 ENERGY, ORTHOGONALITY, ERRORS, POWER = 0, 1, 2, 6  # rows of sums
@@ -215,9 +215,7 @@ class TreeLoop(PassiveElements):
     def _tree(self, body: LoopBody) -> _Tree:
         return _Tree(self.plan, body.table, body.memory)
 
-    def _run(
-        self, name: str, body: LoopBody | _Tree, do: Callable[[_Tree], None], *more: Any
-    ) -> None:
+    def _run(self, name: str, body: LoopBody | _Tree, do: Callable[..., None], *more: Any) -> None:
         """Call a procedure on the tree, whose code is emitted once."""
 
         def formula(table: Index, memory: Index, *others: Any) -> None:

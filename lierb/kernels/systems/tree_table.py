@@ -117,7 +117,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
 
 def _elements(plan: MechanismPlan, row: int) -> NDArray[np.int64]:
     table = np.zeros((len(plan.elements), ELEMENT), np.int64)
-    kinds = plan.code.element_kinds
+    kinds = tuple(dict.fromkeys(plan.element_kinds))
     columns = inputs_of(plan.links, plan.loops, plan.elements)
     places = plan.connections[len(plan.joints) :]
     for k, (kind, at) in enumerate(zip(plan.element_kinds, places, strict=True)):
@@ -172,7 +172,7 @@ def _slots(plan: MechanismPlan, nodes: NDArray[np.int64]) -> int:
     children: list[list[int]] = [[] for _ in nodes]
     for i, node in enumerate(plan.tree, 1):
         children[node.parent + 1].append(i)
-    known, unused = 0, []
+    known, unused = 0, list[int]()
     for i in range(len(plan.tree), 0, -1):
         if children[i]:
             first = nodes[children[i][0], PASSES]

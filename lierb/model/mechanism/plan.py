@@ -26,7 +26,7 @@ from lierb.model.mechanism.tree import Tree
 
 CSPACES = ("reduced", "SE3", "SO3xR3")
 TREE_SOLVERS = ("looped", "unrolled")
-UNROLLED_FREEDOMS = 5  # with more, loops over the nodes are faster than unrolled code
+UNROLLED_NODES = 7  # with more, loops over the nodes are as fast as unrolled code, or faster
 
 
 def cspaces_of(mechanism: Tree, cspace: CSpace) -> tuple[str, ...]:
@@ -124,9 +124,8 @@ def mechanism_plan_of(
 
 
 def loops_pay(plan: MechanismPlan) -> bool:
-    """Return whether loops over the nodes are faster than unrolled code, and possible."""
-    free = sum(len(node.free) for node in plan.tree)
-    return free > UNROLLED_FREEDOMS and not why_unrolled(plan)
+    """Return whether loops over the nodes are fast, and possible."""
+    return len(plan.tree) > UNROLLED_NODES and not why_unrolled(plan)
 
 
 def why_unrolled(plan: MechanismPlan) -> str:
