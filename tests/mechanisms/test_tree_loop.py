@@ -138,7 +138,7 @@ def test_forces_act_as_in_unrolled_formulas():
 def test_all_columns_are_those_of_unrolled_code():
     drag = lierb.forces.drag(linear=0.2, angular=0.1).on("link1")
     mechanism = tree_of(("screw", "universal"), forces=(drag,))
-    recorded = {"save_every": 5, "record": ("state", "energy")}
+    recorded = {"save_every": 5, "record": ("state", "energy", "multipliers", "reaction")}
     both = [
         looped(mechanism, start_of(mechanism), solver=solver, **recorded)
         for solver in ("looped", "unrolled")

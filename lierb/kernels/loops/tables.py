@@ -82,6 +82,10 @@ def store_row(
         in_memory(plan).store_errors(body, tables.history, len(shown), at.row, at.column, alive)
     if not (plan.multipliers or plan.reaction):
         return
+    if plan.is_looped:
+        arrays = tables.multipliers, tables.reactions
+        in_memory(plan).store_forces(body, *arrays, at, time, alive)
+        return
     multipliers, wrenches = system_of(plan).forces(with_rank(plan, body, record), state, time)
     if plan.multipliers and multipliers:
         count = len(multipliers)

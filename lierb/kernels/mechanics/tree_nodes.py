@@ -252,9 +252,7 @@ def gather(
     omega, start = here[OMEGA : OMEGA + 3], here[START : START + 6]
     below = child[0:PASSED]
     # The rigid body is turned here, where the next node's numbers have to be waited for.
-    moment = mat_vec(turn, constants[MOMENT : MOMENT + 3])
-    inertia = conjugated(turn, _symmetric(constants[INERTIA : INERTIA + 6]))
-    rigid = Rigid(constants[MASS], moment, inertia)
+    rigid = _turned(constants, turn)
     hanging = Articulated(_symmetric(below[:6]), below[6:15], _symmetric(below[15:21]))
     total = rigid.from_frame(HERE).and_also(hanging)
     lacking = sub(below[PASSED_WRENCH:], rigid.needed(start, omega))
@@ -308,6 +306,31 @@ def accelerate(kind: Kind, constants: Any, above: Any, here: Any) -> Vec:
     return rate
 
 
+def transmitted(constants: Any, here: Any, load: Vec | None) -> Vec:
+    """Wrench that a node's body needs for its motion besides `load`, about the node's origin."""
+    starting, changing = here[START : START + 6], here[BY_RATES : BY_RATES + 6]
+    rigid = _turned(constants, here[TURN : TURN + 9])
+    needed = rigid.needed(add(starting, changing), here[OMEGA : OMEGA + 3])
+    return needed if load is None else sub(needed, load)
+
+
+def _turned(constants: Any, turn: Vec) -> Rigid:
+    """A node's body in the ground's axes, about the node's origin."""
+    moment = mat_vec(turn, constants[MOMENT : MOMENT + 3])
+    inertia = conjugated(turn, _symmetric(constants[INERTIA : INERTIA + 6]))
+    return Rigid(constants[MASS], moment, inertia)
+
+
+def passed_wrench(wrench: Vec, here: Any) -> Vec:
+    """A wrench about the origin of the node's parent."""
+    return wrench_from((IDENTITY, here[ARM : ARM + 3]), wrench)
+
+
+def in_node_axes(wrench: Vec, here: Any) -> Vec:
+    turn = here[TURN : TURN + 9]
+    return mat_t_vec(turn, wrench[:3]) + mat_t_vec(turn, wrench[3:])
+
+
 def move(kind: Kind, constants: Any, chart: Any, x: Any) -> Vec:
     """Store C₀ exp X as the chart; return its numbers.   x : rows of X/2."""
     half = kind.lifted(x, kind.pitch(constants))
@@ -358,10 +381,14 @@ def on_joint(kind: Kind, constants: Any, chart: Any, v: Any) -> tuple[Pose, Vec]
     return shapes.pose(kind.load_chart(chart)), kind.lifted(v, kind.pitch(constants))
 
 
+def kinematics(d: Pose, moving: Vec) -> Kinematics:
+    """Kinematics of a joint for its rows, from D and V_rel."""
+    return Kinematics(*d, moving[:3], ZERO3, moving[3:], ZERO3, True)
+
+
 def errors_squared(rows: Rows, d: Pose, moving: Vec, pitch: Any) -> tuple[Any, ...]:
     """Squares of `measures.JOINT_ERRORS` of a joint, from D and V_rel of its motion."""
-    x = Kinematics(*d, moving[:3], ZERO3, moving[3:], ZERO3, True)
-    ends = Ends(HERE, HERE, pitch)
+    x, ends = kinematics(d, moving), Ends(HERE, HERE, pitch)
     rates = rate_errors_squared(rows, x, ends, moving)
     position = position_error_squared(rows, x, ends)
     return position, rotation_error_squared(rows, x, ends), *rates

@@ -19,7 +19,15 @@ from lierb.kernels.functions.signals import NO_SIGNALS, Signals
 from lierb.kernels.groups import se3
 from lierb.kernels.mechanics import subgroup, tree_nodes
 from lierb.kernels.mechanics.spatial import Pose, Rigid, twist_at
-from lierb.kernels.mechanics.tree import FREE, GROUND, HERE, Connection, Node, NodeConstants
+from lierb.kernels.mechanics.tree import (
+    FREE,
+    GROUND,
+    HERE,
+    Connection,
+    Ends,
+    Node,
+    NodeConstants,
+)
 from lierb.kernels.mechanics.tree_nodes import CONSTANTS, DETAILS, MOTION, PASSED, JointKind, Kind
 from lierb.kernels.numbers.arithmetic import (
     flatten,
@@ -38,6 +46,7 @@ from lierb.kernels.systems.combine import summed
 from lierb.kernels.systems.layout import POSE_AND_TWIST, Columns, Field, pose_of
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
 from lierb.kernels.systems.plan import ElementKind, LoopPlan
+from lierb.kernels.systems.relatives import multipliers_of_wrench
 from lierb.kernels.systems.signals import PassiveElements
 from lierb.kernels.systems.state import Factors, Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.tree_inputs import (
@@ -115,6 +124,18 @@ class _Node:
     @property
     def above(self) -> Rows:
         return self.part(at.MOTION_ROW, MOTION, self.entry(at.PARENT))
+
+    def on_joint(self, joint: JointKind) -> tuple[Pose, Vec]:
+        """D of the node's joint and V_rel, composed of those of two nodes if it has two."""
+
+        def of(node: _Node, kind: Kind) -> tuple[Pose, Vec]:
+            return tree_nodes.on_joint(kind, node.constants, node.chart, node.freedoms(at.V_ROW))
+
+        d, moving = of(self, joint.kind)
+        if joint.first is None:
+            return d, moving
+        first, turning = of(self.parent, Kind(joint.first))
+        return se3.compose(first, d), add(twist_at(d, turning), moving)
 
     def each_joint(self, do: Callable[[JointKind], None]) -> None:
         """Emit the code of all kinds of joints, of which that of the node's joint runs."""
@@ -559,6 +580,11 @@ class TreeLoop(PassiveElements):
     def motion(self, body: LoopBody, state: State, time: Any) -> None:
         """Store the motion of the nodes at the state."""
         tree = self._tree(body)
+        self._stay(tree)
+        self._call_place(tree, tree[at.NODES] * 0, is_whole=True)
+
+    def _stay(self, tree: _Tree) -> None:
+        """Make the state the stage."""
         x, v, stage = (tree.section(name) for name in (at.X_ROW, at.V_ROW, at.STAGE_ROW))
 
         def copy(i: Index) -> None:
@@ -566,8 +592,6 @@ class TreeLoop(PassiveElements):
             stage.put(i, v[i])
 
         for_each(tree[at.FREEDOMS], copy)
-
-        self._call_place(tree, tree[at.NODES] * 0, is_whole=True)
 
     def observed(self, body: LoopBody, motion: None, time: Any) -> tuple[Any, ...]:
         return ()
@@ -592,9 +616,6 @@ class TreeLoop(PassiveElements):
         return Observed(values)
 
     def _measure(self, tree: _Tree) -> None:
-        def on_joint(node: _Node, kind: Kind) -> tuple[Pose, Vec]:
-            return tree_nodes.on_joint(kind, node.constants, node.chart, node.freedoms(at.V_ROW))
-
         sums, gravity = tree.section(at.SUMS_ROW), tree.ground.constants[0:3]
         sums.put(0, *(0.0,) * at.SUMS)
 
@@ -604,16 +625,11 @@ class TreeLoop(PassiveElements):
             off = orthogonality_squared(here[0:9])
             sums.put(ENERGY, sums[ENERGY] + own, maximum(sums[ORTHOGONALITY], off))
             errors = node.part(at.ERRORS_ROW, len(JOINT_ERRORS), node.entry(at.LINK))
-            base = tree.node(node.entry(at.BASE))
 
             def do(joint: JointKind) -> None:
                 if joint.role == tree_nodes.MASSLESS:
                     return  # measured with the next node
-                d, moving = on_joint(node, joint.kind)
-                if joint.first is not None:
-                    first, turning = on_joint(base, Kind(joint.first))
-                    moving = add(twist_at(d, turning), moving)
-                    d = se3.compose(first, d)
+                d, moving = node.on_joint(joint)
                 pitch = joint.kind.pitch(constants)
                 squares = tree_nodes.errors_squared(joint.rows, d, moving, pitch)
                 errors.put(0, *squares)
@@ -702,6 +718,53 @@ class TreeLoop(PassiveElements):
                 scatter(array, 1, places, part, self.plan.lanes)
 
         tree.for_nodes(one)
+
+    def store_forces(
+        self, body: LoopBody, multipliers: Any, reactions: Any, place: Any, time: Any, alive: Any
+    ) -> None:
+        """Store λ and the wrench of every joint on its body; NaN where not alive.
+
+        multipliers, reactions : result arrays.   place : row, rows and column in them.
+        """
+        tree, acts = self._tree(body), bool(self.plan.element_kinds)
+        self._stay(tree)
+        self._run("rates", body, self._rates, tree[at.NODES] * 0, time)
+        wrenches = tree.section(at.WRENCH_ROW)
+        for_each(tree[at.NODES] * 6 + 6, lambda i: wrenches.put(i, 0.0))
+
+        def one(node: _Node) -> None:
+            load = node.part(at.LOADS_ROW, 6)[0:6] if acts else None
+            own = node.part(at.WRENCH_ROW, 6)
+            total = add(own[0:6], tree_nodes.transmitted(node.constants, node.motion, load))
+            outer = node.parent.part(at.WRENCH_ROW, 6)
+            outer.put(0, *add(outer[0:6], tree_nodes.passed_wrench(total, node.motion)))
+            own.put(0, *tree_nodes.in_node_axes(total, node.motion))
+
+        def put(array: Any, first: Any, column: Any, numbers: Vec) -> None:
+            shown = [where(alive, x, NAN) for x in numbers]
+            places = [(first, place.column, column + c) for c in range(len(shown))]
+            scatter(array, 1, places, shown, self.plan.lanes)
+
+        def store(node: _Node) -> None:
+            wrench = node.part(at.WRENCH_ROW, 6)[0:6]
+
+            def do(joint: JointKind) -> None:
+                if joint.role == tree_nodes.MASSLESS:
+                    return
+                if self.plan.reaction:
+                    first = node.entry(at.LINK) * place.rows + place.row
+                    put(reactions, first, tree[at.NODES] * 0, wrench)
+                if self.plan.multipliers and joint.rows:
+                    x = tree_nodes.kinematics(*node.on_joint(joint))
+                    ends = Ends(HERE, HERE, joint.kind.pitch(node.constants))
+                    found = multipliers_of_wrench(joint.rows, x, ends, wrench)
+                    numbers = tuple(found[row] for row in joint.rows)
+                    put(multipliers, place.row, node.entry(at.MULTIPLIER), numbers)
+
+            node.each_joint(do)
+
+        tree.for_nodes(one, backward=True)
+        tree.for_nodes(store)
 
     def store_end(self, body: LoopBody, ends: Any, column: Any) -> None:
         """Store the state for a run that continues: numbers of the charts, then of V_rel."""

@@ -39,17 +39,17 @@ from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_
     CONSTANTS_ROW, DETAILS_ROW, CHART_ROW, V_ROW, KEPT_ROW, STATE_ROWS,
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
     X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW,
-    # loads on the nodes, and rows of the elements.
-    LOADS_ROW, ELEMENT_ROWS, HEADER,
-) = range(27)  # fmt: skip
+    # loads on the nodes, wrenches of the joints, and rows of the elements.
+    LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS, HEADER,
+) = range(28)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a
-# massless one; columns of chart and velocity at the end of a run.
+# massless one; columns of chart and velocity at the end of a run, and of its joint's first λ.
 (
     KIND, JOINT, ROLE, BASE, PARENT, CHART, FREEDOM, PASSES, CHILDREN, SIBLING, LINK, CHART_END,
-    V_END, TABLE,
-) = range(14)  # fmt: skip
+    V_END, MULTIPLIER, TABLE,
+) = range(15)  # fmt: skip
 # An element's numbers: its kind, its two nodes, its link's joint, its first column and its row.
 ELEMENT_KIND, NODE, OTHER, ON_JOINT, COLUMN, ROW, ELEMENT = range(7)
 SUMS = 8  # rows: energy, orthogonality error, largest errors of the joints, power
@@ -88,6 +88,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         ERRORS_ROW: len(JOINT_ERRORS) * plan.links,
         SUMS_ROW: SUMS,
         LOADS_ROW: 6 * (count + 1),
+        WRENCH_ROW: 6 * (count + 1),
         ELEMENT_ROWS: sum(map(element_rows, plan.element_kinds)),
     }
     end = 0
@@ -102,6 +103,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         nodes[i, [KIND, PARENT, LINK]] = plan.kinds.index(kind), node.parent + 1, link
         nodes[i, ROLE] = joints[i - 1].role
         nodes[i, BASE] = first_of_joint(plan.tree, i - 1) + 1
+        nodes[i, MULTIPLIER] = sum(len(at.rows) for at in plan.connections[:link])
         nodes[i, JOINT] = plan.joint_kinds.index(joints[i - 1])
         nodes[i, [CHART, FREEDOM]] = chart, freedom
         chart, freedom = chart + len(kind.chart_rows), freedom + kind.freedoms

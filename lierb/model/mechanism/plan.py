@@ -141,7 +141,6 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "a clock for each trajectory": plan.has_lane_clocks,
         'update="global"': not plan.is_local,
         "a commutator-free method": bool(plan.exponentials),
-        "recorded multipliers or reactions": plan.multipliers or plan.reaction,
         "stabilisation": plan.stabilisation.kind != "none",
     }
     return next((reason for reason, applies in reasons.items() if applies), "")
