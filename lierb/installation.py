@@ -27,6 +27,8 @@ from lierb.methods import ButcherTableau, tableau_of
 from lierb.model.bodies.body import Body
 from lierb.model.joints.joint import Joint
 from lierb.model.joints.joint_type import JOINTS
+from lierb.model.mechanism.links import Link
+from lierb.model.mechanism.mechanism import Mechanism
 from lierb.model.problem import Problem
 from lierb.runs.options import check_names
 from lierb.runs.provenance import machine
@@ -92,6 +94,8 @@ def clear_cache() -> dict[Path, int]:
 # ---- compilation ahead of time -------------------------------------------------------------------
 
 ANY_BODY = Body(mass=1.0, inertia=(1.0, 1.0, 1.0))
+ANY_TREE = Mechanism([Link("link", ANY_BODY, JOINTS["revolute"]())])
+TREE = "tree"
 
 
 @dataclass(frozen=True)
@@ -118,12 +122,13 @@ def warmup(
     """Compile the kernel of every combination, or load it from the disk cache.
 
     One kernel runs every body, frame, gravity, step and batch size. A joint whose motions are not a
-    subgroup has no "reduced" kernel; that combination is left out.
+    subgroup has no "reduced" kernel; that combination is left out. "tree" stands for the kernel of
+    all trees of links (`integrate(solver="looped")`), which is "reduced" and "local" only.
 
     Parameters
     ----------
     joints : iterable of str or Joint, optional
-        Names of the catalogue, or joints.
+        Names of the catalogue, joints, or "tree".
     methods : iterable of str or ButcherTableau, optional
         Methods, as in `integrate`.
     cspaces : iterable of str, optional
@@ -163,28 +168,37 @@ def warmup(
     cspaces, updates = _several("cspaces", cspaces), _several("updates", updates)
     for cspace, update in product(cspaces, updates):
         check_names(cspace=cspace, update=update, solver=solver)
-    wanted = [
+    wanted: list[tuple[Joint | None, ButcherTableau, str, str]] = [
         (joint, tableau, cspace, update)
         for joint, tableau, cspace, update in product(
-            [j if isinstance(j, Joint) else _named(j) for j in joints],
+            [j if isinstance(j, Joint) else _named(j) for j in joints if not _is_tree(j)],
             [tableau_of(method) for method in methods],
             cspaces,
             updates,
         )
         if cspace != "reduced" or (joint.subgroup and joint.rows)
     ]
+    if any(map(_is_tree, joints)):
+        wanted += [(None, tableau_of(method), "reduced", "local") for method in methods]
     ready: list[Kernel] = []
     for joint, tableau, cspace, update in wanted:
-        report(len(ready), len(wanted), f"{joint.name}, {tableau.name}, {cspace}, {update}")
+        name = TREE if joint is None else joint.name
+        report(len(ready), len(wanted), f"{name}, {tableau.name}, {cspace}, {update}")
         began = time.perf_counter()
+        if joint is None:
+            chosen: dict[str, Any] = {"solver": "looped", "twist0": ANY_TREE.twist()}
+        else:
+            chosen = {
+                "solver": "auto" if cspace == "reduced" else solver, "twist0": (0.0,) * 6,
+                "check": "raise" if joint.subgroup else "off",
+            }  # fmt: skip
         integrate(
-            Problem(ANY_BODY, joint), twist0=(0.0,) * 6, dt=1.0, t_end=1.0, method=tableau,
-            cspace=cspace, update=update, solver="auto" if cspace == "reduced" else solver,
+            ANY_TREE if joint is None else Problem(ANY_BODY, joint), **chosen, dt=1.0, t_end=1.0,
+            method=tableau, cspace=cspace, update=update, progress=False,
             save_every=1 if multipliers else None, record=("multipliers",) if multipliers else (),
-            progress=False, check="raise" if joint.subgroup else "off",
         )  # fmt: skip
         seconds = time.perf_counter() - began
-        ready.append(Kernel(joint.name, tableau.name, cspace, update, seconds))
+        ready.append(Kernel(name, tableau.name, cspace, update, seconds))
     report(len(ready), len(wanted), "")
     return ready
 
@@ -193,6 +207,10 @@ def _several(argument: str, given: Any, *single: type) -> tuple[Any, ...]:
     """Return one item or several as a tuple."""
     is_one = isinstance(given, (str, *single))
     return (given,) if is_one else items_of(argument, given, "names")
+
+
+def _is_tree(joint: Any) -> bool:
+    return isinstance(joint, str) and joint == TREE
 
 
 def _named(name: str) -> Joint:

@@ -63,6 +63,18 @@ def test_warmup_takes_one_name_for_a_list_of_one():
 
 
 @pytest.mark.slow
+def test_warmup_knows_the_kernel_of_all_trees():
+    joints = [lierb.joints.revolute(), lierb.joints.universal(parent_point=(0.0, 0.0, 0.1))]
+    names = ("upper", "lower")
+    body = lierb.bodies.sphere(0.1, mass=1.0)
+    links = [lierb.Link(n, body, j, p) for n, j, p in zip(names, joints, ("ground", "upper"))]
+    (kernel,) = lierb.warmup("tree")
+    before = lierb.info()["loaded"]
+    tree = lierb.Mechanism(links)
+    lierb.integrate(tree, twist0=tree.twist(), dt=0.1, t_end=0.2, solver="looped")
+    assert (kernel.joint, kernel.cspace, lierb.info()["loaded"]) == ("tree", "reduced", before)
+
+
 def test_warmup_takes_a_joint_that_does_not_close_at_rest():
     held = lierb.joints.from_rows(["Q11"])
     (kernel,) = lierb.warmup(held, methods="Euler")

@@ -174,8 +174,9 @@ def warmup(
 ) -> None:
     """Compile kernels ahead of time, for later processes to load from the disk.
 
-    JOINT is a name such as spherical (the default), or several. Every option but --solver may be
-    given more than once: each combination is compiled. Or it is the TOML file of a study.
+    JOINT is a name such as spherical (the default), or tree for looped mechanisms, or several.
+    Every option but --solver may be given more than once: each combination is compiled. Or it is
+    the TOML file of a study.
     """
     from lierb.installation import info as found_by
     from lierb.installation import warmup as made_ready
