@@ -6,7 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 from lierb.kernels.functions.function import BODY
-from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
+from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, unit_inertia
@@ -86,6 +86,21 @@ def charts_of(node: Node) -> Any:
     ):
         return turns
     return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
+
+
+def is_commutative(node: Node) -> bool:
+    """Return whether the motions of a node commute, as those about and along one axis.
+
+    dexp⁻¹ is the identity on such a group, so that an ambient update has nothing to save there.
+    """
+    turning, sliding = ([i for i in range(3) if node.slots[first + i] != FIXED] for first in (0, 3))
+    about_one_axis = len(turning) == 1 and sliding in ([], turning)
+    return node.is_reduced and (not turning or about_one_axis)
+
+
+def ambient_charts_of(node: Node) -> Any:
+    """Module with the formulas of the group of a node in an ambient update."""
+    return ambientxr3 if node.cspace == "SO3xR3" else ambient
 
 
 def charts_side_by_side(numbers: Vec) -> tuple[Chart, ...]:

@@ -58,8 +58,8 @@ def formulation_of(
         )
     if stabilisation.kind == "project" and update == "global":
         raise ArgumentError(
-            'stabilise="project" needs update="local": it moves poses, and a global update keeps '
-            "them in one chart"
+            'stabilise="project" needs update="local" or "ambient": it moves poses, and a global '
+            "update keeps them in one chart"
         )
     return Formulation(cspaces, solver, stabilisation)
 
