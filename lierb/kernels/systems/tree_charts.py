@@ -33,8 +33,8 @@ from lierb.kernels.systems.tree_inputs import (
     ambient_charts_of,
     charts_of,
     charts_side_by_side,
-    is_commutative,
     sixes,
+    takes_ambient,
 )
 
 Charts = tuple[Chart, ...]  # one for each node
@@ -115,7 +115,7 @@ class TreeCharts(StateArithmetic):
         return sum(self.widths)
 
     def _takes_ambient(self, node: Node) -> bool:
-        return self.plan.is_ambient and not is_commutative(node)
+        return self.plan.is_ambient and takes_ambient(node)
 
     def increments(self, x: Vec) -> list[Increment]:
         """Motion of each node since its chart.   x : X/2 or Y, of all nodes."""

@@ -10,7 +10,7 @@ from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3,
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, unit_inertia
-from lierb.kernels.mechanics.rows import FIXED
+from lierb.kernels.mechanics.rows import FIXED, PITCHED
 from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import (
@@ -88,14 +88,17 @@ def charts_of(node: Node) -> Any:
     return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
 
 
-def is_commutative(node: Node) -> bool:
-    """Return whether the motions of a node commute, as those about and along one axis.
+def takes_ambient(node: Node) -> bool:
+    """Return whether a node has coordinates Y in an ambient update, instead of X.
 
-    dexp⁻¹ is the identity on such a group, so that an ambient update has nothing to save there.
+    Reduced nodes whose motions commute have X, because dexp⁻¹ is the identity there and exp exact.
+    So have reduced nodes with a pitch, which Y does not keep.
     """
+    if not node.is_reduced:
+        return True
     turning, sliding = ([i for i in range(3) if node.slots[first + i] != FIXED] for first in (0, 3))
     about_one_axis = len(turning) == 1 and sliding in ([], turning)
-    return node.is_reduced and (not turning or about_one_axis)
+    return bool(turning) and not about_one_axis and PITCHED not in node.slots
 
 
 def ambient_charts_of(node: Node) -> Any:
