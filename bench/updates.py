@@ -63,7 +63,7 @@ def problem(name: str) -> tuple[lierb.Problem, np.ndarray]:
     if name == "pendulum":
         hinge = lierb.joints.revolute(body_point=held.joint.body_frame[:3, 3], axis=(1.0, 0.0, 0.0))
         held = lierb.Problem(held.body, hinge, held.gravity)
-        twist = hinge.twist(omega=7.0)
+        twist = hinge.twist(velocities=(7.0,))
     return held, twist
 
 
