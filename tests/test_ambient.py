@@ -117,15 +117,19 @@ STEPS = {1: 2000, 2: 500, 3: 200, 4: 100, 5: 40, 6: 16, 7: 12, 8: 10, 9: 8}  # i
 T_END = 0.5
 
 
-@cache
-def truth():
+def reference(times, **more):
     """The heavy box on its tilted pivot, by Newton and Euler in ground coordinates."""
     problem, twist0 = tilted("spherical")
     return oracle.reference_trajectory(
-        "spherical", [T_END], mass=float(problem.body.mass), inertia=problem.body.inertia,
+        "spherical", times, mass=float(problem.body.mass), inertia=problem.body.inertia,
         twist0=twist0, pose0=problem.joint.closed_pose, ground_frame=problem.joint.ground_frame,
-        body_frame=problem.joint.body_frame, gravity=problem.gravity, pitch=0.0, length=0.0,
+        body_frame=problem.joint.body_frame, gravity=problem.gravity, **more,
     )  # fmt: skip
+
+
+@cache
+def truth():
+    return reference([T_END])
 
 
 class InPython:
@@ -191,6 +195,44 @@ def test_dense_output_has_its_order(method):
         assert np.abs(found[:9].reshape(3, 3) @ found[:9].reshape(3, 3).T - np.eye(3)).max() < 1e-14
     order = TABLEAUS[method].dense_order + 1  # of one step
     assert order - 0.5 < np.log2(errors[0] / errors[1]) < order + 2.5, errors
+
+
+# ---- forces, adaptive steps, output between steps and events ------------------------------------
+
+SPRING = {
+    "body_point": (0.1, 0.0, 0.05), "stiffness": 40.0, "damping": 0.5, "length": 0.1,
+}  # fmt: skip
+ANCHOR = (0.4, 0.2, -0.3)
+
+
+@lierb.event
+def level(R):
+    return R[2, 2]
+
+
+@pytest.mark.slow
+def test_a_sprung_body_is_where_newton_and_euler_say():
+    """The spring, at stages off unit length; rows and events within steps."""
+    plain, twist0 = tilted("spherical")
+    spring = lierb.forces.spring_damper(ground_point=ANCHOR, **SPRING)
+    problem = lierb.Problem(plain.body, plain.joint, plain.gravity, spring, events=level())
+    times = np.linspace(0.0, 1.0, 9)
+    run = lierb.integrate(
+        problem, twist0=twist0, t_end=1.0, rtol=1e-9, save_at=times, record="state",
+        update="ambient",
+    )  # fmt: skip
+    crossings = run.events["t"].to_numpy()
+    assert len(crossings) >= 2
+    every = np.unique([*times, *crossings])
+    true = reference(every, forces=[oracle.spring_damper(ground_point=ANCHOR, **SPRING)])
+    seen = {t: k for k, t in enumerate(every)}
+    rows = [seen[t] for t in times]
+    # rtol is of a step; here are some tens of them
+    np.testing.assert_allclose(run.position[:, 0], true.r[rows], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(run.rotation[:, 0], true.R[rows], rtol=0, atol=1e-8)
+    at = [seen[t] for t in crossings]
+    assert np.abs(true.R[at, 2, 2]).max() < 1e-8
+    assert run.summary["position_error_max"][0].as_py() == 0.0
 
 
 # ---- what is refused ---------------------------------------------------------------------------
