@@ -120,8 +120,10 @@ def integrate(
         where every start is consistent. For a mechanism, the c-space is the product of the links'
         c-spaces, which a dictionary link → "SE3" or "SO3xR3" can set separately; "reduced" is the
         product of the joints' subgroups. Default: "SE3", and "reduced" for a mechanism.
-    update : {"local", "global"}, optional
+    update : {"local", "global", "ambient"}, optional
         "local": Munthe-Kaas, a new chart at each step. "global": one chart, moved at ‖ξ‖ = π.
+        "ambient": quaternions and positions, normalised after each step; faster, not for
+        commutator-free methods. In a mechanism, nodes about and along one axis keep "local".
     solver : {"auto", "saddle", "subgroup", "looped", "unrolled"}, optional
         "saddle" solves the index-1 saddle-point problem in every stage, as the paper does.
         "subgroup" is for a joint whose motions form a subgroup of SE(3), on "SE3" or "reduced": the

@@ -7,6 +7,8 @@ import pytest
 import reference_numbers as ref
 
 import lierb
+from lierb.kernels.systems.plan import Plan
+from lierb.kernels.systems.system_of import system_of
 
 # Joints whose motions are a subgroup of SE(3): kept exactly there.
 SUBGROUP_JOINTS = [name for name, entry in lierb.joints.JOINTS.items() if entry.subgroup]
@@ -99,6 +101,18 @@ def top() -> tuple[lierb.Problem, np.ndarray]:
     held = lierb.joints.spherical(body_point=-np.array(ref.TOP_CENTRE_OF_MASS))
     problem = lierb.Problem(lierb.Body(ref.TOP_MASS, ref.TOP_INERTIA), held, ref.TOP_GRAVITY)
     return problem, held.twist(omega=ref.TOP_OMEGA_0)
+
+
+def in_python(problem: lierb.Problem, twist: np.ndarray, **described):
+    """System, constants, start and input numbers of a body, on floats.   described : the plan."""
+    system = system_of(Plan(rows=problem.joint.rows, **described))
+    given = problem.quantities | {"pose": problem.joint.closed_pose, "twist": twist}
+    numbers: list[float] = []
+    for field, _ in system.inputs:
+        values = np.broadcast_to(np.asarray(given.get(field.name, 0.0)), field.shape).ravel()
+        numbers += map(float, values if field.entries is None else values[list(field.entries)])
+    body = system.body(numbers)
+    return system, body, system.start(body, system.placed(body, numbers), numbers), numbers
 
 
 def integrate(problem: lierb.Problem, **options) -> lierb.Result:

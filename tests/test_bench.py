@@ -19,6 +19,7 @@ from peers import heavy_top, reference, report  # noqa: E402
 from peers.__main__ import NOT_PEERS  # noqa: E402
 from tolerances import tops  # noqa: E402
 from tolerances import worker as tolerances_worker  # noqa: E402
+from updates import table as table_of_updates  # noqa: E402
 from work_precision import tables as work_precision_tables  # noqa: E402
 
 STORED = sorted((BENCH / "results").glob("peers-*.json"))
@@ -243,3 +244,10 @@ def test_choosing_shows_the_stored_work_and_precision():
         assert table in page, name
         assert stored.name in page
     assert stored.with_suffix(".png").name in pages["methods"].read_text(encoding="utf-8")
+
+
+def test_choosing_shows_the_stored_comparison_of_updates():
+    stored = max((BENCH / "results").glob("updates-*.json"))
+    page = (BENCH.parent / "docs" / "howto" / "choosing.md").read_text(encoding="utf-8")
+    assert table_of_updates(json.loads(stored.read_text(encoding="utf-8"))) in page
+    assert stored.name in page

@@ -158,6 +158,8 @@ def test_bits_do_not_depend_on_chunks(bodies, block_steps, expected, monkeypatch
         pytest.param("SE3", "global", marks=pytest.mark.long),
         pytest.param("SO3xR3", "local", marks=pytest.mark.slow),
         pytest.param("SO3xR3", "global", marks=pytest.mark.long),
+        pytest.param("SE3", "ambient", marks=pytest.mark.long),
+        pytest.param("SO3xR3", "ambient", marks=pytest.mark.long),
     ],
 )
 def test_lanes_do_not_matter_in_other_forms(cspace, update, monkeypatch):

@@ -35,6 +35,7 @@ FORMS = [
     pytest.param("screw", {"update": "global"}, marks=pytest.mark.slow),
     ("spherical", {"cspace": "SO3xR3"}),
     pytest.param("spherical", {"cspace": "SO3xR3", "update": "global"}, marks=pytest.mark.slow),
+    pytest.param("cylindrical", {"update": "ambient"}, marks=pytest.mark.slow),
 ]
 
 

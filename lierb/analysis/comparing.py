@@ -100,7 +100,7 @@ def convergence(
         Absolute tolerance that goes with `rtols`, as in `integrate`.
     cspaces : str or iterable of str, optional
         Configuration spaces, as in `integrate`. Default: the default of `integrate`.
-    update : {"local", "global"}, optional
+    update : {"local", "global", "ambient"}, optional
         As in `integrate`.
     solver : {"auto", "saddle", "subgroup", "looped", "unrolled"}, optional
         As in `integrate`.

@@ -113,7 +113,7 @@ def run_paper(
         Folder of `summary.parquet`, `history.parquet` and the figures. Default: no files.
     gravity : float, optional
         Acceleration along −e₃ of the ground, m/s². The paper does not mention gravity.
-    update : {"local", "global"}, optional
+    update : {"local", "global", "ambient"}, optional
         Update, as in `integrate`.
     as_printed : bool, optional
         Use the examples with the paper's misprints.

@@ -72,8 +72,8 @@ def finite(_ctx: click.Context, _param: click.Parameter, value: float) -> float:
     help="In m/s², along -e3 of the ground; the paper mentions none.",
 )  # fmt: skip
 @click.option(
-    "--update", type=click.Choice(["local", "global"]), default="local", show_default=True,
-    help="How a step updates the configuration.",
+    "--update", type=click.Choice(["local", "global", "ambient"]), default="local",
+    show_default=True, help="How a step updates the configuration.",
 )  # fmt: skip
 @click.option("--as-printed", is_flag=True, help="Keep the mistakes that the paper prints.")
 @click.option("--no-figures", is_flag=True, help="Write the tables only.")

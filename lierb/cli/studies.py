@@ -263,8 +263,8 @@ def predict(study: Path, changes: Changes) -> None:
     from lierb.analysis.prediction import predict as predict_joints
     from lierb.studies.description.study import Study
 
-    batch = Study.load(study, changes).batch(0, 1)
-    prediction = predict_joints(*batch.first)
+    loaded = Study.load(study, changes)
+    prediction = predict_joints(*loaded.batch(0, 1).first, update=loaded.integrate.update)
     click.echo(str(prediction))
     for joint, each in joint_by_joint(prediction):
         click.echo(wrapped(f"{', '.join(filter(None, (joint, each.cspace)))}: {each.reason}"))

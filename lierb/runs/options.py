@@ -23,9 +23,10 @@ from lierb.runs.time_options import check_periods, checked_seed, timing_of
 from lierb.runs.timing import Timing
 
 RECORDS = ("state", "energy", "multipliers", "reaction")
+UPDATES = ("local", "global", "ambient")
 CHOICES = {
     "cspace": CSPACE_NAMES,
-    "update": ("local", "global"),
+    "update": UPDATES,
     "check": ("raise", "warn", "off"),
     "solver": ("auto", *FORMULATIONS, "looped", "unrolled"),
 }
@@ -70,10 +71,11 @@ class Options:
         saves = any(time.get(name) is not None for name in ("save_every", "save_at"))
         recorded = _checked_record(record, saves)
         timing = timing_of(has_own_time=model.has_own_time, **time)
-        if timing.tableau.exponentials and update == "global":
+        if timing.tableau.exponentials and update != "local":
+            other = {"global": "keeps one chart", "ambient": "steps without exponentials"}[update]
             raise ArgumentError(
                 f"{timing.tableau.name} makes each pose of several exponentials and needs "
-                'update="local"; update="global" keeps one chart'
+                f'update="local"; update="{update}" {other}'
             )
         check_periods(model.controllers, timing)
         space = model.default_cspace if cspace is None else cspace

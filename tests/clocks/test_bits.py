@@ -164,11 +164,13 @@ def test_a_lane_that_fails_leaves_its_neighbours_alone(whole, expected):
     "form",
     [
         {"cspace": "SO3xR3", "update": "global"},
+        {"update": "ambient"},
         *(
             pytest.param(form, marks=pytest.mark.long)
             for form in (
                 {"method": "DOP853"}, {"cspace": "reduced"}, {"solver": "saddle"},
                 {"cspace": "SO3xR3"}, {"update": "global"}, {"method": "BS32", "rtol": 1e-4},
+                {"cspace": "SO3xR3", "update": "ambient"},
             )
         ),
     ],

@@ -80,7 +80,8 @@ def test_error_follows_rtol(name, cspace, method):
 @pytest.mark.long
 @pytest.mark.parametrize("options", [
     {"solver": "saddle"}, {"cspace": "reduced"}, {"update": "global"},
-    {"cspace": "SO3xR3", "update": "global"},
+    {"cspace": "SO3xR3", "update": "global"}, {"update": "ambient"},
+    {"cspace": "SO3xR3", "update": "ambient"},
 ], ids=str)  # fmt: skip
 @pytest.mark.parametrize("name", ["heavy_top", "fast_top"])
 def test_other_formulations_keep_the_tolerance(name, options):

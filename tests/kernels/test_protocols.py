@@ -6,8 +6,9 @@ import inspect
 
 import numpy as np
 import pytest
-from cases import tilted
-from mechanisms.shared import double_pendulum, in_python
+from cases import in_python, tilted
+from mechanisms import shared
+from mechanisms.shared import double_pendulum
 from scipy.linalg import expm
 
 from lierb.kernels.groups import quaternion, turns
@@ -15,10 +16,8 @@ from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.stepping.method import Method
 from lierb.kernels.stepping.runge_kutta import ExplicitRungeKutta
 from lierb.kernels.systems.formulations import FORMULATIONS
-from lierb.kernels.systems.plan import Plan
 from lierb.kernels.systems.state import Slopes, Units
 from lierb.kernels.systems.system import System
-from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.systems.tree_inputs import charts_of
 from lierb.kernels.systems.tree_system import TreeFormulation
 
@@ -54,21 +53,15 @@ def test_protocol_is_fit(kind, protocol):
 def one_body(solver):
     """System, constants and start of a body on a spherical joint, on floats."""
     problem, twist = tilted("spherical")
-    plan = Plan(rows=problem.joint.rows, cspace="SE3", solver=solver, **STEPS)
-    system = system_of(plan)
-    given = problem.quantities | {"pose": problem.joint.closed_pose, "twist": twist}
-    numbers: list[float] = []
-    for field, _ in system.inputs:
-        values = np.broadcast_to(np.asarray(given.get(field.name, 0.0)), field.shape).ravel()
-        numbers += map(float, values if field.entries is None else values[list(field.entries)])
-    body = system.body(numbers)
-    return system, body, system.start(body, system.placed(body, numbers), numbers)
+    return in_python(problem, twist, cspace="SE3", solver=solver, **STEPS)[:3]
 
 
 def pendulum(cspace):
     at_rest = {name: np.eye(4) for name in ("upper", "lower")}
     at_rest["upper"][2, 3], at_rest["lower"][2, 3] = -0.25, -0.75
-    return in_python(double_pendulum(), cspace, at_rest, {name: np.zeros(6) for name in at_rest})
+    return shared.in_python(
+        double_pendulum(), cspace, at_rest, {name: np.zeros(6) for name in at_rest}
+    )
 
 
 SYSTEMS = {

@@ -34,10 +34,13 @@ def pose(c: Chart) -> Pose:
     return matrix(c[0]), c[1]
 
 
-def matrix(p: Quaternion) -> Mat:
-    """Matrix R(p), a rotation even if p is not of unit length due to rounding."""
+def matrix(p: Quaternion, twice: Any = None) -> Mat:
+    """Matrix R(p), a rotation even if p is not of unit length due to rounding.
+
+    twice : 2/‖p‖², for a p of any length.
+    """
     _, x, y, z = p
-    w2, x2, y2, z2 = scale(fma(-2.0, dot(p, p), 4.0), p)  # 2p/‖p‖²
+    w2, x2, y2, z2 = scale(fma(-2.0, dot(p, p), 4.0) if twice is None else twice, p)
     yy, zz = y2 * y, z2 * z
     return (
         1.0 - (yy + zz), fma(x2, y, -(w2 * z)), fma(x2, z, w2 * y),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from lierb.kernels.groups import quaternion
 from lierb.kernels.groups.coefficients import HalfAngleCoefficients
-from lierb.kernels.groups.quaternion import Chart
+from lierb.kernels.groups.quaternion import Chart, pose
 from lierb.kernels.numbers.vec import Vec, axpy
+
+__all__ = ["compose_exp", "dexpinv", "pose"]
 
 
 def compose_exp(c: Chart, y: Vec, k: HalfAngleCoefficients | None = None) -> Chart:

@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from lierb.kernels.functions.signals import NO_SIGNALS, Signals
-from lierb.kernels.groups import quaternion, quaternionxr3, se3, so3xr3
+from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, so3xr3
 from lierb.kernels.numbers.arithmetic import fma, where
 from lierb.kernels.numbers.number import Number
 from lierb.kernels.numbers.vec import (
@@ -302,6 +302,7 @@ class SE3:
 
     group: ModuleType = se3
     charts: ModuleType = quaternion  # the group's formulas that a step evaluates
+    ambient: ModuleType = ambient  # those of an ambient update
 
     @staticmethod
     def centred(body: BodyConstants, c: Vec) -> BodyConstants:
@@ -356,6 +357,7 @@ class SO3xR3:
 
     group: ModuleType = so3xr3
     charts: ModuleType = quaternionxr3
+    ambient: ModuleType = ambientxr3
 
     @staticmethod
     def centred(body: BodyConstants, c: Vec) -> BodyConstants:

@@ -43,11 +43,12 @@ class Step(NamedTuple):
 class Defect(NamedTuple):
     """Error estimate, a difference of two states; n as in `System`.
 
-    x : in the algebra (n,), rad and m.   twist : of V (n,), rad/s and m/s.
-    states : of the extra states.
+    turning, moving : of the poses, rad and m; see `System.turning_and_moving`.
+    twist : of V (n,), rad/s and m/s.   states : of the extra states.
     """
 
-    x: Vec
+    turning: Vec
+    moving: Vec
     twist: Vec
     states: Vec
 

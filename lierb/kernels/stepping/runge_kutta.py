@@ -2,8 +2,9 @@
 
 Ẋ = dexp⁻¹_{−X} V and V̇ = F(X, V)  (Müller, eqs. 4a, b), with C = C₀ exp X. `local` update
 (Munthe-Kaas): X starts at 0 in every step, structurally. `global` (the paper's): X continues, and
-C₀ is updated before X reaches the pole of dexp⁻¹ at 2π (errata E18). W, the work of forces without
-potential, is the integral of their power by the same method; s are the user's extra states.
+C₀ is updated before X reaches the pole of dexp⁻¹ at 2π (errata E18). `ambient`:
+Ẏ = ½ (1 + Y) V with C = C₀ (1 + Y)/‖1 + Y‖, and Y starts at 0 in every step. W, the work of forces
+without potential, is the integral of their power by the same method; s are the user's extra states.
 
 A commutator-free method (Celledoni, Marthinsen and Owren 2003; Crouch and Grossman 1993) computes
 each pose by several exponentials, C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and so needs no dexp⁻¹.
@@ -104,7 +105,8 @@ class ExplicitRungeKutta:
         x_unit, unit = self._slope_units(system, h)
         x, v_or_mu = times(x_unit, slopes.x), times(unit, slopes.v_or_mu)
         states = times(h, slopes.states)
-        return Defect(system.in_algebra(body, x), system.velocity(body, v_or_mu), states)
+        turning, moving = system.turning_and_moving(system.in_algebra(body, x))
+        return Defect(turning, moving, system.velocity(body, v_or_mu), states)
 
     def _stages(
         self,

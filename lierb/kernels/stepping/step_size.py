@@ -27,7 +27,7 @@ from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
-from lierb.kernels.systems.state import Slopes, Stabilised, State
+from lierb.kernels.systems.state import Rates, Slopes, Stabilised, State, Units, Weights
 from lierb.kernels.systems.system_of import system_of
 from lierb.kernels.tracing.words import rough_exp2, rough_log2
 
@@ -179,7 +179,8 @@ def squared_correction(
     rtol = where(is_first, limits.rtol + ADMITTED, limits.rtol)
     scales = _scales(plan, body, state, kept.state, limits._replace(rtol=rtol), h)
     states = (ZERO,) * len(state.states)
-    return _largest(plan, body, Defect(kept.x, kept.v_or_mu, states), scales)
+    turning, moving = (_parts(kept.x, first) for first in (0, 3))
+    return _largest(plan, body, Defect(turning, moving, kept.v_or_mu, states), scales)
 
 
 class _Scales(NamedTuple):
@@ -242,15 +243,20 @@ def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple
 
 def _squares(sixes: Vec, first: int) -> Any:
     """Return ‖·‖² of the angular (first = 0) or linear parts (3) of concatenated twists."""
-    parts = tuple(x for i in range(first, len(sixes), 6) for x in sixes[i : i + 3])
+    parts = _parts(sixes, first)
     return dot(parts, parts)
+
+
+def _parts(sixes: Vec, first: int) -> Vec:
+    """Return the angular (first = 0) or linear parts (3) of concatenated twists."""
+    return tuple(x for i in range(first, len(sixes), 6) for x in sixes[i : i + 3])
 
 
 def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
     """Return the largest ‖e‖² · scale of all blocks; NaN where one is NaN."""
     pairs = [
-        (_squares(defect.x, 0), scales.rotation),
-        (_squares(defect.x, 3), scales.position),
+        (dot(defect.turning, defect.turning), scales.rotation),
+        (dot(defect.moving, defect.moving), scales.position),
         (_squares(defect.twist, 0), scales.omega),
         (_squares(defect.twist, 3), scales.v),
     ]
@@ -311,25 +317,25 @@ def first_step(
     system = system_of(plan)
     falling = system.chart_gravity(body, state.chart)
 
-    def at(x: Vec, v_or_mu: Vec, states: Vec, time: Any) -> Any:
-        there = State(state.chart, x, v_or_mu, ZERO, states)
-        return system.stage_rates(body, there, falling, time)
+    def moved(h: Any, weights: Weights, slopes: Slopes) -> State:
+        return system.combine(body, state, weights, slopes, Units(0.5 * h, h, h))
 
-    start = at(state.x, state.v_or_mu, state.states, time)
+    still = moved(length, (), Slopes())
+    start = system.stage_rates(body, still, falling, time)
     size = _size_against(plan, body, state, scales)
-    speed = _rate_against(plan, body, _parts(start), scales)
+    speed = _rate_against(plan, body, start, scales)
     tiny = (size < 1e-10) | (speed < 1e-10)
     guess = where(tiny, 1e-6 * length, 0.01 * sqrt(size / where(tiny, 1.0, speed)))
     guess = minimum(guess, length)
-    pairs = zip(_parts(state), (0.5 * guess, guess, guess), _parts(start), strict=True)
+    euler = moved(guess, (1.0,), Slopes().with_stage(start))
+    there = system.stage_rates(body, euler, falling, time + guess)
     x, v_or_mu, states = (
-        tuple(fma(h, k, y) for k, y in zip(rate, y0, strict=True)) for y0, h, rate in pairs
-    )
-    there = at(system.in_algebra(body, x), v_or_mu, states, time + guess)
-    change = tuple(
         tuple(after - before for before, after in zip(*pair, strict=True))
-        for pair in zip(_parts(start), _parts(there), strict=True)
-    )
+        for pair in (
+            (start.x, there.x), (start.v_or_mu, there.v_or_mu), (start.states, there.states)
+        )
+    )  # fmt: skip
+    change = Rates(x, v_or_mu, ZERO, states=states)
     bend = _rate_against(plan, body, change, scales) / (guess * guess)
     largest = maximum(speed, bend)
     at_rest = largest < 1e-30
@@ -339,11 +345,6 @@ def first_step(
     wanted = minimum(100.0 * guess, wanted)
     # NaN gives the whole length, which the trial judges. Tolerances of 0 give 0, which grows.
     return where(wanted < length, maximum(wanted, 1e-12 * length), length)
-
-
-def _parts(state: Any) -> tuple[Vec, Vec, Vec]:
-    """Return the blocks of a state or of its rates."""
-    return state.x, state.v_or_mu, state.states
 
 
 def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> Any:
@@ -358,7 +359,8 @@ def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> An
     return largest
 
 
-def _rate_against(plan: AnyPlan, body: Any, rates: Any, scales: _Scales) -> Any:
-    x, v_or_mu, states = rates
-    twist = system_of(plan).velocity(body, v_or_mu)
-    return _largest(plan, body, Defect(x, twist, states), scales)
+def _rate_against(plan: AnyPlan, body: Any, rates: Rates, scales: _Scales) -> Any:
+    system = system_of(plan)
+    twist = system.velocity(body, rates.v_or_mu)
+    defect = Defect(*system.turning_and_moving(rates.x), twist, rates.states)
+    return _largest(plan, body, defect, scales)

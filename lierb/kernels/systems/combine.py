@@ -17,7 +17,9 @@ NAN = float("nan")
 class StateArithmetic(PassiveElements):
     """Arithmetic shared by all systems, on the charts of each."""
 
+    width: int  # numbers of X, or of Y within a step
     moved: Callable[..., Any]  # (chart, X/2): C₀ exp X
+    ended: Callable[..., Any]  # (chart, X/2 or Y): the chart moved by a step
     recharted: Callable[..., Any]  # (C₀ exp X, 0) where X is large, else (C₀, X)
     in_algebra: Callable[..., Vec]
     rates: Callable[..., Rates]
@@ -31,24 +33,26 @@ class StateArithmetic(PassiveElements):
         units: Units,
         factors: Factors | None = None,
     ) -> State:
-        """Add h Σ weights · slopes to X, V or μ, work and extra states.
+        """Add h Σ weights · slopes to X or Y, V or μ, work and extra states.
 
         factors : rows a of a commutator-free method. The pose is then
             C₀ exp(h Σ a¹ V) exp(h Σ a² V) …, and X is zero.
         """
         chart, x = state.chart, state.x
+        if self.plan.is_local:
+            x = (ZERO,) * self.width
         if factors is None:
             x = self.in_algebra(body, summed(x, units.x, weights, slopes.x, units))
         else:
             chart = self._product(body, chart, factors, slopes.x, units)
-            x = (ZERO,) * len(x)
+            x = (ZERO,) * self.width
         v_or_mu = summed(state.v_or_mu, units.v_or_mu, weights, slopes.v_or_mu, units)
         (work,) = summed((state.work,), units.other, weights, slopes.work, units)
         states = summed(state.states, units.other, weights, slopes.states, units)
         return State(chart, x, v_or_mu, work, states)
 
     def move(self, body: Any, state: State) -> State:
-        """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
+        """Move C₀ by exp X or (1 + Y)/‖1 + Y‖; in a global update, only where X is large."""
         if self.plan.is_local:
             return self.placed_by_chart(state)
         chart, x = self.recharted(state.chart, state.x)
@@ -58,9 +62,9 @@ class StateArithmetic(PassiveElements):
         return tuple(x if is_zero(x) else where(alive, x, NAN) for x in v_or_mu)
 
     def placed_by_chart(self, state: State) -> State:
-        """Return the state with the pose C₀ exp X as its chart, and X structurally zero."""
-        chart = self.moved(state.chart, state.x)
-        return state._replace(chart=chart, x=(ZERO,) * len(state.x))
+        """Return the state with its pose as its chart, and X structurally zero."""
+        chart = self.ended(state.chart, state.x)
+        return state._replace(chart=chart, x=(ZERO,) * len(state.v_or_mu))
 
     def stage_rates(
         self, body: Any, state: State, gravity: Any, time: Any, stage: int = 0

@@ -18,7 +18,7 @@ from lierb.kernels.mechanics.newton_euler import BodyConstants, Parameters
 from lierb.kernels.mechanics.rows import PITCHED, fixed_axes
 from lierb.kernels.mechanics.saddle import has_others, is_other_rank
 from lierb.kernels.numbers.arithmetic import absolute, where
-from lierb.kernels.numbers.vec import ZERO6, Vec, dot, mat_vec, neg, row
+from lierb.kernels.numbers.vec import ZERO6, Vec, dot, mat_vec, row
 from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.acceleration import accelerate
 from lierb.kernels.systems.one_body import LARGEST, OneBody
@@ -79,22 +79,21 @@ class SaddlePoint(OneBody):
 
     def rates(self, body: BodyConstants, state: State, gravity: Vec, time: Any) -> Rates:
         plan, (chart, x, velocity, *_) = self.plan, state
-        k = quaternion.angle_coefficients(x)
-        moved = plan.space.charts.compose_exp(chart, x, k)
+        step = self.increment(x)
         # Most plans use one of the three rotated rows: cheaper than the matrix of the moved chart.
         fixed = quaternion.matrix(chart[0])
-        q = tuple(z for i in range(3) for z in quaternion.rotate(neg(x), row(fixed, i), k))
-        fall = quaternion.rotate(neg(x), gravity, k)
+        q = tuple(z for i in range(3) for z in step.rotate_back(row(fixed, i)))
+        fall = step.fall(gravity)
 
         def to_ground(a: Vec) -> Vec:
-            return mat_vec(fixed, quaternion.rotate(x, a, k))
+            return mat_vec(fixed, step.rotate(a))
 
-        found = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
+        at = chart[0], step.place(chart)  # its rotation is q
+        found = accelerate(plan, body, at, velocity, time, q, fall, to_ground)
         singular = found.singular
         if has_others(plan.rows):  # a joint of another rank is another joint
             singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
-        x_rate = plan.space.charts.dexpinv(neg(x), velocity, k)
-        return Rates(x_rate, found.rate, found.power, singular)
+        return Rates(step.rate(velocity), found.rate, found.power, singular)
 
 
 class Subgroup(OneBody):
@@ -162,20 +161,22 @@ class Subgroup(OneBody):
         return 0.5 * dot(self.velocity(body, v_or_mu), v_or_mu)
 
     def in_algebra(self, body: BodyConstants, x: Vec) -> Vec:
+        if self.plan.is_ambient:  # sums of slopes have the structural zeros of the slopes
+            return x
         return subgroup.in_subalgebra(self.slots, x, body.pitch)
 
     def rates(self, body: BodyConstants, state: State, gravity: Vec, time: Any) -> Rates:
         chart, x, momentum, *_ = state
         velocity = self.velocity(body, momentum)
-        k = quaternion.angle_coefficients(x)
+        step = self.increment(x)
         applied = Applied(ZERO6, ZERO)
         if self.plan.acting:
-            pose = quaternion.pose(quaternion.compose_exp(chart, x, k))
+            pose = step.pose(chart)
             at = self.plan.space.kinematics(body, pose, velocity)._replace(time=time)
             applied = applied_to(body, self.plan.elements, at.motion)
-        fall = quaternion.rotate(neg(x), gravity, k)
+        fall = step.fall(gravity)
         rate = subgroup.momentum_rate(self.slots, body, fall, applied.wrench, velocity, momentum)
-        return Rates(quaternion.dexpinv(neg(x), velocity, k), rate, applied.power)
+        return Rates(step.rate(velocity), rate, applied.power)
 
     def on_manifold(self, body: BodyConstants, chart: Chart) -> Chart:
         p, d = chart

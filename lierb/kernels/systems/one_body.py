@@ -14,6 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 
 from lierb.kernels.functions.function import size_of
 from lierb.kernels.groups import quaternion, so3
+from lierb.kernels.groups.ambient import WIDTH
+from lierb.kernels.groups.increments import Ambient, Exponential, Increment
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.constraints import (
     position_error_squared,
@@ -182,6 +184,21 @@ class OneBody(StateArithmetic):
 
     # ---- pose ----
 
+    @property
+    def width(self) -> int:  # type: ignore[override]
+        return WIDTH if self.plan.is_ambient else 6
+
+    def increment(self, x: Vec) -> Increment:
+        """Motion of a stage since the chart.   x : X/2 or Y."""
+        space = self.plan.space
+        if self.plan.is_ambient:
+            return Ambient.of(space.ambient, x)
+        return Exponential.of(space.charts, x)
+
+    def ended(self, chart: Chart, x: Vec) -> Chart:
+        """Return the chart moved by a step.   x : X/2 or Y."""
+        return self.increment(x).moved(chart)
+
     def velocity(self, body: BodyConstants, v_or_mu: Vec) -> Vec:
         return v_or_mu
 
@@ -196,6 +213,10 @@ class OneBody(StateArithmetic):
         moved: Chart = self.plan.space.charts.compose_exp(chart, x)
         return moved
 
+    def turning_and_moving(self, x: Vec) -> tuple[Vec, Vec]:
+        half = self.width // 2
+        return x[:half], x[half:]
+
     def recharted(self, chart: Chart, x: Vec) -> tuple[Chart, Vec]:
         return recharted(self.plan.space.charts, chart, x)
 
@@ -207,11 +228,15 @@ class OneBody(StateArithmetic):
     def tidied(self, body: BodyConstants, chart: Chart) -> Chart:
         """Renormalise the quaternion; project a screw joint's pose onto its subgroup.
 
+        In an ambient update a screw joint's pose leaves its subgroup by more than rounding, and is
+        left where it is.
+
         This is not done in every step, where a systematic error of the projection would accumulate
         (to 1.5e-12 rad in 1e6 steps for that of R).
         """
         p, d = chart
-        return self.on_manifold(body, (quaternion.normalised(p), d))
+        p = quaternion.normalised(p)
+        return (p, d) if self.plan.is_ambient else self.on_manifold(body, (p, d))
 
     def on_manifold(self, body: BodyConstants, chart: Chart) -> Chart:
         """Project a screw joint's pose onto its subgroup, if the formulation keeps poses there."""

@@ -42,6 +42,8 @@ class Extension:
 class AnyPlan(Tag):
     """Fields and properties shared by the plans of one body and of a mechanism.
 
+    update : "local" or "global", coordinates X of a step's chart or of a chart for many steps;
+        "ambient", coordinates Y of a step's chart (`lierb.kernels.groups.ambient`).
     stages, weights : A, its strictly lower triangle row by row, and b of the Butcher tableau.
     multipliers, reaction : True to record λ, and the joints' wrenches.
     elements : forces except gravity, constraints except the joints', and observables.
@@ -96,7 +98,13 @@ class AnyPlan(Tag):
 
     @property
     def is_local(self) -> bool:
-        return self.update == "local"
+        """True if each step has a chart of its own, so that X or Y is zero at its start."""
+        return self.update != "global"
+
+    @property
+    def is_ambient(self) -> bool:
+        """True if steps are made in the algebra of quaternions, in coordinates Y instead of X."""
+        return self.update == "ambient"
 
     @cached_property
     def does_work(self) -> bool:

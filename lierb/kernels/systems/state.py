@@ -15,7 +15,8 @@ class State(NamedTuple):
     """Pose, velocity, work and extra states; n = 6 for a body, 6 for each node of a mechanism.
 
     chart : C₀, a unit quaternion and a position (m); for a mechanism, a tuple with one per node.
-    x : X/2 (n,), rad and m, with the pose C = C₀ exp X; structurally zero in a local update.
+    x : X/2 (n,), rad and m, with the pose C = C₀ exp X; in an ambient update Y within a step, with
+        the pose C₀ (1 + Y)/‖1 + Y‖. Structurally zero between steps, except in a global update.
     v_or_mu : V (n,), rad/s and m/s; on a subgroup the momentum μ.
     work : work of all forces without potential, J; structurally zero if there are none.
     states : the user's extra states, concatenated.
@@ -31,7 +32,7 @@ class State(NamedTuple):
 class Rates(NamedTuple):
     """Time derivatives of a state.
 
-    x : Ẋ (n,), rad/s and m/s.   v_or_mu : V̇ or μ̇ (n,).   power : derivative of the work, W.
+    x : Ẋ (n,), rad/s and m/s, or 2Ẏ.   v_or_mu : V̇ or μ̇ (n,).   power : derivative of the work, W.
     singular : 1 in a singular configuration.   states : derivatives of the extra states.
     """
 
@@ -45,7 +46,7 @@ class Rates(NamedTuple):
 class Slopes(NamedTuple):
     """Rates of the stages of a step; each field has one entry for each stage.
 
-    x : Ẋ, or V for a commutator-free method.
+    x : Ẋ or 2Ẏ, or V for a commutator-free method.
     """
 
     x: tuple[Vec, ...] = ()
@@ -62,7 +63,8 @@ class Slopes(NamedTuple):
 class Units(NamedTuple):
     """Factors of the weighted sums of slopes: h for slopes by the second.
 
-    x : factor of Ẋ, halved as the state is X/2.   v_or_mu : of V̇ or μ̇.   other : of other slopes.
+    x : factor of Ẋ or 2Ẏ, halved as the state is X/2 or Y.   v_or_mu : of V̇ or μ̇.
+    other : of other slopes.
     sums_first : True to multiply the sum of weighted slopes by the factor, which saves products if
         each lane has its own h. Otherwise each weight is multiplied by the factor; with one h for
         all lanes the product is a constant.

@@ -120,7 +120,10 @@ class System(Protocol[Body, Motion]):
         """
 
     def move(self, body: Body, state: State) -> State:
-        """Move C₀ by exp X: always in a local update; in a global one, where X is large."""
+        """Move C₀ by exp X: always in a local update; in a global one, where X is large.
+
+        In an ambient update move C₀ by (1 + Y)/‖1 + Y‖.
+        """
 
     def tidied(self, body: Body, chart: Any) -> Any:
         """Chart without accumulated rounding: unit quaternions, screw joints on their subgroup."""
@@ -134,7 +137,13 @@ class System(Protocol[Body, Motion]):
     # ---- error control ----
 
     def in_algebra(self, body: Body, x: Vec) -> Vec:
-        """X (n,) with the structural zeros of the joints' subalgebras."""
+        """X (n,) with the structural zeros of the joints' subalgebras; Y as it is."""
+
+    def turning_and_moving(self, x: Vec) -> tuple[Vec, Vec]:
+        """Parts of a sum of slopes of X or Y that turn and that displace, concatenated.
+
+        The length of such a part is that of its motion, rad or m.
+        """
 
     def velocity(self, body: Body, v_or_mu: Vec) -> Vec:
         """V (n,), rad/s and m/s, from V or μ."""

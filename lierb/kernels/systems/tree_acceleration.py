@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
-from lierb.kernels.groups import quaternion
 from lierb.kernels.mechanics.constraints import residuals
 from lierb.kernels.mechanics.rows import Row
 from lierb.kernels.mechanics.saddle import is_other_rank, kinds_of
@@ -31,7 +30,7 @@ from lierb.kernels.numbers.zero import ZERO
 from lierb.kernels.systems.relatives import Relatives, constrained_part, length_of, size_of
 from lierb.kernels.systems.state import Rates, State
 from lierb.kernels.systems.tree_charts import TreeCharts
-from lierb.kernels.systems.tree_inputs import charts_of, sixes
+from lierb.kernels.systems.tree_inputs import sixes
 
 
 class TreeAcceleration(NamedTuple):
@@ -65,21 +64,16 @@ class TreeAccelerations(TreeCharts):
 
     def rates(self, body: TreeConstants, state: State, gravity: None, time: Any) -> Rates:
         chart, x, velocity, *_ = state
-        parts = sixes(x)
-        angles = [quaternion.angle_coefficients(part) for part in parts]
-        tree = self.plan.tree
-        moved = tuple(
-            charts_of(node).compose_exp(each, part, k)
-            for node, each, part, k in zip(tree, chart, parts, angles, strict=True)
-        )
-        motion = self.motion_at(body, moved, velocity, time)
+        steps = self.increments(x)
+        poses = [step.pose(each) for step, each in zip(steps, chart, strict=True)]
+        motion = TreeMotion(self.plan.tree, body, poses, sixes(velocity), time)
         found = self.accelerate(body, motion)
         singular = found.singular
         if self.rows:  # a mechanism of another rank is another mechanism
             singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
-        for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
-            x_rates += charts_of(node).dexpinv(neg(part), v, k)
+        for step, v in zip(steps, sixes(velocity), strict=True):
+            x_rates += step.rate(v)
         return Rates(tuple(x_rates), found.rates, found.power, singular)
 
     def accelerate(

@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any
 
 from lierb.kernels.functions.function import size_of
-from lierb.kernels.groups import quaternion, turns
+from lierb.kernels.groups.ambient import WIDTH
+from lierb.kernels.groups.increments import Ambient, Exponential, Increment
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics import subgroup
-from lierb.kernels.mechanics.tree import FREE, TreeConstants, TreeMotion
+from lierb.kernels.mechanics.tree import FREE, Node, TreeConstants, TreeMotion
 from lierb.kernels.mechanics.tree_nodes import tidied
 from lierb.kernels.numbers.vec import ZERO6, Vec, dot
 from lierb.kernels.numbers.zero import ZERO
@@ -26,10 +28,12 @@ from lierb.kernels.systems.plan import MechanismPlan
 from lierb.kernels.systems.signals import states_of
 from lierb.kernels.systems.state import State
 from lierb.kernels.systems.tree_inputs import (
+    ambient_charts_of,
     charts_of,
     charts_side_by_side,
     sixes,
     state_columns,
+    takes_ambient,
 )
 
 Charts = tuple[Chart, ...]  # one for each node
@@ -96,6 +100,42 @@ class TreeCharts(StateArithmetic):
             for node, each, part in zip(self.plan.tree, chart, sixes(x), strict=True)
         )
 
+    @cached_property
+    def widths(self) -> tuple[int, ...]:
+        """Numbers of X, or of Y within a step, of each node."""
+        return tuple(WIDTH if self._takes_ambient(node) else 6 for node in self.plan.tree)
+
+    @cached_property
+    def width(self) -> int:  # type: ignore[override]
+        return sum(self.widths)
+
+    def _takes_ambient(self, node: Node) -> bool:
+        return self.plan.is_ambient and takes_ambient(node)
+
+    def increments(self, x: Vec) -> list[Increment]:
+        """Motion of each node since its chart.   x : X/2 or Y, of all nodes."""
+        found: list[Increment] = []
+        for node, part in zip(self.plan.tree, self._by_node(x), strict=True):
+            if self._takes_ambient(node):
+                found.append(Ambient.of(ambient_charts_of(node), part))
+            else:
+                found.append(Exponential.of(charts_of(node), part))
+        return found
+
+    def _by_node(self, x: Vec) -> list[Vec]:
+        ends = (0, *accumulate(self.widths))
+        return [x[i:j] for i, j in pairwise(ends)]
+
+    def ended(self, chart: Charts, x: Vec) -> Charts:
+        """Return the charts moved by a step.   x : X/2 or Y, of all nodes."""
+        pairs = zip(self.increments(x), chart, strict=True)
+        return tuple(step.moved(each) for step, each in pairs)
+
+    def turning_and_moving(self, x: Vec) -> tuple[Vec, Vec]:
+        halves = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in self._by_node(x)]
+        turning, moving = (tuple(y for half in side for y in half) for side in zip(*halves))
+        return turning, moving
+
     def recharted(self, chart: Charts, x: Vec) -> tuple[Charts, Vec]:
         pairs = [
             recharted(charts_of(node), each, part)
@@ -105,9 +145,10 @@ class TreeCharts(StateArithmetic):
 
     def in_algebra(self, body: TreeConstants, x: Vec) -> Vec:
         inside: list[Any] = []
-        for node, constants, part in zip(self.plan.tree, body.nodes, sixes(x), strict=True):
-            reduced = node.is_reduced
-            inside += subgroup.in_subalgebra(node.slots, part, constants.pitch) if reduced else part
+        for node, constants, part in zip(self.plan.tree, body.nodes, self._by_node(x), strict=True):
+            if node.is_reduced and not self._takes_ambient(node):
+                part = subgroup.in_subalgebra(node.slots, part, constants.pitch)
+            inside += part
         return tuple(inside)
 
     def tidied(self, body: TreeConstants, chart: Charts) -> Charts:
@@ -125,9 +166,7 @@ class TreeCharts(StateArithmetic):
         self, body: TreeConstants, chart: Charts, velocity: Vec | None, time: Any
     ) -> TreeMotion:
         """Motion of the tree at a chart; at rest if velocity is None."""
-        poses = [
-            (turns if charts_of(node) is turns else quaternion).pose(each)
-            for node, each in zip(self.plan.tree, chart, strict=True)
-        ]
+        pairs = zip(self.plan.tree, chart, strict=True)
+        poses = [charts_of(node).pose(each) for node, each in pairs]
         velocity = velocity or (ZERO,) * (6 * len(chart))
         return TreeMotion(self.plan.tree, body, poses, sixes(velocity), time)

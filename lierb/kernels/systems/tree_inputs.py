@@ -6,10 +6,11 @@ from functools import lru_cache
 from typing import Any
 
 from lierb.kernels.functions.function import BODY
-from lierb.kernels.groups import quaternion, quaternionxr3, se3, turns
+from lierb.kernels.groups import ambient, ambientxr3, quaternion, quaternionxr3, se3, turns
 from lierb.kernels.groups.quaternion import Chart
 from lierb.kernels.mechanics.elements import Element
 from lierb.kernels.mechanics.newton_euler import Frames, unit_inertia
+from lierb.kernels.mechanics.rows import FIXED, PITCHED
 from lierb.kernels.mechanics.spatial import Pose, Rigid, conjugated, twist_at
 from lierb.kernels.mechanics.subgroup import Slots
 from lierb.kernels.mechanics.tree import (
@@ -90,6 +91,24 @@ def charts_of(node: Node) -> Any:
     if node.is_reduced:
         return charts_of_slots(node.slots)
     return quaternionxr3 if node.cspace == "SO3xR3" else quaternion
+
+
+def takes_ambient(node: Node) -> bool:
+    """Return whether a node has coordinates Y in an ambient update, instead of X.
+
+    Reduced nodes whose motions commute have X, because dexp⁻¹ is the identity there and exp exact.
+    So have reduced nodes with a pitch, which Y does not keep.
+    """
+    if not node.is_reduced:
+        return True
+    turning, sliding = ([i for i in range(3) if node.slots[first + i] != FIXED] for first in (0, 3))
+    about_one_axis = len(turning) == 1 and sliding in ([], turning)
+    return bool(turning) and not about_one_axis and PITCHED not in node.slots
+
+
+def ambient_charts_of(node: Node) -> Any:
+    """Module with the formulas of the group of a node in an ambient update."""
+    return ambientxr3 if node.cspace == "SO3xR3" else ambient
 
 
 def charts_side_by_side(numbers: Vec) -> tuple[Chart, ...]:

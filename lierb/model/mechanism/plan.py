@@ -66,8 +66,8 @@ def formulation_of(
         )
     if stabilisation.kind == "project" and update == "global":
         raise ArgumentError(
-            'stabilise="project" needs update="local": it moves poses, and a global update keeps '
-            "them in one chart"
+            'stabilise="project" needs update="local" or "ambient": it moves poses, and a global '
+            "update keeps them in one chart"
         )
     return Formulation(cspaces, solver, stabilisation)
 
@@ -139,7 +139,7 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
         "a clock for each trajectory": plan.has_lane_clocks,
-        'update="global"': not plan.is_local,
+        f'update="{plan.update}"': plan.update != "local",
         "a commutator-free method": bool(plan.exponentials),
         "stabilisation": plan.stabilisation.kind != "none",
     }

@@ -142,7 +142,8 @@ def _steps_done(dataset: Results, study: Study) -> int:
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
     """Predictions for each joint of the first body; [] if no theorem applies."""
     try:
-        return list(joint_by_joint(predict(*study.batch(0, 1).first)))
+        first = study.batch(0, 1).first
+        return list(joint_by_joint(predict(*first, update=study.integrate.update)))
     except LierbError:
         return []
 

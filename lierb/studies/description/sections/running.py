@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import ConfigDict, Field
 
+from lierb.runs.options import UPDATES
 from lierb.runs.time_options import RTOL
 from lierb.studies.description.sections.fields import SECTION, Count, Names, Section, Several
 from lierb.studies.description.times import SaveAt, saved_times
@@ -39,7 +40,7 @@ class IntegrateSection(Section):
     max_steps: Count | None = None
     cspace: Names = Field(default=["SE3"], min_length=1)
     method: Names = Field(default=["RK4"], min_length=1)
-    update: str = "local"
+    update: str = Field(default="local", json_schema_extra={"enum": [*UPDATES]})
     solver: str = "auto"
     stabilise: Literal["project"] | Baumgarte | None = None
     save_every: Count | None = None
