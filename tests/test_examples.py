@@ -14,6 +14,8 @@ from cases import tiered
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
+import lierb
+
 FOLDER = Path(__file__).parent.parent / "examples" / "mechanisms"
 REFERENCE = Path(__file__).parent / "mechanisms" / "reference.json"
 NAMES = sorted(path.stem for path in FOLDER.glob("*.py"))
@@ -174,3 +176,22 @@ def test_arm_comes_to_rest_where_its_energy_is_least():
         best = minimize(energy, found["TARGET"], method="BFGS", options={"gtol": 1e-7})
         # BFGS with finite differences finds the minimum to 1e-6 rad or so
         np.testing.assert_allclose(found["place"][-1, k], places(best.x)[1], rtol=0, atol=1e-6)
+
+
+def test_humanoid_keeps_its_angular_momentum():
+    """Springs in joints exert no moment about the centre of mass: the rest is the error of RK4."""
+    found = example("humanoid")
+    assert found["kept"] < 1e-7
+    assert found["inertia"][:, -1].min() < 0.5 * found["inertia"][0, 0]
+    np.testing.assert_allclose(found["inertia"][0], found["inertia"][0, 0], rtol=1e-12)
+    half = lierb.integrate(
+        found["divers"], pose0=found["pose0"], twist0=found["twist0"], dt=2.5e-4, t_end=1.2,
+        save_every=40, record="state",
+    )  # fmt: skip
+    momentum = found["momentum"]
+    momentum.__globals__["result"], whole = half, found["result"]
+    try:
+        about = momentum()[0]
+    finally:
+        momentum.__globals__["result"] = whole
+    assert np.abs(about / about[0] - 1.0).max() < found["kept"] / 10
