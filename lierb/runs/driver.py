@@ -15,11 +15,13 @@ from lierb.compiler.code import compiled
 from lierb.compiler.entries import entry_of
 from lierb.kernels.loops.sharing import integrate_on_threads
 from lierb.kernels.stepping.clock import Clock
-from lierb.kernels.systems.plan import AnyPlan
+from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
+from lierb.kernels.systems.tree_table import table_of
 from lierb.runs.inputs import Inputs
 from lierb.runs.output import Output
 from lierb.runs.threads import running
 from lierb.support.arrays import Array
+from lierb.support.memory import aligned
 
 Clocks = TypeVar("Clocks", bound=Clock)
 
@@ -65,6 +67,14 @@ class Run(Generic[Clocks]):
         varying = np.flatnonzero(places[:, 1])[None]
         inputs = np.zeros((self.threads, len(places), self.plan.lanes))
         return {"places": places, "varying": varying, "inputs": inputs, **self.output.arrays}
+
+    def memory_of_thread(self) -> dict[str, NDArray[Any]]:
+        """Table of a looped plan and memory for one thread; nothing for another plan."""
+        plan = self.plan
+        if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
+            return {}
+        table, rows = table_of(plan)
+        return {"table": table, "memory": aligned(rows, plan.lanes)}
 
     def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:
         """Run a loop on all threads; return the seconds taken, compilation excluded.

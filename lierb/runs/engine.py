@@ -14,8 +14,7 @@ from lierb.kernels.loops.blocks import integrate_blocks
 from lierb.kernels.loops.job import RESUMED, UNSEEN, job_of, jobs_of
 from lierb.kernels.loops.record import carried_rows
 from lierb.kernels.stepping.clock import StepClock
-from lierb.kernels.systems.plan import AnyPlan, MechanismPlan
-from lierb.kernels.systems.tree_table import table_of
+from lierb.kernels.systems.plan import AnyPlan
 from lierb.runs.driver import Run
 from lierb.runs.inputs import Inputs
 from lierb.runs.lane_engine import LaneRun, LaneTime
@@ -23,7 +22,6 @@ from lierb.runs.output import Chunk, Output
 from lierb.runs.threads import CALL_SECONDS, threads_for
 from lierb.support.arrays import Array
 from lierb.support.forks import check_threads
-from lierb.support.memory import aligned
 from lierb.support.progress import BODY_STEPS, Progress, reporter
 
 # Least number of trajectories in a chunk. The carried state of so many stays in the cache.
@@ -112,18 +110,13 @@ class BlockRun(Run[StepClock]):
             **self.times._asdict(),
         }  # fmt: skip
         arrays = self.arrays | {"carried": chunk.carried}
-        jobs = jobs_of(*(job_of(arrays | own, numbers) for own in self.thread_arrays))
+        jobs = jobs_of(*(job_of(arrays | own, numbers) for own in self.memories))
         return self.run(integrate_blocks, np.zeros(2, dtype=np.int64), jobs)
 
     @cached_property
-    def thread_arrays(self) -> list[dict[str, NDArray[Any]]]:
-        """Arrays of each thread alone: the table of a looped plan, and the thread's memory."""
-        plan = self.plan
-        if not isinstance(plan, MechanismPlan) or not plan.is_in_memory:
-            return [{}] * self.threads
-        table, rows = table_of(plan)
-        memories = [aligned(rows, plan.lanes) for _ in range(self.threads)]
-        return [{"table": table, "memory": memory} for memory in memories]
+    def memories(self) -> list[dict[str, NDArray[Any]]]:
+        """Memory of each thread."""
+        return [self.memory_of_thread() for _ in range(self.threads)]
 
     def _run_chunk(self, chunk: Chunk, begin: int) -> Iterator[int]:
         """Run a chunk to the end; yield the number of steps after each call of the driver."""

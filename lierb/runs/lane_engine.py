@@ -15,7 +15,7 @@ from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.event_search import watch
 from lierb.kernels.loops.job import UNSEEN, job_of, jobs_of
 from lierb.kernels.loops.lanes import integrate_lanes
-from lierb.kernels.loops.record import carried_columns, lane_column
+from lierb.kernels.loops.record import carried_columns, carried_rows, lane_column
 from lierb.kernels.stepping.lane_clock import Span
 from lierb.kernels.stepping.step_size import Tolerances
 from lierb.kernels.systems.layout import POSE_AND_TWIST
@@ -179,7 +179,8 @@ class LaneRun(Run[LaneTime]):
         watched = len(events_of(plan))
         room = max(EVENT_ROOM, 2 * ws.most_events(lanes, watched)) if watched else 0
         arrays = {
-            "carried": np.zeros((carried_columns(plan).count, lanes)),
+            "carried": np.zeros((carried_rows(plan), lanes)),
+            **self.memory_of_thread(),
             "rows": np.zeros((ws.ROWS, lanes)),
             "request": np.zeros((1, ws.REQUEST)),
             "shown": np.zeros((width - ws.EVENT_COLUMNS, lanes)),
@@ -232,7 +233,7 @@ class LaneRun(Run[LaneTime]):
     def _done(self) -> float:
         """Return the number of finished trajectories plus the fractions of the running ones."""
         waiting, running, share = 0.0, 0, 0.0
-        time = carried_columns(self.plan)["clock"].start  # row of the clock's t
+        time = carried_columns(self.plan.code)["clock"].start  # row of the clock's t
         span = self.times.span
         for workspace in self._workspaces:
             request, arrays = workspace.arrays["request"][0], workspace.arrays

@@ -15,7 +15,7 @@ from lierb.kernels.numbers.vec import Vec
 from lierb.kernels.stepping.method import Interval
 from lierb.kernels.stepping.runge_kutta import method_of
 from lierb.kernels.systems.system_of import system_of
-from lierb.runs import engine
+from lierb.runs import engine, lane_engine
 from lierb.runs.options import Options
 from lierb.runs.starts import ready
 
@@ -224,6 +224,64 @@ def test_bits_do_not_depend_on_breaks(monkeypatch):
     engine._pace.cache_clear()
 
 
+ADAPTIVE = {"dt": None, "rtol": 1e-8, "t_end": 0.5, "method": "DOP853"}
+
+
+def test_adaptive_steps_reach_the_motion_of_small_steps():
+    """DOP853 at 0.5 ms leaves rounding; the tolerance of a step is 1e-11."""
+    mechanism = tree_of(SIX)
+    start = start_of(mechanism)
+    fine = looped(
+        mechanism, start, dt=5e-4, t_end=0.3, method="DOP853", save_every=100, record="state"
+    )
+    tight = ADAPTIVE | {"rtol": 1e-11, "atol": 1e-11, "t_end": 0.3}
+    found = looped(mechanism, start, **tight, save_at=fine["link0"].t, record="state")
+    for name in mechanism.names:
+        for part in ("position", "rotation", "omega", "v"):
+            pair = (getattr(result[name], part) for result in (found, fine))
+            np.testing.assert_allclose(*pair, rtol=1e-9, atol=1e-8)
+
+
+def test_bits_of_adaptive_steps_depend_on_nothing_else(monkeypatch):
+    mechanism = tree_of(SIX)
+    start = start_of(mechanism, 19, speed=5.0)
+
+    def some(which):
+        return {k: {n: x[which] for n, x in by_link.items()} for k, by_link in start.items()}
+
+    expected = bits(looped(mechanism, start, **ADAPTIVE))
+    order = np.random.default_rng(2).permutation(19)
+    np.testing.assert_array_equal(bits(looped(mechanism, some(order), **ADAPTIVE)), expected[order])
+    np.testing.assert_array_equal(bits(looped(mechanism, some([4]), **ADAPTIVE)), expected[[4]])
+    np.testing.assert_array_equal(bits(looped(mechanism, start, **ADAPTIVE, threads=2)), expected)
+    monkeypatch.setattr(lane_engine, "FIRST_ITERATIONS", 1)
+    monkeypatch.setattr(lane_engine, "CALL_SECONDS", 0.0)
+    np.testing.assert_array_equal(bits(looped(mechanism, start, **ADAPTIVE)), expected)
+
+
+def test_rows_between_steps_change_no_bit():
+    mechanism = tree_of(SIX)
+    start = start_of(mechanism, 11, speed=5.0)
+    rows = {"save_at": np.linspace(0.0, 0.5, 40), "record": ("state", "energy")}
+    plain, saved = (looped(mechanism, start, **ADAPTIVE, **more) for more in ({}, rows))
+    for name in mechanism.names:
+        last = (plain[name].position, saved[name].position[-1])
+        np.testing.assert_array_equal(*(x.view(np.int64) for x in last))
+    assert plain.summary["steps"].to_pylist() == saved.summary["steps"].to_pylist()
+    drift = np.array(saved.history["energy_drift"].to_pylist())
+    assert np.abs(drift).max() < 1e-4  # of about 100 J, between steps as well
+
+
+def test_an_adaptive_run_goes_on_to_the_bits_of_one_run():
+    mechanism = tree_of(SIX)
+    start = start_of(mechanism, 5)
+    whole = looped(mechanism, start, **ADAPTIVE | {"t_end": 0.6}, save_at=[0.3, 0.6])
+    first = looped(mechanism, start, **ADAPTIVE | {"t_end": 0.3})
+    rest = looped(mechanism, {}, **ADAPTIVE | {"t_end": 0.6}, **first.end)
+    assert np.isfinite(rest["link5"].position).all()
+    np.testing.assert_allclose(rest["link5"].position, whole["link5"].position, atol=1e-6)
+
+
 # ---- failures, refusals, long runs ---------------------------------------------------------------
 
 
@@ -247,8 +305,9 @@ def test_what_loops_cannot_run_is_refused_by_name():
     start = {"pose0": mechanism.pose(), "twist0": mechanism.twist()}
     with pytest.raises(ArgumentError, match='solver="looped" does not support joints whose'):
         looped(mechanism, start)
-    tree = tree_of(SIX[:2])
-    with pytest.raises(ArgumentError, match="does not support a clock for each trajectory"):
+    stop = lierb.forces.joint_limit(lower=-1.0, upper=1.0, stiffness=10.0)
+    tree = tree_of(("revolute", "revolute"), forces=(stop.on("link0"),))
+    with pytest.raises(ArgumentError, match="does not support stops"):
         lierb.integrate(tree, **start_of(tree), rtol=1e-8, t_end=0.1, solver="looped")
     with pytest.raises(ArgumentError, match="looped, unrolled"):
         looped(tree, start_of(tree), solver="saddle")

@@ -60,7 +60,7 @@ def _observe(plan, body, inputs, state, record, clock, k, column, tables, rows_p
         time, is_last = time_of(clock, k), k == clock.steps
         shown, seen = observe(plan, body, state, record, k, time, share_of(clock, k))
         if measure:
-            keep_errors(plan, body, seen)
+            keep_errors(plan, body, seen, 1.0)
         record = seen if measure else without_measures(plan, record, seen)
         if save:
             at = Place(row, tables.history.shape[1], column)

@@ -49,7 +49,7 @@ from lierb.kernels.systems.signals import (
     states_of,
 )
 from lierb.kernels.systems.state import OK, State
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing import calls
 from lierb.kernels.tracing.trace import kernel
 
@@ -173,10 +173,15 @@ def _first_tick(start: Any, period: Any) -> Any:
     return where(is_whole, whole, floor(count) + 1.0)
 
 
-def resumed(plan: AnyPlan, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
+def resumed(plan: AnyPlan, body: Any, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lanes:
     """Return the lanes with the final clock and controllers of the run before."""
-    at, columns = system_of(plan).inputs["lane"], lane_end(plan)
-    before = columns.parts([load(inputs, (c, 0), plan.lanes) for c in range(at.start, at.stop)])
+    columns = lane_end(plan)
+    is_looped = plan.is_looped
+    first: Any = (
+        in_memory(plan).lane_column(body) if is_looped else system_of(plan).inputs["lane"].start
+    )
+    places = [(first + c, 0) for c in range(columns.count)]
+    before = columns.parts([load(inputs, place, plan.lanes) for place in places])
     held = (
         tuple(where(y == y, y, x) for x, y in zip(mine, before[name], strict=True))
         for name, mine in lanes.held._asdict().items()
@@ -193,6 +198,9 @@ def put_shown(
     plan: AnyPlan, body: Any, inputs: Any, state: State, lanes: Lanes, shown: Any
 ) -> None:
     """Store the quantities of a state that tables show."""
+    if plan.is_looped:
+        in_memory(plan).put_links(body, shown, lanes.record.status == OK)
+        return
     links = user_state(plan, body, inputs, state, lanes.record)
     put_rows(plan, shown, 0, (*links, state.states, lanes.held.controls))
 
@@ -207,11 +215,15 @@ def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -
         put_row(plan, summary, column + i, number)
 
 
-def store_lane_end(plan: AnyPlan, lanes: Lanes, ends: Any) -> None:
+def store_lane_end(plan: AnyPlan, body: Any, lanes: Lanes, ends: Any) -> None:
     """Store clock and controllers behind the state, for a run that continues."""
     clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
     own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
-    put_rows(plan, ends, len(state_columns(plan)) + plan.keeps_rank, (own, lanes.held))
+    first: Any = len(state_columns(plan)) + plan.keeps_rank
+    if plan.is_looped:
+        first = in_memory(plan).end_columns(body)
+    for row, number in enumerate(flatten((own, lanes.held))):
+        put_row(plan, ends, first + row, number)
 
 
 def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:

@@ -14,7 +14,15 @@ from lierb.kernels.loops.lane_state import (
     row_of,
     suppress_exceptions,
 )
-from lierb.kernels.loops.record import NAN, are_finite, observe, with_rank, without_measures
+from lierb.kernels.loops.record import (
+    NAN,
+    are_finite,
+    keep_errors,
+    observe,
+    take_next,
+    with_rank,
+    without_measures,
+)
 from lierb.kernels.loops.workspace import DUE, NOISE_INDEX, SELECTED
 from lierb.kernels.numbers.arithmetic import (
     absolute,
@@ -303,6 +311,7 @@ def looked(
     shown, seen = observe(
         plan, body, lanes.state, record, clock.steps, clock.t, half, by_halves=True
     )
+    keep_errors(plan, body, seen, where(now, 1.0, 0.0 * fresh))
     record = where(now, seen, without_measures(plan, record, seen))
     restore_exceptions(plan, flags, mask)
     clock = clock._replace(seen=where(now, clock.t, clock.seen))
@@ -330,7 +339,9 @@ def is_to_tidy(lanes: Lanes, fresh: Any, termination: Any) -> Any:
 
 def tidied(plan: AnyPlan, body: Any, lanes: Lanes, fresh: Any, termination: Any) -> Lanes:
     mask = to_tidy(lanes.clock, fresh, termination)
-    return lanes._replace(state=where(mask, tidy(plan, body, lanes.state), lanes.state))
+    state = tidy(plan, body, lanes.state)
+    take_next(plan, body, where(mask, 1.0, 0.0 * fresh))
+    return lanes._replace(state=where(mask, state, lanes.state))
 
 
 for _formula in (

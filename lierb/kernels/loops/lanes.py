@@ -24,10 +24,15 @@ from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
 from lierb.kernels.loops.lane_state import any_of, put_row, row_of, taken
 from lierb.kernels.loops.record import (
+    clear_errors,
+    copy_next,
+    exchange,
     load_body,
     load_given,
+    restore_next,
     resumed_state,
     store_end,
+    take_next,
     with_exceptions,
     with_rank,
 )
@@ -82,7 +87,7 @@ def _store_ends(plan, body, inputs, lanes, termination, span, own):
     lane_state.store_lane_summary(plan, lanes, summary, own.lane_column)
     store_summary(plan, body, lane_state.as_ended(lanes, span, termination), summary, 0)
     store_end(plan, body, lanes.state, lanes.record, ends, 0)
-    lane_state.store_lane_end(plan, lanes, ends)
+    lane_state.store_lane_end(plan, body, lanes, ends)
 
 
 @_part_of_loop
@@ -95,9 +100,11 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
         state = taken(fresh, resumed_state(plan, body, inputs), lanes.state)
     else:
         state = taken(fresh, lane_state.own_start(plan, body, inputs, rows), lanes.state)
+    take_next(plan, body, fresh)
+    clear_errors(plan, body, fresh)
     begun = lane_state.started(plan, body, state, rows, span, limits)
     if job.begin == RESUMED:
-        begun = lane_state.resumed(plan, begun, limits, inputs)
+        begun = lane_state.resumed(plan, body, begun, limits, inputs)
     lanes = taken(fresh, begun, lanes)
     if own.watched > 0:
         inner.put_values(plan, body, lanes.state, lanes.held, lanes.clock.t, values, ws.SAMPLES)
@@ -115,10 +122,12 @@ def _save_between(plan, body, inputs, counter, jobs, lanes, there):
     due = row_of(plan, rows, ws.SELECTED)
     flags = lane_state.suppress_exceptions(plan, due)
     at = with_signals(plan, body, there, lanes.held)
+    exchange(plan, body)
     row, record = inner.shown_between(plan, at, there, lanes)
     lanes = inner.with_record(lanes, record)
     is_saved = job.rows_per_link > 1
     _store_row(plan, at, inputs, there, lanes, row, own, is_saved, lanes.clock.due)
+    exchange(plan, body)
     lane_state.restore_exceptions(plan, flags, due)
     _request(job.serve, ws.COPY_ROW, inputs, counter, jobs)
     return steps.with_due(plan, rows, lanes)
@@ -137,6 +146,7 @@ def _look_between(
     values, state, moved = histories_at(own.values), lanes.state, made.state
     flags = lane_state.suppress_exceptions(plan, accepted)
     ranked = with_rank(plan, seen, lanes.record)
+    copy_next(plan, body)
     slopes = inner.slopes_between(plan, ranked, state, made, trial)
     part = inner.parts_of(plan, seen, state, moved, trial, accepted)
     begins, task, turn = own.watched > 0, search.SAVE, 0
@@ -183,6 +193,7 @@ def _look_between(
             )
         else:
             lanes = _save_between(plan, body, inputs, counter, jobs, lanes, there)
+    restore_next(plan, body)
     lane_state.restore_exceptions(plan, flags, accepted)
     return moved, lanes, termination
 
@@ -222,7 +233,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
     carried, events, jumps = numbers_at(own.carried), numbers_at(own.events), numbers_at(job.jumps)
     room = events.shape[0] - ws.most_events(inputs.shape[1], own.watched) - 1
     is_new = own.begin == 0
-    body = load_body(plan, inputs, integers_at(job.table), numbers_at(job.memory))
+    body = load_body(plan, inputs, integers_at(own.table), numbers_at(own.memory))
     lanes = lane_state.load_lanes(plan, body, carried)
     active, termination = row_of(plan, rows, ws.ACTIVE), row_of(plan, rows, ws.TERMINATION)
     while True:
@@ -238,7 +249,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             if request[0, ws.ANY_ACTIVE] == 0.0:
                 break
             if is_new or job.differ == BODIES:
-                body = load_body(plan, inputs, integers_at(job.table), numbers_at(job.memory))
+                body = load_body(plan, inputs, integers_at(own.table), numbers_at(own.memory))
             lanes = _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits)
             is_new = False
         else:
@@ -260,6 +271,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                     plan, body, seen, inputs, counter, jobs, lanes, made, trial, accepted,
                     termination,
                 )  # fmt: skip
+            take_next(plan, body, accepted)
             lanes = steps.moved_to(lanes, moved, accepted)
             fresh = taken(failed, failed, accepted)
         ticks = steps.to_tick(plan, body, lanes, fresh, termination)

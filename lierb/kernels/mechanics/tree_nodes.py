@@ -331,10 +331,10 @@ def in_node_axes(wrench: Vec, here: Any) -> Vec:
     return mat_t_vec(turn, wrench[:3]) + mat_t_vec(turn, wrench[3:])
 
 
-def move(kind: Kind, constants: Any, chart: Any, x: Any) -> Vec:
-    """Store C₀ exp X as the chart; return its numbers.   x : rows of X/2."""
+def moved(kind: Kind, constants: Any, chart: Any, x: Any) -> Chart:
+    """C₀ exp X.   chart, x : rows of C₀ and of X/2."""
     half = kind.lifted(x, kind.pitch(constants))
-    return kind.store_chart(chart, kind.charts.compose_exp(kind.load_chart(chart), half))
+    return kind.charts.compose_exp(kind.load_chart(chart), half)
 
 
 # ---- elements ------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ Nørsett, Wanner, Solving ODEs I, II.4 and IV.2, by logarithms of squares.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from lierb.kernels.mechanics.scale import START_TOLERANCE
@@ -28,7 +29,7 @@ from lierb.kernels.systems.extra_states import in_states
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import events_of
 from lierb.kernels.systems.state import Rates, Slopes, Stabilised, State, Units, Weights
-from lierb.kernels.systems.system_of import system_of
+from lierb.kernels.systems.system_of import in_memory, system_of
 from lierb.kernels.tracing.words import rough_exp2, rough_log2
 
 EPS = 2.0**-52
@@ -121,10 +122,7 @@ def squared_error(
 ) -> Any:
     """Return the square of a step's error, relative to its tolerance."""
     scales = _scales(plan, body, state, moved, limits, h)
-    estimates = [
-        _largest(plan, body, defect, scales)
-        for defect in method_of(plan).defects(system_of(plan), body, slopes, h)
-    ]
+    estimates = [*_estimates(plan, body, slopes, h, scales)]
     error = estimates[0]
     if len(estimates) > 1:
         fine, coarse = estimates  # err² = e₅⁴ / (e₅² + 0.01 e₃²)
@@ -134,6 +132,18 @@ def squared_error(
         is_rough = _is_rough(plan, body, state, moved, slopes, h)
         error = where(is_rough, maximum(error, ROUGH_ERROR), error)
     return error
+
+
+def _estimates(plan: AnyPlan, body: Any, slopes: Slopes, h: Any, scales: _Scales) -> Iterator[Any]:
+    """Yield the squares of a step's error estimates."""
+    if not plan.is_looped:
+        for defect in method_of(plan).defects(system_of(plan), body, slopes, h):
+            yield _largest(plan, body, defect, scales)
+        return
+    assert plan.embedded is not None
+    for row in plan.embedded.weights:
+        weights = {j: h * weight for j, weight in enumerate(row) if weight != 0.0}
+        yield _largest_of(body, in_memory(plan).slope_squares(body, weights), (), scales)
 
 
 def _is_rough(plan: AnyPlan, body: Any, state: State, moved: State, slopes: Slopes, h: Any) -> Any:
@@ -201,7 +211,7 @@ def _scales(
     If atol is in radii of gyration, the tolerance is at least the rounding of the weight and of a
     force that supports it: for a small body this exceeds its radius.
     """
-    ends = [_sizes(plan, body, each) for each in (state, moved)]
+    ends = [_sizes(plan, body, each, is_next=each is not state) for each in (state, moved)]
     rtol = limits.rtol * limits.rtol
 
     def allowed(atol: Any, *sizes: Any, unit: Any = 1.0, least: Any = ZERO) -> Any:
@@ -232,8 +242,15 @@ def _scales(
     return _Scales(allowed(limits.rotation_atol, 1.0), places, turning, moving, states)
 
 
-def _sizes(plan: AnyPlan, body: Any, state: State) -> tuple[Any, Any, Any, tuple[Any, ...]]:
-    """Return ‖y‖² of position, ω, v, and of each extra state."""
+def _sizes(
+    plan: AnyPlan, body: Any, state: State, is_next: bool = False
+) -> tuple[Any, Any, Any, tuple[Any, ...]]:
+    """Return ‖y‖² of position, ω, v, and of each extra state.
+
+    is_next : whether the state is the end of a step, for a looped plan.
+    """
+    if plan.is_looped:
+        return *in_memory(plan).sizes(body, is_next), ()
     system = system_of(plan)
     place = system.places(state.chart)
     twist = system.velocity(body, state.v_or_mu)
@@ -254,14 +271,17 @@ def _parts(sixes: Vec, first: int) -> Vec:
 
 def _largest(plan: AnyPlan, body: Any, defect: Defect, scales: _Scales) -> Any:
     """Return the largest ‖e‖² · scale of all blocks; NaN where one is NaN."""
-    pairs = [
-        (dot(defect.turning, defect.turning), scales.rotation),
-        (dot(defect.moving, defect.moving), scales.position),
-        (_squares(defect.twist, 0), scales.omega),
-        (_squares(defect.twist, 3), scales.v),
-    ]
-    parts = in_states(plan, defect.states)
-    pairs += [(dot(part, part), scale) for part, scale in zip(parts, scales.states, strict=True)]
+    squares = (
+        dot(defect.turning, defect.turning), dot(defect.moving, defect.moving),
+        _squares(defect.twist, 0), _squares(defect.twist, 3),
+    )  # fmt: skip
+    states = tuple(dot(part, part) for part in in_states(plan, defect.states))
+    return _largest_of(body, squares, states, scales)
+
+
+def _largest_of(body: Any, squares: Vec, states: Vec, scales: _Scales) -> Any:
+    """Return the largest ‖e‖² · scale, from the squares of rotation, position, ω, v and states."""
+    pairs = [*zip(squares, scales[:4], strict=True), *zip(states, scales.states, strict=True)]
     largest: Any = ZERO
     for square, scale in pairs:
         if not is_zero(square):
@@ -323,12 +343,12 @@ def first_step(
     still = moved(length, (), Slopes())
     start = system.stage_rates(body, still, falling, time)
     size = _size_against(plan, body, state, scales)
-    speed = _rate_against(plan, body, start, scales)
+    speed = _rate_against(plan, body, start, scales, {0: 1.0})
     tiny = (size < 1e-10) | (speed < 1e-10)
     guess = where(tiny, 1e-6 * length, 0.01 * sqrt(size / where(tiny, 1.0, speed)))
     guess = minimum(guess, length)
     euler = moved(guess, (1.0,), Slopes().with_stage(start))
-    there = system.stage_rates(body, euler, falling, time + guess)
+    there = system.stage_rates(body, euler, falling, time + guess, 1)
     x, v_or_mu, states = (
         tuple(after - before for before, after in zip(*pair, strict=True))
         for pair in (
@@ -336,7 +356,7 @@ def first_step(
         )
     )  # fmt: skip
     change = Rates(x, v_or_mu, ZERO, states=states)
-    bend = _rate_against(plan, body, change, scales) / (guess * guess)
+    bend = _rate_against(plan, body, change, scales, {0: -1.0, 1: 1.0}) / (guess * guess)
     largest = maximum(speed, bend)
     at_rest = largest < 1e-30
     level = rough_log2(minimum(maximum(1e-4 / where(at_rest, 1.0, largest), 1e-200), 1e200))
@@ -359,7 +379,15 @@ def _size_against(plan: AnyPlan, body: Any, state: State, scales: _Scales) -> An
     return largest
 
 
-def _rate_against(plan: AnyPlan, body: Any, rates: Rates, scales: _Scales) -> Any:
+def _rate_against(
+    plan: AnyPlan, body: Any, rates: Rates, scales: _Scales, stages: dict[int, float]
+) -> Any:
+    """Return the largest ‖k‖² · scale of all blocks.
+
+    stages : weights of the stages whose sum the rates are, for a looped plan.
+    """
+    if plan.is_looped:
+        return _largest_of(body, in_memory(plan).slope_squares(body, stages), (), scales)
     system = system_of(plan)
     twist = system.velocity(body, rates.v_or_mu)
     defect = Defect(*system.turning_and_moving(rates.x), twist, rates.states)

@@ -37,12 +37,13 @@ from lierb.kernels.numbers.arithmetic import (
     refilled,
     scatter,
     sqrt,
+    store,
     where,
 )
-from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, add, sub
+from lierb.kernels.numbers.vec import IDENTITY, ZERO3, ZERO6, ZERO9, Vec, add, dot, sub
 from lierb.kernels.numbers.zero import ZERO, is_zero
 from lierb.kernels.systems import tree_table as at
-from lierb.kernels.systems.combine import summed
+from lierb.kernels.systems.combine import summed, weighted
 from lierb.kernels.systems.layout import POSE_AND_TWIST, Columns, Field, pose_of
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT, Observed, orthogonality_squared
 from lierb.kernels.systems.plan import ElementKind, LoopPlan
@@ -59,7 +60,7 @@ from lierb.kernels.systems.tree_inputs import (
     node_constants,
     placed_on,
 )
-from lierb.kernels.systems.tree_table import placed_shape
+from lierb.kernels.systems.tree_table import placed_shape, slopes_of
 from lierb.kernels.tracing.arrays import Index
 from lierb.kernels.tracing.memory import Rows, for_each, if_not_zero, integer_at, procedure, switch
 
@@ -73,12 +74,14 @@ ENERGY, ORTHOGONALITY, ERRORS, POWER = 0, 1, 2, 6  # rows of sums
 class LoopBody(NamedTuple):
     """Addresses of a tree's table and of a thread's memory, with the constants of the nodes.
 
-    mass : of the first link, as an example of the number type.
+    mass : of the first link, as an example of the number type.   girth : see `TreeConstants`.
     """
 
     table: Any
     memory: Any
     mass: Any
+    gravity: Vec
+    girth: Any
     dropped: Any = ZERO
     signals: Signals = NO_SIGNALS
 
@@ -108,6 +111,15 @@ class _Node:
     @property
     def chart(self) -> Rows:
         return self.tree.rows(self.entry(at.CHART))
+
+    @property
+    def next_chart(self) -> Rows:
+        """Rows of the chart to which a step leads."""
+        return self.tree.rows(self.entry(at.CHART) + self.tree[at.AHEAD])
+
+    @property
+    def next_v(self) -> Rows:
+        return self.tree.rows(self.tree[at.V_ROW] + self.tree[at.AHEAD] + self.entry(at.FREEDOM))
 
     def freedoms(self, first: int) -> Rows:
         """Rows of a node in a section with a row for each freedom."""
@@ -290,7 +302,18 @@ class TreeLoop(PassiveElements):
         tree.for_nodes(one)
         tree.for_elements(lambda element: self._load_element(element, numbers))
         first = tree.node(tree[at.NODES] * 0 + 1)
-        return LoopBody(tree.table, tree.memory, first.constants[tree_nodes.MASS])
+        sums = tree.section(at.SUMS_ROW)
+        sums.put(0, 0.0, 0.0)
+
+        def weigh(node: _Node) -> None:
+            _, inertia = tree_nodes.com_and_inertia(node.details)
+            trace = inertia[0] + inertia[4] + inertia[8]
+            sums.put(0, sums[0] + node.constants[tree_nodes.MASS], sums[1] + trace)
+
+        tree.for_nodes(weigh)
+        girth = 0.5 * sums[1] / sums[0]
+        mass = first.constants[tree_nodes.MASS]
+        return LoopBody(tree.table, tree.memory, mass, gravity, girth)
 
     def _load_element(self, element: _Element, numbers: Callable[[Index, int], Vec]) -> None:
         tree, node = element.tree, element.node
@@ -343,22 +366,22 @@ class TreeLoop(PassiveElements):
             hang = tree_nodes.hang_of(base.constants)
             d = se3.compose(se3.inverse(hang), seat)
 
-            def store(node: _Node, kind: Kind, d: Pose, moving: Vec) -> None:
+            def keep(node: _Node, kind: Kind, d: Pose, moving: Vec) -> None:
                 slots, pitch = kind.slots, kind.pitch(node.constants)
                 chart = chart_of(Node(GROUND, 0, "reduced", slots, ()), d)
                 chart = subgroup.on_subgroup(slots, chart)
-                kind.store_chart(node.chart, tree_nodes.tidied(slots, chart, pitch))
-                node.freedoms(at.V_ROW).put(0, *subgroup.coordinates(slots, moving))
+                kind.store_chart(node.next_chart, tree_nodes.tidied(slots, chart, pitch))
+                node.next_v.put(0, *subgroup.coordinates(slots, moving))
 
             def do(joint: JointKind) -> None:
                 if joint.role == tree_nodes.MASSLESS:
                     return  # stored with the next node
                 if joint.first is None:
-                    store(node, joint.kind, d, moving)
+                    keep(node, joint.kind, d, moving)
                     return
                 first, last = factored(joint.first, joint.kind.slots, d, moving)
-                store(base, Kind(joint.first), *first)
-                store(node, joint.kind, *last)
+                keep(base, Kind(joint.first), *first)
+                keep(node, joint.kind, *last)
 
             node.each_joint(do)
 
@@ -381,8 +404,8 @@ class TreeLoop(PassiveElements):
             chart, v = numbers(at.CHART_COLUMN, 7), numbers(at.V_COLUMN, 6)
 
             def do(kind: Kind) -> None:
-                kind.store_chart(node.chart, (chart[:4], chart[4:]))
-                node.freedoms(at.V_ROW).put(0, *subgroup.coordinates(kind.slots, v))
+                kind.store_chart(node.next_chart, (chart[:4], chart[4:]))
+                node.next_v.put(0, *subgroup.coordinates(kind.slots, v))
 
             node.each_kind(do)
 
@@ -390,11 +413,49 @@ class TreeLoop(PassiveElements):
         return self._begun(body)
 
     def _begun(self, body: LoopBody) -> State:
-        tree = self._tree(body)
-        kept = tree.section(at.KEPT_ROW)
-        for_each(tree[at.LINKS] * len(JOINT_KEPT), lambda i: kept.put(i, 0.0))
+        if not self.plan.has_lane_clocks:
+            self.clear_errors(body, 1.0 + 0.0 * body.mass)
         zero = 0.0 * body.mass
         return State((), (), (zero,), zero if self.plan.does_work else ZERO)
+
+    # ---- states in memory ----
+
+    def clear_errors(self, body: LoopBody, mask: Any) -> None:
+        """Set JOINT_KEPT to 0 where the mask, 1 or 0, is 1."""
+        tree = self._tree(body)
+        kept = tree.section(at.KEPT_ROW)
+        count = tree[at.LINKS] * len(JOINT_KEPT)
+        for_each(count, lambda i: kept.put(i, where(mask > 0.5, 0.0, kept[i])))
+
+    def take_next(self, body: LoopBody, mask: Any) -> None:
+        """Make the next state the state where the mask is 1."""
+        tree = self._tree(body)
+        now, after = self._states(tree)
+        for_each(tree[at.STATE], lambda i: now.put(i, where(mask > 0.5, after[i], now[i])))
+
+    def exchange(self, body: LoopBody) -> None:
+        """Exchange the state and the next one."""
+        tree = self._tree(body)
+        now, after = self._states(tree)
+
+        def one(i: Index) -> None:
+            first, second = now[i], after[i]
+            now.put(i, second)
+            after.put(i, first)
+
+        for_each(tree[at.STATE], one)
+
+    def copy_next(self, body: LoopBody, is_back: bool = False) -> None:
+        """Copy the next state, or copy it back."""
+        tree = self._tree(body)
+        _, after = self._states(tree)
+        pair = after, tree.section(at.COPY_ROW)
+        source, target = reversed(pair) if is_back else pair
+        for_each(tree[at.STATE], lambda i: target.put(i, source[i]))
+
+    def _states(self, tree: _Tree) -> tuple[Rows, Rows]:
+        first = tree[at.CHART_ROW]
+        return tree.rows(first), tree.rows(first + tree[at.AHEAD])
 
     # ---- steps ----
 
@@ -529,12 +590,13 @@ class TreeLoop(PassiveElements):
 
         def one(node: _Node) -> None:
             constants, x = node.constants, node.freedoms(at.X_ROW)
-            stage, v = (node.freedoms(name) for name in (at.STAGE_ROW, at.V_ROW))
+            stage = node.freedoms(at.STAGE_ROW)
 
             def do(kind: Kind) -> None:
                 speeds = stage[0 : kind.freedoms]
-                v.put(0, *speeds)
-                numbers = tree_nodes.move(kind, constants, node.chart, x)
+                node.next_v.put(0, *speeds)
+                chart = tree_nodes.moved(kind, constants, node.chart, x)
+                numbers = kind.store_chart(node.next_chart, chart)
                 total.put(0, sum((*numbers, *speeds), start=total[0]))
 
             node.each_kind(do)
@@ -553,16 +615,69 @@ class TreeLoop(PassiveElements):
         tree = self._tree(body)
 
         def one(node: _Node) -> None:
-            constants, rows = node.constants, node.chart
+            v = node.freedoms(at.V_ROW)
 
             def do(kind: Kind) -> None:
-                chart = kind.load_chart(rows)
-                kind.store_chart(rows, tree_nodes.tidied(kind.slots, chart, kind.pitch(constants)))
+                chart, pitch = kind.load_chart(node.chart), kind.pitch(node.constants)
+                kind.store_chart(node.next_chart, tree_nodes.tidied(kind.slots, chart, pitch))
+                node.next_v.put(0, *v[0 : kind.freedoms])
 
             node.each_kind(do)
 
         tree.for_nodes(one)
         return chart
+
+    def jumps(self, body: LoopBody) -> tuple[Any, ...]:
+        return ()
+
+    # ---- error control: squares of all rotations, positions, ω and v ----
+
+    def sizes(self, body: LoopBody, is_next: bool) -> tuple[Any, Any, Any]:
+        """‖y‖² of the positions on the joints, ω and v, of the state or the next one."""
+
+        def measure(tree: _Tree) -> None:
+            sums = tree.section(at.SUMS_ROW)
+            sums.put(0, 0.0, 0.0, 0.0)
+
+            def one(node: _Node) -> None:
+                chart = node.next_chart if is_next else node.chart
+                v = node.next_v if is_next else node.freedoms(at.V_ROW)
+
+                def do(kind: Kind) -> None:
+                    moving = kind.lifted(v, kind.pitch(node.constants))
+                    _add_squares(sums, kind.load_chart(chart)[1], moving[:3], moving[3:])
+
+                node.each_kind(do)
+
+            tree.for_nodes(one)
+
+        self._run(f"sizes.{is_next}", body, measure)
+        sums = self._tree(body).section(at.SUMS_ROW)
+        return sums[0], sums[1], sums[2]
+
+    def slope_squares(self, body: LoopBody, weights: dict[int, Any]) -> tuple[Any, ...]:
+        """Squares of rotations, positions, ω and v in Σ w k.   weights : w by the slope's index."""
+        tree, count = self._tree(body), self._tree(body)[at.FREEDOMS]
+        for name, into in ((at.X_SLOPES, at.X_ROW), (at.V_SLOPES, at.STAGE_ROW)):
+            slopes = [tree.rows(tree[name] + count * j) for j in weights]
+            _store_sums(tree.section(into), slopes, tuple(weights.values()), count)
+        self._run("squares", body, self._squares)
+        return tree.section(at.SUMS_ROW)[0:4]
+
+    def _squares(self, tree: _Tree) -> None:
+        """Store the squares of the numbers in the rows of X and V of the stage."""
+        sums = tree.section(at.SUMS_ROW)
+        sums.put(0, 0.0, 0.0, 0.0, 0.0)
+
+        def one(node: _Node) -> None:
+            def do(kind: Kind) -> None:
+                pitch = kind.pitch(node.constants)
+                x, v = (kind.lifted(node.freedoms(row), pitch) for row in (at.X_ROW, at.STAGE_ROW))
+                _add_squares(sums, x[:3], x[3:], v[:3], v[3:])
+
+            node.each_kind(do)
+
+        tree.for_nodes(one)
 
     def stabilised(
         self, body: LoopBody, before: State, state: State, time: Any, h: Any
@@ -581,7 +696,11 @@ class TreeLoop(PassiveElements):
         """Store the motion of the nodes at the state."""
         tree = self._tree(body)
         self._stay(tree)
-        self._call_place(tree, tree[at.NODES] * 0, is_whole=True)
+        self._call_place(tree, self._spare(tree), is_whole=True)
+
+    def _spare(self, tree: _Tree) -> Index:
+        """Rows of all slopes of a step, behind which those of a state at rest are."""
+        return tree[at.FREEDOMS] * slopes_of(self.plan)
 
     def _stay(self, tree: _Tree) -> None:
         """Make the state the stage."""
@@ -654,8 +773,11 @@ class TreeLoop(PassiveElements):
         tree.for_nodes(one)
         tree.for_elements(potential)
 
-    def keep_errors(self, body: LoopBody, alive: Any) -> None:
-        """Update JOINT_KEPT of every joint in memory by the errors that `measured` has stored."""
+    def keep_errors(self, body: LoopBody, alive: Any, now: Any) -> None:
+        """Update JOINT_KEPT of every joint in memory by the errors that `measured` has stored.
+
+        now : mask of the lanes to update.
+        """
         tree = self._tree(body)
 
         def one(link: Index) -> None:
@@ -663,10 +785,12 @@ class TreeLoop(PassiveElements):
             kept = tree.rows(tree[at.KEPT_ROW] + link * len(JOINT_KEPT))
             for row, (measure, how) in enumerate(JOINT_KEPT):
                 square = errors[JOINT_ERRORS.index(measure)]
+                old = kept[row]
                 if how == "final":
-                    kept.put(row, where(alive, plain(square), NAN))
+                    new = where(alive, plain(square), NAN)
                 else:
-                    kept.put(row, where(alive, maximum(kept[row], square), kept[row]))
+                    new = where(alive, maximum(old, square), old)
+                kept.put(row, where(now, new, old))
 
         for_each(tree[at.LINKS], one)
 
@@ -719,6 +843,22 @@ class TreeLoop(PassiveElements):
 
         tree.for_nodes(one)
 
+    def put_links(self, body: LoopBody, shown: Any, alive: Any) -> None:
+        """Store the numbers of `store_links` in the rows of a lane's workspace."""
+        self.motion(body, State((), (), ()), ZERO)
+        tree, width = self._tree(body), POSE_AND_TWIST.count
+
+        def link(node: _Node) -> None:
+            numbers = tree_nodes.in_user_frame(node.details, node.motion)
+            first = node.entry(at.LINK) * width
+            for c, x in enumerate(numbers):
+                store(shown, (first + c, 0), where(alive, x, NAN), self.plan.lanes)
+
+        def one(node: _Node) -> None:
+            if_not_zero(node.entry(at.ROLE) + -tree_nodes.MASSLESS, lambda: link(node))
+
+        tree.for_nodes(one)
+
     def store_forces(
         self, body: LoopBody, multipliers: Any, reactions: Any, place: Any, time: Any, alive: Any
     ) -> None:
@@ -728,7 +868,7 @@ class TreeLoop(PassiveElements):
         """
         tree, acts = self._tree(body), bool(self.plan.element_kinds)
         self._stay(tree)
-        self._run("rates", body, self._rates, tree[at.NODES] * 0, time)
+        self._run("rates", body, self._rates, self._spare(tree), time)
         wrenches = tree.section(at.WRENCH_ROW)
         for_each(tree[at.NODES] * 6 + 6, lambda i: wrenches.put(i, 0.0))
 
@@ -745,7 +885,7 @@ class TreeLoop(PassiveElements):
             places = [(first, place.column, column + c) for c in range(len(shown))]
             scatter(array, 1, places, shown, self.plan.lanes)
 
-        def store(node: _Node) -> None:
+        def put_joint(node: _Node) -> None:
             wrench = node.part(at.WRENCH_ROW, 6)[0:6]
 
             def do(joint: JointKind) -> None:
@@ -764,7 +904,7 @@ class TreeLoop(PassiveElements):
             node.each_joint(do)
 
         tree.for_nodes(one, backward=True)
-        tree.for_nodes(store)
+        tree.for_nodes(put_joint)
 
     def store_end(self, body: LoopBody, ends: Any, column: Any) -> None:
         """Store the state for a run that continues: numbers of the charts, then of V_rel."""
@@ -788,6 +928,14 @@ class TreeLoop(PassiveElements):
 
         tree.for_nodes(one)
 
+    def end_columns(self, body: LoopBody) -> Index:
+        """Number of a state's columns at the end of a run."""
+        return self._tree(body)[at.END_COLUMNS]
+
+    def lane_column(self, body: LoopBody) -> Index:
+        """Column of the inputs with a lane's clock at the end of the run before."""
+        return self._tree(body)[at.LANE_COLUMN]
+
     def store_state(self, body: LoopBody, carried: Any, first: int, column: Any) -> None:
         """Store charts, velocities and JOINT_KEPT between two calls, from row `first` on."""
         tree, lanes = self._tree(body), self.plan.lanes
@@ -800,3 +948,19 @@ class TreeLoop(PassiveElements):
         for_each(
             tree[at.STATE_ROWS], lambda i: rows.put(i, carried.load((i + first, column), lanes))
         )
+
+
+def _store_sums(into: Rows, slopes: list[Rows], weights: tuple[Any, ...], count: Index) -> None:
+    """Store Σ w k of so many rows."""
+
+    def one(i: Index) -> None:
+        into.put(i, weighted((ZERO,), weights, tuple((row[i],) for row in slopes))[0])
+
+    for_each(count, one)
+
+
+def _add_squares(sums: Rows, *parts: Vec) -> None:
+    for row, part in enumerate(parts):
+        square = dot(part, part)
+        if not is_zero(square):
+            sums.put(row, sums[row] + square)

@@ -27,7 +27,7 @@ from lierb.kernels.mechanics.tree_nodes import (
 from lierb.kernels.numbers.arithmetic import flatten
 from lierb.kernels.numbers.zero import is_zero
 from lierb.kernels.systems.measures import JOINT_ERRORS, JOINT_KEPT
-from lierb.kernels.systems.plan import ElementKind, MechanismPlan
+from lierb.kernels.systems.plan import AnyPlan, ElementKind, MechanismPlan
 from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_on, state_columns
 
 # Header: numbers of nodes (without the ground), freedoms and links; columns of the inputs;
@@ -40,8 +40,11 @@ from lierb.kernels.systems.tree_inputs import first_of_joint, inputs_of, placed_
     # and of a stage: X/2 and V, motion, what nodes pass on, slopes of X and V, errors, sums.
     X_ROW, STAGE_ROW, MOTION_ROW, PASSED_ROW, X_SLOPES, V_SLOPES, ERRORS_ROW, SUMS_ROW,
     # loads on the nodes, wrenches of the joints, and rows of the elements.
-    LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS, HEADER,
-) = range(28)  # fmt: skip
+    LOADS_ROW, WRENCH_ROW, ELEMENT_ROWS,
+    # Numbers of a state; rows from a state to the one that a step leads to, 0 for one in its place;
+    # a copy of that. Numbers of a state at the end of a run, and column of a lane's end in inputs.
+    STATE, AHEAD, COPY_ROW, END_COLUMNS, LANE_COLUMN, HEADER,
+) = range(33)  # fmt: skip
 # A node's numbers: its kind and that of its joint; its role, and the first node of its joint; its
 # parent; rows of its chart; its first freedom; rows of what it passes on, of what its children pass
 # on, and of what its next sibling passes on, or 0; its link, or that of the next node for a
@@ -72,7 +75,7 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
     ]
     nodes = np.zeros((count + 1, TABLE), np.int64)
     slots = _slots(plan, nodes)
-    slopes = len(plan.stages) + (len(plan.extension.stages) if plan.extension else 0)
+    slopes = slopes_of(plan) + 1
     sizes = {
         CONSTANTS_ROW: (count + 1) * CONSTANTS,
         DETAILS_ROW: (count + 1) * DETAILS,
@@ -90,10 +93,16 @@ def table_of(plan: MechanismPlan) -> tuple[NDArray[np.int64], int]:
         LOADS_ROW: 6 * (count + 1),
         WRENCH_ROW: 6 * (count + 1),
         ELEMENT_ROWS: sum(map(element_rows, plan.element_kinds)),
+        AHEAD: (charts + freedoms) * plan.has_lane_clocks,
+        COPY_ROW: (charts + freedoms) * plan.has_lane_clocks,
     }
     end = 0
     for name, size in sizes.items():
         header[name], end = end, end + size
+    header[STATE] = charts + freedoms
+    header[AHEAD] = header[AHEAD] - header[CHART_ROW] if plan.has_lane_clocks else 0
+    header[END_COLUMNS] = sum(map(sum, map(_stored, kinds)))
+    header[LANE_COLUMN] = inputs.count + state.count
     header[STATE_ROWS] = charts + freedoms + sizes[KEPT_ROW]
     chart, freedom, ends = header[CHART_ROW], 0, [0, sum(_stored(k)[0] for k in kinds)]
     for i, (node, kind) in enumerate(zip(plan.tree, kinds, strict=True), 1):
@@ -154,6 +163,11 @@ def joint_kind_of(plan: MechanismPlan, i: int) -> JointKind:
     first = first_of_joint(plan.tree, i)
     before = plan.tree[first].slots if first != i else None
     return JointKind(Kind(node.slots), plan.connections[node.link].rows, before)
+
+
+def slopes_of(plan: AnyPlan) -> int:
+    """Number of slopes of a step; those of a state at rest in memory come behind."""
+    return len(plan.stages) + (len(plan.extension.stages) if plan.extension else 0)
 
 
 def _stored(kind: Kind) -> tuple[int, int]:

@@ -138,7 +138,8 @@ def why_unrolled(plan: MechanismPlan) -> str:
         "rows with multipliers": bool(plan.rows_with_multipliers),
         "observables, states, events and controllers": any(e.is_passive for e in plan.elements),
         "functions that are called body by body": plan.calls_functions,
-        "a clock for each trajectory": plan.has_lane_clocks,
+        "stops, jumps and unknown functions of the pose, with adaptive steps": plan.has_lane_clocks
+        and any(e.bounds_steps or e.discontinuities for e in plan.elements),
         f'update="{plan.update}"': plan.update != "local",
         "a commutator-free method": bool(plan.exponentials),
         "stabilisation": plan.stabilisation.kind != "none",
