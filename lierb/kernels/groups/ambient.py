@@ -93,8 +93,8 @@ def composed(p: Quaternion, y: Vec) -> Quaternion:
 
 def compose(c: Chart, y: Vec) -> Chart:
     """Update C₀ (1 + Y)/‖1 + Y‖ at the end of a step."""
-    turned, twice = normalised(c[0], y[:4])
-    return turned, place(c, y, twice)
+    p, twice = normalised(c[0], y[:4])
+    return p, place(c, y, twice)
 
 
 def normalised(p: Quaternion, y: Vec) -> tuple[Quaternion, Any]:
