@@ -125,6 +125,13 @@ def test_shrinking_sweep():
         )
 
 
+def test_steps_of_many_turns_are_not_numbers():
+    """As those by exponentials: Euler's step has e = θ²/4."""
+    assert np.isfinite(ambient.shrinking(0.9 * 0.25e10))
+    for e in (1.1 * 0.25e10, np.inf, np.nan):
+        assert np.isnan(ambient.shrinking(e))
+
+
 def test_structural_zeros_of_a_subgroup_stay():
     """Turns about and slides along one axis."""
     y = (-0.1, ZERO, ZERO, 0.3, 0.2, ZERO, ZERO, 0.5)

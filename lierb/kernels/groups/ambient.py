@@ -14,6 +14,7 @@ from typing import Any
 from lierb.kernels.groups.quaternion import Chart, Quaternion, matrix, product, rotated
 from lierb.kernels.numbers.arithmetic import absolute, all_lanes, branch, fma, horner, sqrt, where
 from lierb.kernels.numbers.number import Number
+from lierb.kernels.numbers.trigonometry import SINCOS_RANGE
 from lierb.kernels.numbers.vec import Mat, Vec, add, axpy, cross, cross_add, dot, neg, scale
 from lierb.kernels.numbers.zero import is_zero
 
@@ -22,6 +23,7 @@ WIDTH = 8  # numbers of Y
 TERMS = (-1 / 2, 3 / 8, -5 / 16, 35 / 128, -63 / 256)
 TINY, TINY_TERMS = 5e-6, 3  # largest |e| and terms; RK4 turns by up to 0.5 rad in such a step
 SHORT = 1e-3
+NAN = float("nan")
 
 
 def rate(y: Vec, v: Vec) -> Vec:
@@ -60,7 +62,7 @@ def rotate_back(y: Vec, x: Vec, twice: Any) -> Vec:
 def fall(y: Vec, gravity: Vec) -> Vec:
     """Return gravity in body axes, by the smooth extension of the rotation.
 
-    A division for each stage would take a third of a spherical joint's step.
+    A division for each stage would take a tenth of a spherical joint's step.
     """
     return rotate_back(y, gravity, 2.0)
 
@@ -91,8 +93,8 @@ def composed(p: Quaternion, y: Vec) -> Quaternion:
 
 def compose(c: Chart, y: Vec) -> Chart:
     """Update C₀ (1 + Y)/‖1 + Y‖ at the end of a step."""
-    turned, twice = normalised(c[0], y[:4])
-    return turned, place(c, y, twice)
+    p, twice = normalised(c[0], y[:4])
+    return p, place(c, y, twice)
 
 
 def normalised(p: Quaternion, y: Vec) -> tuple[Quaternion, Any]:
@@ -107,7 +109,7 @@ def normalised(p: Quaternion, y: Vec) -> tuple[Quaternion, Any]:
 
 
 def shrinking(e: Number) -> Any:
-    """Return 1/√(1 + e) − 1."""
+    """Return 1/√(1 + e) − 1; NaN for steps of about 10⁵ rad and more, which a run reports."""
     size = absolute(e)
     is_tiny, is_short = size <= TINY, size <= SHORT
 
@@ -115,7 +117,8 @@ def shrinking(e: Number) -> Any:
         series = e * horner(e, TERMS, ((is_tiny, TINY_TERMS),))
 
         def anywhere() -> Any:
-            return where(is_short, series, 1.0 / sqrt(1.0 + e) - 1.0)
+            exact = 1.0 / sqrt(1.0 + e) - 1.0
+            return where(is_short, series, where(e <= 0.25 * SINCOS_RANGE**2, exact, NAN))
 
         return branch(all_lanes(is_short), lambda: series, anywhere)
 

@@ -31,5 +31,5 @@ def place(c: Chart, y: Vec, twice: Any) -> Vec:
 
 def compose(c: Chart, y: Vec) -> Chart:
     """Update of the chart at the end of a step."""
-    turned, _ = ambient.normalised(c[0], y[:4])
-    return turned, axpy(2.0, y[5:], c[1])
+    p, _ = ambient.normalised(c[0], y[:4])
+    return p, axpy(2.0, y[5:], c[1])
