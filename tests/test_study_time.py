@@ -378,6 +378,7 @@ def test_events_are_counted_and_their_first_times_ranked(whole):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_report_tells_the_events(ending, tmp_path):
     pytest.importorskip("plotly")
     from lierb.studies.pages.report import write_report
