@@ -90,3 +90,13 @@ def papers_kernels() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lierb.analysis.paper, "integrate", recording)
         yield
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages on studies with blank figures, for tests of the rest: drawing takes most of the time.
+
+    test_report.py draws those of ordinary and hard cases.
+    """
+    blank = "data:image/svg+xml;base64,PHN2Zz48L3N2Zz4="
+    monkeypatch.setattr("lierb.studies.pages.report._data_url", lambda figure: blank)

@@ -340,6 +340,7 @@ def test_command_predicts_joint_by_joint(whole):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_report_of_a_study_of_mechanisms_is_complete(whole, tmp_path):
     from lierb.studies.dataset import Dataset
     from lierb.studies.pages.report import write_report

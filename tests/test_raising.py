@@ -181,17 +181,17 @@ def test_the_first_exception_is_told_behind_another_failure():
 @pytest.mark.filterwarnings("ignore::lierb.errors.FailedTrajectoryWarning")
 def test_exceptions_leave_no_memory_behind():
     """Exceptions with arguments are on Numba's heap; no array of the function's is among them."""
-    kinds = np.array([RUNTIME, ARRAY])[np.arange(5000) % 2]
-    thrown(5000, kind=kinds)
+    kinds = np.array([RUNTIME, ARRAY])[np.arange(512) % 2]
+    thrown(512, kind=kinds)
     _nrt_python.memsys_enable_stats()
     try:
         before = rtsys.get_allocation_stats()
-        assert set(statuses(thrown(5000, kind=kinds))) == {"raised"}
+        assert set(statuses(thrown(512, kind=kinds))) == {"raised"}
         after = rtsys.get_allocation_stats()
     finally:
         _nrt_python.memsys_disable_stats()
     taken = after.alloc - before.alloc
-    assert taken >= 4 * 5000  # the exception and its arguments, and all calm calls' arrays
+    assert taken >= 4 * 512  # the exception and its arguments, and all calm calls' arrays
     assert after.free - before.free == taken
 
 

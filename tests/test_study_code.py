@@ -158,7 +158,9 @@ def test_resume_does_what_is_missing(whole, folder, tmp_path):
     assert hashes(out) == hashes(whole)
 
 
-@pytest.mark.parametrize("gather", [False, True], ids=["shared", "gather"])
+@pytest.mark.parametrize(
+    "gather", [False, pytest.param(True, marks=pytest.mark.long)], ids=["shared", "gather"]
+)
 @pytest.mark.slow
 def test_workers_have_the_file_and_give_the_same_bytes(gather, whole, folder, tmp_path):
     pytest.importorskip("distributed")

@@ -245,7 +245,9 @@ def test_noise_is_drawn_by_seed_and_number(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gather", [False, True], ids=["shared", "gather"])
+@pytest.mark.parametrize(
+    "gather", [False, pytest.param(True, marks=pytest.mark.long)], ids=["shared", "gather"]
+)
 def test_workers_give_the_same_bytes(gather, whole, tmp_path):
     pytest.importorskip("distributed")
     with cluster.local_client(2) as client:
@@ -298,7 +300,9 @@ def test_ctrl_c_leaves_a_folder_that_goes_on(long_whole, tmp_path, interruptible
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
-@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "sent", [pytest.param(signal.SIGTERM, marks=pytest.mark.long), signal.SIGKILL]
+)
 def test_a_run_that_was_killed_goes_on_to_the_same_bytes(sent, long_whole, tmp_path):
     process = started(tmp_path)
     process.send_signal(sent)
@@ -378,6 +382,7 @@ def test_events_are_counted_and_their_first_times_ranked(whole):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_pictures")
 def test_report_tells_the_events(ending, tmp_path):
     pytest.importorskip("plotly")
     from lierb.studies.pages.report import write_report

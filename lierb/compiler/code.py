@@ -12,13 +12,20 @@ import numpy as np
 from numba import types
 
 from lierb.compiler.disk_cache import DiskCache
-from lierb.compiler.internals import ALLOCATES_NOTHING, COMPILER_LOCK, compile_leanly, set_cache
-from lierb.compiler.tags import Tag
+from lierb.compiler.internals import (
+    ALLOCATES_NOTHING,
+    COMPILER_LOCK,
+    compile_leanly,
+    compiler_that_translates_once,
+    set_cache,
+)
+from lierb.compiler.tags import Tag, TagType
 from lierb.compiler.threads import begun
 
 # error_model: 1/0 is inf, as in NumPy, without a branch. No fastmath: see lanes.py. Every function
 # needs these options: Numba compiles a helper without options with those of its first caller.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+_TranslatesOnce = compiler_that_translates_once(TagType)
 
 
 def cached(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
@@ -26,7 +33,9 @@ def cached(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
 
     The function must not be a closure. It may allocate arrays only if it is parallel.
     """
-    options = {"parallel": True} if parallel else ALLOCATES_NOTHING
+    options: dict[str, Any] = {"parallel": True}
+    if not parallel:
+        options = ALLOCATES_NOTHING | {"pipeline_class": _TranslatesOnce}
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(**OPTIONS, **options)(function)

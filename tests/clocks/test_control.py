@@ -234,7 +234,11 @@ def test_a_terminal_event_at_a_tick_leaves_it_to_what_goes_on(at):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", [{"dt": 0.1}, {"dt": 0.05}, {"dt": None, "rtol": 1e-6}], ids=str)
+@pytest.mark.parametrize(
+    "clock",
+    [{"dt": 0.1}, {"dt": 0.05}, pytest.param({"dt": None, "rtol": 1e-6}, marks=pytest.mark.long)],
+    ids=str,
+)
 def test_a_row_at_a_tick_shows_what_it_has_set(clock):
     """Whatever the last bit of the time that was asked for: 0.3 is not 3 · 0.1."""
     times = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]

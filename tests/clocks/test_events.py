@@ -3,7 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
-from cases import slow_but
+from cases import long_but, slow_but
 
 import lierb
 from clocks.shared import G, rows_of, spinning, table_bits, thrown
@@ -61,7 +61,7 @@ def crossings(h, v, level):
 # ---- free fall ---------------------------------------------------------------------------------
 
 
-CLOCKS = [{"rtol": 1e-6}, {"dt": 0.05}]
+CLOCKS = [{"rtol": 1e-6}, pytest.param({"dt": 0.05}, marks=pytest.mark.long)]
 
 
 @pytest.mark.slow
@@ -203,7 +203,7 @@ def test_an_event_at_the_very_end_is_seen():
     np.testing.assert_allclose(seen(result), [1.0], atol=EXACT)
 
 
-WITHOUT_EXTENSION = slow_but(["RK4", "Heun", "CF4"])
+WITHOUT_EXTENSION = long_but(["RK4", "Heun", "CF4"], "RK4", "CF4")
 
 
 @pytest.mark.parametrize("below", [1e-3, 1e-6])
@@ -234,7 +234,9 @@ def test_a_level_that_is_just_missed_is_not_crossed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", [{"rtol": 1e-13}, {"dt": 2e-3}], ids=str)
+@pytest.mark.parametrize(
+    "clock", [{"rtol": 1e-13}, pytest.param({"dt": 2e-3}, marks=pytest.mark.long)], ids=str
+)
 def test_pendulum_swings_through_when_jacobi_says(clock):
     """Released from rest at 90°: at the bottom after K/w, 3K/w, …; at rest again after 2K/w."""
     m, length, inertia = 1.2, 0.7, 0.05
@@ -355,7 +357,13 @@ def visits(within=1.0, zero=-1.0, first=1.0, last=1.0, **clock):
 @pytest.mark.slow
 @pytest.mark.parametrize("degrees", [1.0, 0.1, 0.01])
 @pytest.mark.parametrize(
-    "clock", [{"rtol": 1e-6}, {"rtol": 1e-9}, {"rtol": None, "dt": 0.25}], ids=str
+    "clock",
+    [
+        {"rtol": 1e-6},
+        {"rtol": 1e-9},
+        pytest.param({"rtol": None, "dt": 0.25}, marks=pytest.mark.long),
+    ],
+    ids=str,
 )
 def test_a_visit_is_seen_however_short(degrees, clock):
     """Steps turn the ball by up to a radian, ten thousand times as far as it is within the angle.

@@ -6,7 +6,7 @@ saddle point solves for accelerations, so that nothing but the theorem keeps the
 
 import numpy as np
 import pytest
-from cases import SUBGROUP_JOINTS, final, tilted
+from cases import SUBGROUP_JOINTS, final, long_but, tilted
 
 import lierb
 
@@ -54,8 +54,7 @@ def test_commutator_free_steps_keep_a_subgroup_joint(name, method):
     kept(result)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", ["DP54", "CF4"])
+@pytest.mark.parametrize("method", long_but(["DP54", "CF4"], "DP54"))
 def test_so3xr3_does_not_keep_it(method):
     """Else the tests above could not fail: there the joint opens by the method's error."""
     problem, twist0 = tilted("spherical")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cases import column, final, slow_but, tiered
+from cases import column, final, long_but, tiered
 
 import lierb
 from clocks.shared import rows_of, spinning, thrown
@@ -15,8 +15,7 @@ def low_pass(omega, states, params):
     return {"filtered": (omega[2] - states.filtered) / params.tau}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("clock", slow_but(CLOCKS, CLOCKS[0]), ids=str)
+@pytest.mark.parametrize("clock", long_but(CLOCKS, CLOCKS[0]), ids=str)
 def test_a_first_order_filter_settles_as_an_exponential(clock):
     """ω₃ is constant: filtered = ω₃ + (f₀ − ω₃) exp(−t/τ). Errors below 100 rtol, or dt⁴."""
     rates, tau = np.array([1.0, -2.0, 5.0]), np.array([0.5, 0.2, 1.0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import long_but
 
 import lierb
 
@@ -87,8 +88,9 @@ def allowed(kind, rtol):
         ("joint_limit", "DOP853"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
-            for case in (("joint_limit", "Tsit5"), ("traced", "DOP853"), ("body by body", "Tsit5"))
+            for case in (("traced", "DOP853"), ("body by body", "Tsit5"))
         ),
+        pytest.param("joint_limit", "Tsit5", marks=pytest.mark.long),
     ],
 )
 def test_integrate_meets_every_stop(kind, method):
@@ -135,7 +137,7 @@ def test_integrate_meets_stops_between_links(spin):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["DOP853", "DP54"])
+@pytest.mark.parametrize("method", long_but(["DOP853", "DP54"], "DOP853"))
 def test_integrate_meets_a_floor_after_free_fall(method):
     """Free fall is exact for any step: nothing but the stop bounds it. A fall from rest at height h
     and its contact with a spring, x < 0, have the closed period below.

@@ -23,7 +23,7 @@ from lierb.compiler import internals
 from lierb.compiler.code import OPTIONS
 from lierb.compiler.entries import call, entry_of, raise_again
 from lierb.compiler.internals import ALLOCATES_NOTHING, INT64, cgutils
-from lierb.compiler.tags import Tag
+from lierb.compiler.tags import Tag, TagType
 from lierb.kernels.tracing.trace import kernel
 
 pytestmark = pytest.mark.skipif(
@@ -74,6 +74,54 @@ def test_no_other_module_imports_a_private_part():
         and (module not in PUBLIC or name in ("core", "np", "misc"))
     }
     assert {source for source, *_ in found} == {"compiler/internals.py"}, found
+
+
+# ---------------------------------------------------------------- translating once
+
+
+@dataclass(frozen=True)
+class Slope(Tag):
+    factor: float
+
+
+def sloping(tag, x):
+    return tag.factor * x
+
+
+kernel(sloping)
+
+
+@numba.njit(**OPTIONS, inline="always")
+def added(tag, total, x):
+    if x > 1.0:
+        total = total + sloping(tag, x)
+    return total
+
+
+@numba.njit(**OPTIONS, pipeline_class=internals.compiler_that_translates_once(TagType))
+def sloping_sum(tag, numbers):
+    total, count = 0.0, 0
+    while count < numbers.shape[0]:
+        total = added(tag, total, numbers[count])
+        count += 1
+    return total
+
+
+def passes_of(result):
+    return {name.partition("_")[2] for name in result.metadata["pipeline_times"]["nopython"]}
+
+
+@relies_on("PassManager", "FixupArgs", "build_definitions", "compiler_that_translates_once")
+def test_a_function_is_translated_once_for_all_tags():
+    doubles, halves = np.array((1.0, 2.0, 3.0)), np.array((1.0, 2.0, 3.0), np.float32)
+    passes = []
+    for factor, numbers in ((1.0, doubles), (2.0, doubles), (4.0, doubles), (8.0, halves)):
+        assert sloping_sum(Slope(factor), numbers) == 5.0 * factor
+        operands = tuple(map(numba.typeof, (Slope(factor), numbers)))
+        passes.append(passes_of(sloping_sum.overloads[operands]))
+    translated = [{"translate_bytecode", "inline_inlinables"} <= names for names in passes]
+    assert translated == [True, False, False, True]  # again for numbers of another type
+    assert ["lierb_copying" in names for names in passes] == [False, True, True, False]
 
 
 # ---------------------------------------------------------------- replacing Python's own

@@ -41,7 +41,7 @@ from lierb.kernels.stepping.clock import TIDY_EVERY
 from lierb.kernels.tracing.lanes import DOUBLE, Lane, Trace
 
 ROOT = Path(__file__).parents[2]
-LANES = (1, 2, 8)
+LANES = (1, 8)  # numbers, and packs of them; more widths add no code
 MOST = 6  # samples of one formula
 CALLS = 12  # of a formula in one run, that are looked at
 STEP = mp.mpf(10) ** -20

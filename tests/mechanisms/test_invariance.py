@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import long_but
 
 import lierb
 from lierb.kernels.numbers.vec import cross, mat_t_vec
@@ -72,8 +73,7 @@ def satellite() -> lierb.Mechanism:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cspace", ["reduced", "SO3xR3"])
+@pytest.mark.parametrize("cspace", long_but(["reduced", "SO3xR3"], "reduced"))
 def test_satellite_in_orbit_takes_the_steps_of_one_at_rest(cspace):
     made, ends, steps = satellite(), [], []
     far = FAR if cspace == "reduced" else 0.0

@@ -43,7 +43,8 @@ SPEEDS = np.linspace(1.0, 20.0, 20)  # rad/s
 
 METHODS = [
     "DOP853",
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("Tsit5", "DP54", "BS32")),
+    pytest.param("DP54", marks=pytest.mark.slow),
+    *(pytest.param(name, marks=pytest.mark.long) for name in ("Tsit5", "BS32")),
 ]
 
 
