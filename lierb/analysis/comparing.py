@@ -39,7 +39,7 @@ from lierb.runs.provenance import machine
 from lierb.support.arrays import as_positive, is_whole
 from lierb.support.collected_warnings import warnings_collected
 from lierb.support.progress import check_progress, reporter
-from lierb.support.shown import counted, rounded
+from lierb.support.representations import counted, rounded
 
 Progress = bool | Callable[[int, int, str], object] | None
 

@@ -22,7 +22,7 @@ from lierb.results.result import Result
 from lierb.runs.options import Options
 from lierb.runs.starts import arrays_of
 from lierb.support.arrays import Array
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 ERRORS = {"rotation": "rad", "position": "m", "omega": "rad/s", "v": "m/s"}
 NORMS: dict[str, Callable[[Array], Any]] = {"largest": np.max, "median": np.median}

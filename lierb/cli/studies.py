@@ -320,9 +320,9 @@ def _show(dataset: Dataset) -> None:
     if sensitivities := indices(dataset):
         click.echo()
         print_whole(table_of_indices(sensitivities))
-    done, asked = len(dataset.parts), dataset.manifest["asked"]
+    done, total = len(dataset.parts), dataset.manifest["asked"]
     state = dataset.rest(f"the rest with: {_again(dataset, '--resume')}")
-    click.echo(f"{dataset.folder}: {done} of {asked} parts{state}")
+    click.echo(f"{dataset.folder}: {done} of {total} parts{state}")
 
 
 def _end_with_failures(dataset: Dataset) -> None:

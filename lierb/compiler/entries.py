@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload
 
-from lierb.compiler.code import compiling, kinds_of, undisturbed
+from lierb.compiler.code import compiling, kinds_of, run_uninterrupted
 from lierb.compiler.internals import (
     INT64,
     address_of,
@@ -43,7 +43,7 @@ def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:
         return _entries[known]
     key = kinds_of(dispatcher, tag, *args)
     if key not in _entries:
-        undisturbed(_enter, key, tuple(map(numba.typeof, (tag, *args))))
+        run_uninterrupted(_enter, key, tuple(map(numba.typeof, (tag, *args))))
     return _entries[key]
 
 

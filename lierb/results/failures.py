@@ -28,7 +28,7 @@ STATUS_NAMES = {
     DT_MIN: "dt_min",
     EVENT: "event",
 }
-FINE = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
+SUCCESSES = (STATUS_NAMES[OK], STATUS_NAMES[EVENT])  # statuses without failure
 REMEDIES = {
     "singular": "singular: the constraint rows contradicted each other, as in a configuration that "
     "the joint cannot be in, or where it has drifted open; or a projection onto them was larger "
@@ -51,7 +51,7 @@ COLUMNS = ("trajectory", "status", "t")
 def has_failed(summary: pa.Table) -> NDArray[np.bool_]:
     """True for each row whose status is neither ok nor event."""
     codes, names = as_codes(summary["status"])
-    found: NDArray[np.bool_] = np.array([name not in FINE for name in names])[codes]
+    found: NDArray[np.bool_] = np.array([name not in SUCCESSES for name in names])[codes]
     return found
 
 

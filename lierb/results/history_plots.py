@@ -39,7 +39,7 @@ MOST_BESIDE = 24  # most characters of a legend beside a panel's title
 DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
-SELDOM = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
+ON_REQUEST = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
 COORDINATES = ("angles", "slides")  # panels of the joints of a mechanism
 MOTION = ("angles", "trace", "position", "omega")  # panels of the state
 QUANTILES = (0.05, 0.5, 0.95)
@@ -76,10 +76,10 @@ def _chosen(
     for name in names:
         if name not in made:
             raise unknown_name("columns", name, made)
-    often = {name for name in made if name not in SELDOM and "." not in name}
-    if not often & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
-        often |= {name for name in made if name.rpartition(".")[2] in MOTION}
-    return [make for name, make in made.items() if name in (names or often)]
+    default = {name for name in made if name not in ON_REQUEST and "." not in name}
+    if not default & {*MOTION, *COORDINATES}:  # a mechanism whose joints are unknown
+        default |= {name for name in made if name.rpartition(".")[2] in MOTION}
+    return [make for name, make in made.items() if name in (names or default)]
 
 
 def _numbers(given: Any, count: int) -> list[int]:

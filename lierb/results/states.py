@@ -20,7 +20,7 @@ from lierb.model.functions.column_names import COMPONENTS
 from lierb.results.columns import as_array, numbers
 from lierb.runs.continuation import End
 from lierb.support.arrays import Array, assembled, components
-from lierb.support.shown import Lines, Shown, counted
+from lierb.support.representations import Lines, Represented, counted
 
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 
@@ -30,7 +30,7 @@ LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
 @dataclass(frozen=True, repr=False)
-class States(Shown):
+class States(Represented):
     """State of one body or link as NumPy arrays, read from the tables of a run."""
 
     summary: pa.Table
@@ -69,7 +69,7 @@ class States(Shown):
         saved rows. Along a history the sign jumps where w would pass through 0. The quaternion is
         computed from `rotation` on access.
         """
-        p = so3.quaternion(components(self._state("rotation", 3, 3, asked="quaternion"), 2))
+        p = so3.quaternion(components(self._state("rotation", 3, 3, quantity="quaternion"), 2))
         unit = assembled(scale(1.0 / norm(p), p))
         unit.setflags(write=False)
         return unit
@@ -89,8 +89,8 @@ class States(Shown):
         """True if the history has the state; the arrays are then those of the history."""
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
-    def _state(self, name: str, *item: int, asked: str = "") -> Array:
-        """asked : name of the requested quantity, for messages."""
+    def _state(self, name: str, *item: int, quantity: str = "") -> Array:
+        """quantity : name of the requested quantity, for messages."""
         if self.history is not None and self.has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
@@ -124,7 +124,7 @@ class LinkResult(States):
     def _prefix(self) -> str:
         return f"{self.name}."
 
-    def _shown(self) -> tuple[str, Lines]:
+    def _representation(self) -> tuple[str, Lines]:
         count = counted(self.summary.num_rows, "trajectory", "trajectories")
         rows = [("arrays", f"{', '.join(STATE)}: {self._array_shape()}")]
         return f"lierb.results.states.LinkResult {self.name!r}: {count}", rows
@@ -241,12 +241,12 @@ class RunStates(States):
             total = add(total, _momentum_of(body, self[name] if name else self))
         return assembled(total)
 
-    def _state(self, name: str, *item: int, asked: str = "") -> Array:
+    def _state(self, name: str, *item: int, quantity: str = "") -> Array:
         if self.links:
-            asked = asked or name
+            quantity = quantity or name
             raise ArgumentError(
-                f"result.{asked}: every link has its own; take "
-                f"{', '.join(f'result[{link!r}].{asked}' for link in self.links[:NAMED])}"
+                f"result.{quantity}: every link has its own; take "
+                f"{', '.join(f'result[{link!r}].{quantity}' for link in self.links[:NAMED])}"
                 f"{', …' if len(self.links) > NAMED else ''}"
             )
         return super()._state(name, *item)

@@ -123,7 +123,7 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
 
 def history_row_bytes(model: Model, recorded: Iterable[str]) -> int:
     """Return the size of a row of `history_table`, bytes."""
-    numbers_in = 3 + sum(m.asked_by is None or m.asked_by in recorded for m in MEASURES)
+    numbers_in = 3 + sum(m.recorded_by is None or m.recorded_by in recorded for m in MEASURES)
     joints = model.joint_names
     numbers_in += len(model.observables) + len(JOINT_ERRORS) * len(joints)
     numbers_in += sum(prod(shape) for _, shape, _ in model.signals)
@@ -194,7 +194,7 @@ def history_table(
     measures, observables = history_measures(plan), model.observables
     rows = each_row(output.history)
     found = dict(zip(measures, rows[: len(measures)], strict=True))
-    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by is None}
+    columns |= {measure.name: c for measure, c in found.items() if measure.recorded_by is None}
     before = len(output.history) - signals_width(plan)
     errors = rows[len(measures) + len(observables) : before]
     for joint, own in zip(model.joint_names, _in_parts(errors, len(JOINT_ERRORS)), strict=True):
@@ -205,7 +205,7 @@ def history_table(
             for field, array in zip(POSE_AND_TWIST.fields, output.states, strict=True):
                 part = array[output.rows * link : output.rows * link + len(saved)]
                 columns[prefix + field.name] = vectors(part)
-    columns |= {measure.name: c for measure, c in found.items() if measure.asked_by in recorded}
+    columns |= {measure.name: c for measure, c in found.items() if measure.recorded_by in recorded}
     if "energy" in recorded and not plan.does_work:
         columns["work"] = _no_work(columns["energy"])
     units = {}

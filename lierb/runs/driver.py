@@ -61,10 +61,10 @@ class Run(Generic[Clocks]):
     @cached_property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays of the job record."""
-        places = self.inputs.places(self.plan)
-        varying = np.flatnonzero(places[:, 1])[None]
-        inputs = np.zeros((self.threads, len(places), self.plan.lanes))
-        return {"places": places, "varying": varying, "inputs": inputs, **self.output.arrays}
+        addresses = self.inputs.addresses(self.plan)
+        varying = np.flatnonzero(addresses[:, 1])[None]
+        inputs = np.zeros((self.threads, len(addresses), self.plan.lanes))
+        return {"addresses": addresses, "varying": varying, "inputs": inputs, **self.output.arrays}
 
     def run(self, integrate: Any, counter: NDArray[np.int64], jobs: NDArray[Any]) -> float:
         """Run a loop on all threads; return the seconds taken, compilation excluded.

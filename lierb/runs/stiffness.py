@@ -33,7 +33,7 @@ from lierb.model.mechanism.row_system import System
 from lierb.model.problem import Problem
 from lierb.runs.starts import Ready
 from lierb.runs.timing import Timing
-from lierb.support.arrays import Array, assembled, components, pose_components, taken
+from lierb.support.arrays import Array, assembled, components, items_at, pose_components
 from lierb.support.collected_warnings import are_warnings_collected
 
 Indices = NDArray[np.int64]
@@ -171,8 +171,8 @@ class _OwnForces:
         members, those = self._members(count), self
         if len(members) < count:
             those = _OwnForces(self.mechanism.part(members), self.is_one_body, self.is_alike)
-            pose0 = {name: taken(array, members, 2) for name, array in pose0.items()}
-            twist0 = {name: taken(array, members, 1) for name, array in twist0.items()}
+            pose0 = {name: items_at(array, members, 2) for name, array in pose0.items()}
+            twist0 = {name: items_at(array, members, 1) for name, array in twist0.items()}
         modes = list(those._modes(pose0, twist0, len(members), timing.dt))
         growths = [each.growth(timing.tableau, timing.steps) for each in modes]
         most = [growth.max(initial=0.0) for growth in growths]

@@ -73,17 +73,18 @@ class Timing:
         }
         if not self.is_of_lanes:
             return fields
-        looks = has_events or self.saves
+        interpolates = has_events or self.saves
         embedded = None
         if self.is_adaptive:
             assert tableau.error is not None
             assert tableau.error_order is not None
             embedded = Embedded(_rows(tableau.error), tableau.error_order)
         extension = None
-        if looks and tableau.dense is not None:
+        if interpolates and tableau.dense is not None:
             extension = Extension(_rows(tableau.dense_A), _rows(tableau.dense))
         return fields | {
-            "clock": "lanes", "embedded": embedded, "extension": extension, "looks": looks,
+            "clock": "lanes", "embedded": embedded, "extension": extension,
+            "interpolates": interpolates,
             "jumps": has_jumps or self.discontinuities is not None,
         }  # fmt: skip
 

@@ -244,7 +244,7 @@ def batch_size(**arguments: Array | tuple[Array, int]) -> int | None:
 Which = int | slice | NDArray[np.int64]  # one body of a batch, or some of them
 
 
-def taken(array: Array, which: Which, item_axes: int = 0) -> Array:
+def items_at(array: Array, which: Which, item_axes: int = 0) -> Array:
     """Items of one or several bodies of a batch; a shared item as is."""
     if array.ndim == item_axes:
         return array

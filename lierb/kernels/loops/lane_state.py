@@ -39,7 +39,7 @@ from lierb.kernels.stepping.lane_clock import (
     rounding_at,
 )
 from lierb.kernels.stepping.step_size import Tolerances
-from lierb.kernels.systems.extra_states import Held, with_signals
+from lierb.kernels.systems.extra_states import Control, with_signals
 from lierb.kernels.systems.layout import LANE_END
 from lierb.kernels.systems.plan import AnyPlan
 from lierb.kernels.systems.signals import (
@@ -60,7 +60,7 @@ class Lanes(NamedTuple):
     state: State
     record: Record
     clock: LaneClock
-    held: Held
+    control: Control
 
 
 def any_of(numbers: Any) -> Any:
@@ -90,16 +90,16 @@ def put_rows(plan: AnyPlan, rows: Any, first: int, numbers: Any) -> None:
 def load_lanes(plan: AnyPlan, body: Any, carried: Any) -> Lanes:
     state, record = load_carried(plan, body, carried, 0)
     columns = carried_columns(plan)
-    clock, *held = (
+    clock, *control = (
         [row_of(plan, carried, row) for row in range(columns[name].start, columns[name].stop)]
-        for name in ("clock", *Held._fields)
+        for name in ("clock", *Control._fields)
     )
-    return Lanes(state, record, LaneClock(*clock), Held(*map(tuple, held)))
+    return Lanes(state, record, LaneClock(*clock), Control(*map(tuple, control)))
 
 
 def store_lanes(plan: AnyPlan, carried: Any, lanes: Lanes) -> None:
     store_carried(plan, carried, 0, lanes.state, lanes.record)
-    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.held))
+    put_rows(plan, carried, carried_columns(plan)["clock"].start, (lanes.clock, lanes.control))
 
 
 # ---- exception flags of functions that are called body by body ----
@@ -150,14 +150,14 @@ def started(
     due = row_of(plan, rows, DUE)
     zero = 0.0 * row_of(plan, rows, NOISE_INDEX)
     system, periods = system_of(plan), periods_of(plan, body)
-    held = Held(
+    control = Control(
         (zero,) * size_of(outputs_of(plan)),
         tuple(zero + x for x in system.initial_memory(body)) if periods else (),
         tuple(zero + _first_tick(span.start, period) for period in periods),
     )
-    body = with_signals(plan, body, state, held)
+    body = with_signals(plan, body, state, control)
     clock = first_clock(plan, body, state, span, limits, zero)._replace(due=due)
-    return Lanes(state, initial_record(plan, body, state), clock, held)
+    return Lanes(state, initial_record(plan, body, state), clock, control)
 
 
 def periods_of(plan: AnyPlan, body: Any) -> Vec:
@@ -177,13 +177,13 @@ def resumed(plan: AnyPlan, lanes: Lanes, limits: Tolerances, inputs: Any) -> Lan
     """Return the lanes with the final clock and controllers of the run before."""
     at, columns = system_of(plan).inputs["lane"], lane_end(plan)
     before = columns.parts([load(inputs, (c, 0), plan.lanes) for c in range(at.start, at.stop)])
-    held = (
+    control = (
         tuple(where(y == y, y, x) for x, y in zip(mine, before[name], strict=True))
-        for name, mine in lanes.held._asdict().items()
+        for name, mine in lanes.control._asdict().items()
     )
     clock = continued(plan, lanes.clock, limits, before)
     record = resumed_record(plan, inputs, lanes.record)
-    return lanes._replace(record=record, clock=clock, held=Held(*held))
+    return lanes._replace(record=record, clock=clock, control=Control(*control))
 
 
 # ---- results ----
@@ -194,7 +194,7 @@ def put_shown(
 ) -> None:
     """Store the quantities of a state that tables show."""
     links = user_state(plan, body, inputs, state, lanes.record)
-    put_rows(plan, shown, 0, (*links, state.states, lanes.held.controls))
+    put_rows(plan, shown, 0, (*links, state.states, lanes.control.controls))
 
 
 def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -> None:
@@ -202,7 +202,7 @@ def store_lane_summary(plan: AnyPlan, lanes: Lanes, summary: Any, column: Any) -
     clock = lanes.clock
     numbers = (clock.t, clock.steps, clock.rejected, clock.h)
     alive = lanes.record.status == OK
-    signals = (where(alive, x, NAN) for x in (*lanes.state.states, *lanes.held.controls))
+    signals = (where(alive, x, NAN) for x in (*lanes.state.states, *lanes.control.controls))
     for i, number in enumerate((*numbers, *signals)):
         put_row(plan, summary, column + i, number)
 
@@ -211,7 +211,7 @@ def store_lane_end(plan: AnyPlan, lanes: Lanes, ends: Any) -> None:
     """Store clock and controllers behind the state, for a run that continues."""
     clock = lanes.clock._replace(ahead=lanes.clock.ahead + lanes.clock.steps)
     own = tuple(getattr(clock, field.name) for field in LANE_END.fields)
-    put_rows(plan, ends, len(state_columns(plan)) + plan.keeps_rank, (own, lanes.held))
+    put_rows(plan, ends, len(state_columns(plan)) + plan.keeps_rank, (own, lanes.control))
 
 
 def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:

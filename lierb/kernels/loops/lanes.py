@@ -100,7 +100,7 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
         begun = lane_state.resumed(plan, begun, limits, inputs)
     lanes = taken(fresh, begun, lanes)
     if own.watched > 0:
-        inner.put_values(plan, body, lanes.state, lanes.held, lanes.clock.t, values, ws.SAMPLES)
+        inner.put_values(plan, body, lanes.state, lanes.control, lanes.clock.t, values, ws.SAMPLES)
         inner.put_roundings(plan, body, lanes, values, ws.SAMPLES, numbers_at(own.roundings))
         _request(job.watch, search.NOTE_STARTS, inputs, counter, jobs)
     lane_state.restore_exceptions(plan, flags, fresh)
@@ -114,7 +114,7 @@ def _save_between(plan, body, inputs, counter, jobs, lanes, there):
     rows = numbers_at(own.rows)
     due = row_of(plan, rows, ws.SELECTED)
     flags = lane_state.suppress_exceptions(plan, due)
-    at = with_signals(plan, body, there, lanes.held)
+    at = with_signals(plan, body, there, lanes.control)
     row, record = inner.shown_between(plan, at, there, lanes)
     lanes = inner.with_record(lanes, record)
     is_saved = job.rows_per_link > 1
@@ -170,7 +170,7 @@ def _look_between(
                 time = taken(part.is_last, trial.end, time)
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
-            inner.put_values(plan, seen, there, lanes.held, time, values, sample)
+            inner.put_values(plan, seen, there, lanes.control, time, values, sample)
             if task != search.SAMPLE:
                 kind = search.NARROW if task == search.ROOT else search.NOTE_DIP
                 _request(job.watch, kind, inputs, counter, jobs)
@@ -192,8 +192,8 @@ def _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination)
     """Measure the lanes at the end of a step, and save the rows that are due there."""
     job, own = jobs[0], jobs[1]
     rows, is_saved = numbers_at(own.rows), job.rows_per_link > 1
-    seen = with_signals(plan, body, lanes.state, lanes.held)
-    row, lanes = steps.looked(plan, seen, lanes, span, fresh, termination)
+    seen = with_signals(plan, body, lanes.state, lanes.control)
+    row, lanes = steps.with_measures(plan, seen, lanes, span, fresh, termination)
     while steps.select_due(plan, rows, lanes, fresh):  # several may be due within a rounding
         _store_row(plan, seen, inputs, lanes.state, lanes, row, own, is_saved, lanes.clock.t)
         _request(job.serve, ws.COPY_ROW, inputs, counter, jobs)
@@ -249,7 +249,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
             for i in range(jumps.shape[1]):
                 stop = steps.sooner(lanes, stop, jumps[0, i])
             trial = steps.next_trial(plan, body, lanes, stop, active)
-            seen = with_signals(plan, body, lanes.state, lanes.held)
+            seen = with_signals(plan, body, lanes.state, lanes.control)
             made = steps.attempted(plan, seen, lanes, trial, limits)
             accepted, failed, lanes = steps.decided(plan, body, lanes, made, trial, limits, active)
             if any_of(failed):
@@ -266,7 +266,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
         if any_of(ticks):
             lanes = steps.ticked(plan, body, lanes, ticks, rows, job.seed)
         termination = steps.termination_now(lanes, span, limits, fresh, termination)
-        if steps.looks_now(plan, lanes, span, fresh, termination):
+        if steps.measures_now(plan, lanes, span, fresh, termination):
             lanes = _measure(plan, body, inputs, counter, jobs, lanes, span, fresh, termination)
             termination = steps.termination_now(lanes, span, limits, fresh, termination)
         if steps.is_to_tidy(lanes, fresh, termination):

@@ -284,11 +284,11 @@ def solved(
     loads: dict[int, Vec],
     biases: Sequence[Vec] | None = None,
     fall: dict[int, Vec] | None = None,
-    openness: Callable[[], Any] | None = None,
+    violation: Callable[[], Any] | None = None,
 ) -> Solved:
     """Solve for accelerations under loads and rows; see `ArticulatedBodies.respond`.
 
-    openness : see `saddle.multipliers_of`.
+    violation : see `saddle.multipliers_of`.
     """
     if not rows:
         return Solved(bodies.respond(loads, biases, fall), (), ZERO, ZERO, {})
@@ -318,7 +318,7 @@ def solved(
         alone,
         lambda i: scales.acceleration(rows[i]),
         bodies.motion.body.dropped,
-        openness,
+        violation,
     )
     for size, each in zip(multipliers, rows, strict=True):
         _add_loads(total, each.loads(-size))

@@ -99,8 +99,8 @@ class TreeAccelerations(TreeCharts):
         biases = [add(motion.bias(i), each) for i, each in enumerate(damped)]
         rows = self.equations(relatives, wanted)
         bodies = bodies_of(motion, rows)
-        openness = partial(self.off_rows, motion)
-        solution = solved(bodies, rows, loads, biases, fall, openness)
+        violation = partial(self.violation_of, motion)
+        solution = solved(bodies, rows, loads, biases, fall, violation)
         for (number, r), multiplier in zip(self.rows, solution.multipliers, strict=True):
             rate = r.prescribed_rate(relatives[number].x, body.ends[number])
             power = fma(-multiplier, rate, power)
@@ -109,11 +109,11 @@ class TreeAccelerations(TreeCharts):
             rates, power, solution.singular, solution.dropped, bodies, solution, relatives
         )
 
-    def off_rows(self, motion: TreeMotion) -> Any:
+    def violation_of(self, motion: TreeMotion) -> Any:
         """Residual δ of pose and velocity for `lierb.kernels.mechanics.saddle.multipliers_of`."""
         again = motion.again()  # values computed in a branch are not valid outside it
         relatives = self.relatives(motion.body, again)
-        length, pose = length_of(motion.body), relatives.openness()
+        length, pose = length_of(motion.body), relatives.violation()
         rates: Any = ZERO
         for number, r in self.rows:
             x, ends = relatives[number].x, motion.body.ends[number]
@@ -177,7 +177,7 @@ class TreeAccelerations(TreeCharts):
         """Residuals of the rows on whose null space node i is solved, as a motion (6,)."""
         held, fixed, _ = kinds_of(self.plan.tree[i].rows)
         own = (*held.values(), *fixed.values())
-        x = motion.kinematics(motion.hung(i), ZERO6)
+        x = motion.kinematics(motion.joint_pose(i), ZERO6)
         values = dict(zip(own, residuals(own, x, Ends(HERE, HERE)), strict=True))
         turn = tuple(values[fixed[k]] if k in fixed else ZERO for k in range(3))
         d = tuple(x.d[j] if j in held else ZERO for j in range(3))

@@ -11,7 +11,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from lierb.compiler.code import OPTIONS, undisturbed
+from lierb.compiler.code import OPTIONS, run_uninterrupted
 from lierb.compiler.entries import raise_again
 from lierb.compiler.internals import INT64, call_linked, cgutils, link, populate_array
 from lierb.kernels.numbers.arithmetic import branch, where
@@ -270,7 +270,7 @@ def exception_of(mark: int) -> Exception:
         return StopIteration()
     if mark in _Python.exceptions:
         return _Python.exceptions.pop(mark)
-    undisturbed(_raise.compile, (types.int64,))
+    run_uninterrupted(_raise.compile, (types.int64,))
     try:
         _raise(mark)
     except Exception as error:

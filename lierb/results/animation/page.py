@@ -33,7 +33,7 @@ from lierb.results.colours import CSPACE_NAMES
 from lierb.results.states import RunStates
 from lierb.support.arrays import Array, as_numbers, is_whole
 from lierb.support.files import require_page, write_whole
-from lierb.support.shown import counted, steps_told
+from lierb.support.representations import counted, steps_text
 
 MOST_VIEWS = 8  # most views by default
 FRAMES = 2000  # most frames of a trajectory; longer histories are thinned
@@ -286,7 +286,7 @@ def _title(result: RunStates) -> str:
     joint, options = known.get("problem", {}).get("joint", ""), known.get("options", {})
     parts = [f"{joint} joint"] if joint else [described_links(known) or "lierb"]
     if options:
-        parts += [options["method"], steps_told(options)]
+        parts += [options["method"], steps_text(options)]
     return ", ".join(parts)
 
 

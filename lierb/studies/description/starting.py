@@ -32,7 +32,7 @@ from lierb.support.arrays import (
     pose_components,
     pose_matrix,
 )
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 PLACES = ("rotation", "place")
 AUTO, NEVER = "auto", "never"  # closing of loops

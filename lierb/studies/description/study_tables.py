@@ -20,12 +20,12 @@ from lierb.studies.description.sections.running import IntegrateSection, OutputS
 from lierb.studies.description.sections.sampling import SampleSection
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study_file import ELEMENTS, plain
-from lierb.support.shown import counted
+from lierb.support.representations import counted
 
 TABLES = ("summary", "history", "events")
 NEW_KEYS = ("rtol", "atol", "dt_min", "dt_max", "max_steps", "save_at", "discontinuities")
 NOTHING = "nothing"  # quantity in the design of a study without sampled quantities
-HELD = ("links", "loops")  # lists of the problem whose items have a joint
+LINKS_AND_LOOPS = ("links", "loops")  # lists of the problem whose items have a joint
 
 
 class StudyTables(Section):
@@ -151,7 +151,7 @@ def _later_keys(tables: dict[str, Any]) -> Iterator[tuple[dict[str, Any], tuple[
     """Tables, and their keys added by later versions; unset, these do not change the digest."""
     for section in ("problem", "sample"):
         yield tables[section], ELEMENTS[1:]
-    yield tables["problem"], HELD
+    yield tables["problem"], LINKS_AND_LOOPS
     yield tables["initial"], ("close",)
     yield tables["integrate"], ("stabilise", *NEW_KEYS)
     for key in ("body", "joint"):

@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 
 from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 
 
@@ -23,7 +23,7 @@ def rows_of(setting: Setting) -> pc.Expression:
 
 def ok_columns(dataset: Results, setting: Setting, names: list[str]) -> dict[str, Array]:
     """Read columns of the bodies that are ok in a setting; lists as (n, k)."""
-    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_FINE)
+    table = dataset.table().to_table(columns=names, filter=rows_of(setting) & IS_SUCCESS)
     return {name: as_array(table[name]) for name in names}
 
 

@@ -11,7 +11,7 @@ from lierb.results.columns import as_array
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import rows_of
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import components, pose_matrix
 
 BODIES = 64  # number of bodies: the median's order of magnitude is enough
@@ -33,7 +33,7 @@ def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, floa
             "trajectory",
             *(f"{prefix}{name}" for prefix in _prefixes(links) for name in STATE),
         ],
-        filter=rows_of(setting) & IS_FINE,
+        filter=rows_of(setting) & IS_SUCCESS,
     )
     ended = as_array(rows["trajectory"])
     first = int(ended.min()) if rows.num_rows else 0

@@ -16,7 +16,7 @@ from lierb.studies.description.quantiles import CONFIDENCE, Quantile, quantile_o
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.findings.columns import field_unit, ok_columns, rows_of
-from lierb.studies.storage.results import IS_FINE, Results
+from lierb.studies.storage.results import IS_SUCCESS, Results
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
@@ -176,7 +176,7 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
     for setting in study.settings:
         for column in columns:
             values = np.full(design.n, np.nan)
-            is_ok = rows_of(setting) & IS_FINE
+            is_ok = rows_of(setting) & IS_SUCCESS
             table = dataset.table().to_table(columns=["trajectory", column], filter=is_ok)
             values[as_array(table["trajectory"])] = as_array(table[column])
             whole = np.isfinite(values.reshape(-1, each)).all(axis=1)

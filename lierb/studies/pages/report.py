@@ -33,10 +33,10 @@ from lierb.studies.findings.statistics import PROBABILITIES
 from lierb.studies.findings.tables import first_time, with_interval, with_unit
 from lierb.studies.pages.replays import chosen, description_of, replayed
 from lierb.studies.storage.parts import Parts
-from lierb.studies.storage.results import IS_FINE, Results, setting_columns
+from lierb.studies.storage.results import IS_SUCCESS, Results, setting_columns
 from lierb.support.extras import require
 from lierb.support.files import require_page, write_whole
-from lierb.support.shown import rounded
+from lierb.support.representations import rounded
 
 require("report")
 import jinja2  # noqa: E402
@@ -212,5 +212,5 @@ def _failures(dataset: Results) -> list[dict[str, Any]]:
     """Return rows of the first bodies that failed."""
     table = dataset.table()
     columns = [*setting_columns(table.schema), "trajectory", "status", "t"]
-    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_FINE).to_pylist()
+    rows: list[dict[str, Any]] = table.head(FAILED, columns=columns, filter=~IS_SUCCESS).to_pylist()
     return [{"setting": Setting.of_row(row).label, **row} for row in rows]

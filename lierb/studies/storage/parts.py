@@ -150,7 +150,7 @@ def part_size(study: Study) -> int:
         return max(1, min(study.output.part, int(HISTORY_BYTES / max(1, bytes_of_body(study)))))
     if run.save_every is None:
         return study.output.part
-    links, joints = max(1, len(study.problem.links)), len([*study.problem.held()])
+    links, joints = max(1, len(study.problem.links)), len([*study.problem.links_and_loops()])
     row = HISTORY_ROW_BYTES + JOINT_BYTES * joints + STATE_BYTES * links * ("state" in run.record)
     rows = (run.t_end - run.t0) / min(run.dt) / run.save_every + 2
     return max(1, min(study.output.part, int(HISTORY_BYTES / row / rows)))

@@ -14,17 +14,17 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from lierb.errors import LierbError, StudyError
-from lierb.results.failures import COLUMNS, FINE, Failures
+from lierb.results.failures import COLUMNS, SUCCESSES, Failures
 from lierb.studies.description.code import Code, read_code
 from lierb.studies.description.settings import Setting
 from lierb.studies.description.study import Study
 from lierb.studies.storage.manifest import Manifest, file_of, read_manifest
 from lierb.support.files import RESUME, as_it_is, folder_of, sha256_of
-from lierb.support.shown import Shown
+from lierb.support.representations import Represented
 
 MANIFEST = "manifest.json"
 STUDY = "study.toml"
-IS_FINE = pc.field("status").isin(FINE)  # rows of trajectories that ended as they should
+IS_SUCCESS = pc.field("status").isin(SUCCESSES)  # rows of trajectories that ended as they should
 
 
 def setting_columns(schema: pa.Schema) -> list[str]:
@@ -32,7 +32,7 @@ def setting_columns(schema: pa.Schema) -> list[str]:
     return ["cspace", "method", "rtol" if "rtol" in schema.names else "dt"]
 
 
-class Results(Shown):
+class Results(Represented):
     """Finished parts of the study in a folder.
 
     Parameters and errors are those of `lierb.studies.dataset.Dataset`.
@@ -198,7 +198,7 @@ class Results(Shown):
         self._require_whole([failing[0][0]])
         table = ds.dataset(str(self.folder / failing[0][0]), format="parquet")
         columns = [*setting_columns(table.schema), *COLUMNS]
-        (row,) = table.head(1, columns=columns, filter=~IS_FINE).to_pylist()
+        (row,) = table.head(1, columns=columns, filter=~IS_SUCCESS).to_pylist()
         setting, first = Setting.of_row(row), {name: row[name] for name in COLUMNS}
         counts: Counter[str] = Counter()
         for _, failed in failing:

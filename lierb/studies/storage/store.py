@@ -87,11 +87,11 @@ class Store(Results):
     # ---- study -----------------------------------------------------------------------------------
 
     def begin(
-        self, study: Study, text: str, asked: int, changes: Mapping[str, Any] | None = None
+        self, study: Study, text: str, parts: int, changes: Mapping[str, Any] | None = None
     ) -> None:
         """Write the manifest of a study without parts, its study.toml and its Python files.
 
-        text : of study.toml.   asked : number of parts.   Files of an earlier study without parts
+        text : of study.toml.   parts : number of parts.   Files of an earlier study without parts
         are replaced. Raises StudyError for a study.toml or Python file of the user's that differs.
         """
         begun = self.manifest.get("code", {}) | {STUDY: self.manifest.get("text")}
@@ -101,7 +101,7 @@ class Store(Results):
         self.manifest = {
             "format": FORMAT, "digest": study.digest(),
             "text": None if is_there else sha256_of_text(text), "study": study.model_dump(),
-            "set": dict(changes or {}), "machine": machine(), "asked": asked, "parts": {},
+            "set": dict(changes or {}), "machine": machine(), "asked": parts, "parts": {},
         }  # fmt: skip
         if study.files:
             self.manifest |= {"code": study.code_digests, "functions": study.fingerprints()}

@@ -59,7 +59,7 @@ def things(tmp_path):
 
 def test_html_has_what_text_has(tmp_path):
     for name, thing in things(tmp_path).items():
-        title, rows = thing._shown()
+        title, rows = thing._representation()
         table = Table(thing._repr_html_())
         assert repr(thing).splitlines()[0] == title, name
         assert table.rows == [list(row) for row in rows], name
