@@ -53,12 +53,12 @@ class DiskCache(NullCache):
                 content = sealed.read(path, key)
                 if content is None:
                     continue
-                found = from_bytes(content, target_context)
+                code = from_bytes(content, target_context)
             except Exception:  # a foreign file may raise any exception
                 continue
             with suppress(OSError):
                 os.utime(path)  # time of the last use, for `_prune`
-            return found
+            return code
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

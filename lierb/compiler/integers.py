@@ -82,10 +82,10 @@ def _checked(computed: Any) -> Any:
             return None
 
         def implementation(a, b):
-            found, is_beyond = computed(whole(a), whole(b))
+            result, is_beyond = computed(whole(a), whole(b))
             if is_beyond:
                 raise OverflowError(BEYOND)
-            return found
+            return result
 
         return implementation
 
@@ -117,14 +117,14 @@ def power(a, b):
     def implementation(a, b):
         if b < 0:
             raise ValueError(TO_NEGATIVE)
-        found, factor, rest = whole(1), whole(a), np.int64(b)
+        result, factor, rest = whole(1), whole(a), np.int64(b)
         while rest > 0:
             if rest & 1:
-                found = times(found, factor)
+                result = times(result, factor)
             rest >>= 1
             if rest > 0:
                 factor = times(factor, factor)
-        return found
+        return result
 
     return implementation
 
@@ -206,10 +206,10 @@ def total(members):
 @_stands_for(sum)
 def total_from(members, start):
     def implementation(members, start):
-        found = np.int64(start)
+        result = np.int64(start)
         for member in members:
-            found = plus(found, member)
-        return found
+            result = plus(result, member)
+        return result
 
     return implementation if _are_whole(members) and _kind(start) is np.int64 else None
 
@@ -223,10 +223,10 @@ def _whole_part(kind: types.Integer, whole: Any) -> Any:
 
     def typed(x):
         def of_float(x):
-            found = whole(np.float64(x))
-            if not lowest <= found < beyond:
+            number = whole(np.float64(x))
+            if not lowest <= number < beyond:
                 raise OverflowError(NO_WHOLE)
-            return convert(found)
+            return convert(number)
 
         return of_float if isinstance(x, types.Float) else None
 
@@ -239,10 +239,10 @@ def _of_kind(kind: types.Integer) -> Any:
 
     def typed(x):
         def of_integer(x):
-            found = convert(x)
-            if found != x:
+            number = convert(x)
+            if number != x:
                 raise OverflowError(NO_WHOLE)
-            return found
+            return number
 
         return of_integer if isinstance(x, types.Integer) else of_float(x)
 

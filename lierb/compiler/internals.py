@@ -147,8 +147,8 @@ def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
             super().__init__()
 
         def run_pass(self, state: Any) -> bool:
-            found = [_replace(state, functions, step) for step in _assignments(state.func_ir)]
-            return any(found)
+            replaced = [_replace(state, functions, step) for step in _assignments(state.func_ir)]
+            return any(replaced)
 
     class Compiler(CompilerBase):
         def define_pipelines(self) -> list[Any]:
@@ -188,7 +188,7 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
         return False
     context = state.typingctx
     try:
-        found = context.resolve_function_type(context.resolve_value_type(function), kinds, {})
+        signature = context.resolve_function_type(context.resolve_value_type(function), kinds, {})
     except TypingError:
         return False
     if len(operands) == 1:
@@ -197,7 +197,7 @@ def _replace(state: Any, functions: Mapping[Any, Any], step: Any) -> bool:
         static = dict.fromkeys(("static_lhs", "static_rhs"), numba_ir.UNDEFINED)
         lhs, rhs = operands
         new = numba_ir.Expr("binop", step.loc, fn=function, lhs=lhs, rhs=rhs, **static)
-    step.value, state.calltypes[new] = new, found
+    step.value, state.calltypes[new] = new, signature
     return True
 
 

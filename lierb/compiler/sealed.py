@@ -34,8 +34,8 @@ def folders_of(function: Callable[..., Any]) -> list[Path]:
         if numba.config.CACHE_DIR
         else [InTreeCacheLocator, UserWideCacheLocator]
     )
-    found = (Path(each(function, source).get_cache_path()) for each in chosen)
-    return [folder for folder in found if folder.is_absolute() or numba.config.CACHE_DIR]
+    folders = (Path(each(function, source).get_cache_path()) for each in chosen)
+    return [folder for folder in folders if folder.is_absolute() or numba.config.CACHE_DIR]
 
 
 def read(path: Path, key: str) -> bytes | None:

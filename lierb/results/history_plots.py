@@ -183,8 +183,8 @@ def _of_column(history: pa.Table, column: pa.Field, count: int) -> dict[str, Cal
 # ---- looks -------------------------------------------------------------------------------------
 
 
-def _drawn(found: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -> Figure:
-    panels = [panel for panel in found if panel is not None]
+def _drawn(made: Sequence[Panel | Trace | None], t: Array, chosen: list[int]) -> Figure:
+    panels = [panel for panel in made if panel is not None]
     across = min(ACROSS, len(panels)) or 1
     down = -(-len(panels) // across) or 1
     figure = ShownFigure(figsize=(4.2 * across, 2.7 * down + 0.5), layout="constrained")

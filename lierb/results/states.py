@@ -142,8 +142,8 @@ def _momentum_of(body: Body, link: States) -> Vec:
 def _metadata(table: pa.Table) -> dict[str, Any]:
     """Return the metadata of a table as a dictionary."""
     metadata = (table.schema.metadata or {}).get(b"lierb")
-    found: dict[str, Any] = json.loads(metadata) if metadata else {}
-    return found
+    content: dict[str, Any] = json.loads(metadata) if metadata else {}
+    return content
 
 
 def _kinds_of(metadata: dict[str, Any]) -> list[str]:

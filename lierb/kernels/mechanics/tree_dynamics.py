@@ -137,8 +137,8 @@ class JointSpace:
             momenta = {j: constants[i].rigid.momentum(c) for j, c in columns.items()}
             for j, k in product(momenta, momenta):
                 if k <= j:
-                    found = dot(columns[k], momenta[j])
-                    entries[j, k] = found + entries[j, k] if (j, k) in entries else found
+                    entry = dot(columns[k], momenta[j])
+                    entries[j, k] = entry + entries[j, k] if (j, k) in entries else entry
         for i, own in enumerate(motion.own):
             stiff = stiffness_of(rows, i, motion.directions[i])
             for (j, ks), (k, x) in product(zip(own, stiff, strict=True), enumerate(own)):

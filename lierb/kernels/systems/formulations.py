@@ -89,12 +89,12 @@ class SaddlePoint(OneBody):
         def to_ground(a: Vec) -> Vec:
             return mat_vec(fixed, quaternion.rotate(x, a, k))
 
-        found = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
-        singular = found.singular
+        solution = accelerate(plan, body, moved, velocity, time, q, fall, to_ground)
+        singular = solution.singular
         if has_others(plan.rows):  # a joint of another rank is another joint
-            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
+            singular = where(is_other_rank(solution.dropped, body.dropped), 1.0, singular)
         x_rate = plan.space.charts.dexpinv(neg(x), velocity, k)
-        return Rates(x_rate, found.rate, found.power, singular)
+        return Rates(x_rate, solution.rate, solution.power, singular)
 
 
 class Subgroup(OneBody):

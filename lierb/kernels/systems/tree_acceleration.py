@@ -73,14 +73,14 @@ class TreeAccelerations(TreeCharts):
             for node, each, part, k in zip(tree, chart, parts, angles, strict=True)
         )
         motion = self.motion_at(body, moved, velocity, time)
-        found = self.accelerate(body, motion)
-        singular = found.singular
+        solution = self.accelerate(body, motion)
+        singular = solution.singular
         if self.rows:  # a mechanism of another rank is another mechanism
-            singular = where(is_other_rank(found.dropped, body.dropped), 1.0, singular)
+            singular = where(is_other_rank(solution.dropped, body.dropped), 1.0, singular)
         x_rates: list[Any] = []
         for node, part, v, k in zip(tree, parts, sixes(velocity), angles, strict=True):
             x_rates += charts_of(node).dexpinv(neg(part), v, k)
-        return Rates(tuple(x_rates), found.rates, found.power, singular)
+        return Rates(tuple(x_rates), solution.rates, solution.power, singular)
 
     def accelerate(
         self, body: TreeConstants, motion: TreeMotion, forces: bool = True

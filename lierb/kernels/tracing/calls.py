@@ -56,9 +56,9 @@ def call_compiled(
         builder.call(code.apart(builder.module, marks.lanes), [inward, outward, marks.memory])
         return code.taken(trace, outward)
 
-    found = branch(marks.are_clear, all_called, some_called)
+    results = branch(marks.are_clear, all_called, some_called)
     fine = marks.pack == float(CLEAR)
-    return [where(fine, x, math.nan) for x in found]
+    return [where(fine, x, math.nan) for x in results]
 
 
 class _Lanes:
@@ -123,13 +123,13 @@ class _Lanes:
                     _argument(self.context, builder, ty, sample, cells)
                     for ty, sample in zip(self.types_of, self.samples, strict=True)
                 ]
-                status, found = call_linked(self.context, builder, self.compiled, arguments)
+                status, results = call_linked(self.context, builder, self.compiled, arguments)
                 with builder.if_then(status.is_error, likely=False):
                     address = builder.ptrtoint(status.excinfoptr, INT64)
                     known = builder.select(status.is_user_exc, address, INT64(STOPPED))
                     marks.put(lane, builder.uitofp(known, DOUBLE))
                 for n in range(self.count):
-                    number = builder.extract_value(found, n)
+                    number = builder.extract_value(results, n)
                     builder.store(number, _place(builder, outward, n, loop.index))
 
     def apart(self, module: ir.Module, lanes: int) -> ir.Function:
@@ -140,8 +140,8 @@ class _Lanes:
         """
         name = f"{self.compiled.fndesc.mangled_name}.{self.width}.{lanes}.clear"
         if name in module.globals:
-            found: ir.Function = module.globals[name]
-            return found
+            known: ir.Function = module.globals[name]
+            return known
         marked = ir.ArrayType(DOUBLE, lanes)
         kinds = (self._packs(self.inputs), self._packs(self.count), marked)
         kind = ir.FunctionType(ir.VoidType(), [ty.as_pointer() for ty in kinds])
@@ -187,9 +187,9 @@ class Marks:
         if not hasattr(function, "lierb_marks"):
             memory = cgutils.alloca_once(trace.builder, ir.ArrayType(DOUBLE, lanes))  # zeroed
             function.lierb_marks = cls(trace, lanes, memory)
-        found: Marks = function.lierb_marks
-        found.trace = trace
-        return found
+        marks: Marks = function.lierb_marks
+        marks.trace = trace
+        return marks
 
     @property
     def builder(self) -> ir.IRBuilder:

@@ -201,8 +201,8 @@ def _twist_violation(start: Start, name: str, h: ConnectionState) -> TwistError 
 def _beyond(size: Any, allowed: Any, count: int) -> list[int]:
     """Return the index of the first member whose error exceeds its tolerance or is NaN."""
     is_fine = np.broadcast_to((size <= allowed) & (allowed < np.inf), (count,))
-    found: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
-    return found
+    indices: list[int] = np.flatnonzero(~is_fine)[:1].tolist()
+    return indices
 
 
 def _rate_tolerances(h: ConnectionState, speed: Any) -> tuple[Any, Any]:

@@ -219,7 +219,7 @@ def _named(results: Any) -> dict[str, RunStates]:
         given = [("", results)]
     else:
         given = [(None, result) for result in items_of("results", results, RESULTS)]
-    found: dict[str, RunStates] = {}
+    named: dict[str, RunStates] = {}
     for number, (name, result) in enumerate(given):
         if not hasattr(result, "summary") or not hasattr(result, "history"):
             raise ArgumentError(f"results has {brief(result)}; expected {RESULTS}")
@@ -228,10 +228,10 @@ def _named(results: Any) -> dict[str, RunStates]:
             name = CSPACE_NAMES.get(space, space) if len(given) > 1 else ""
         if result.history is None or not result.has_states:
             raise ArgumentError(f"{f'{name}: ' if name else ''}{RECORD}")
-        found[name if name not in found else f"{name} ({number + 1})"] = result
-    if not found:
+        named[name if name not in named else f"{name} ({number + 1})"] = result
+    if not named:
         raise ArgumentError(f"results is empty; expected {RESULTS}")
-    return found
+    return named
 
 
 RESULTS = "what lierb.integrate returned, one or several"

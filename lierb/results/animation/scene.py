@@ -112,14 +112,14 @@ def scene_of(
 
 def settings_of(result: RunStates) -> dict[str, Any]:
     """Return the metadata of a result: its problem and options."""
-    found: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
-    return found
+    header: dict[str, Any] = json.loads((result.summary.schema.metadata or {}).get(b"lierb", b"{}"))
+    return header
 
 
 def cspace_of(result: RunStates) -> str | None:
     """Return the c-space of a result; None if its metadata lack it."""
-    found: str | None = settings_of(result).get("options", {}).get("cspace")
-    return found
+    cspace: str | None = settings_of(result).get("options", {}).get("cspace")
+    return cspace
 
 
 def _colours(results: Sequence[RunStates]) -> list[tuple[str, int]]:
@@ -164,7 +164,7 @@ class Linked(NamedTuple):
 
 
 def _linked(model: Model) -> list[Linked]:
-    links, found = model.joints[: len(model.bodies)], []
+    links, linked = model.joints[: len(model.bodies)], []
     for i, (name, body) in enumerate(zip(model.link_names, model.bodies, strict=True)):
         own = links[i].joint
         assert own is not None
@@ -176,8 +176,8 @@ def _linked(model: Model) -> list[Linked]:
         ]
         is_parent = i in (at.parent for at in links)
         prefix = f"{name}." if name else ""
-        found.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
-    return found
+        linked.append(Linked(name or "body", prefix, body, points, is_parent, bool(own.rows)))
+    return linked
 
 
 def _view(
@@ -280,8 +280,8 @@ def _errors(
 
     Each value is the maximum since the previous frame.
     """
-    found = {kind for joint in joints for kind in joint.error_kinds}
-    kinds = [f"{kind}_error" for kind in sorted(found)] or ["energy_drift"]
+    names = {kind for joint in joints for kind in joint.error_kinds}
+    kinds = [f"{kind}_error" for kind in sorted(names)] or ["energy_drift"]
     starts = np.append(0, rows[:-1] + 1)
     return {
         name: np.maximum.reduceat(
