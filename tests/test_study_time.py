@@ -123,14 +123,14 @@ def test_settings_and_steps_are_columns(whole):
 
 def test_body_and_wheels_keep_their_momentum(whole):
     """Sampled inertias, rotations and rates: no external torque acts."""
-    found = table(whole)
-    moments = as_array(found["sample.body.second_moments"])
+    rows = table(whole)
+    moments = as_array(rows["sample.body.second_moments"])
     inertia = moments.sum(axis=1, keepdims=True) - moments
     turned = [
-        as_array(found[name]).reshape(-1, 3, 3) for name in ("sample.initial.rotation", "rotation")
+        as_array(rows[name]).reshape(-1, 3, 3) for name in ("sample.initial.rotation", "rotation")
     ]
-    before = inertia * as_array(found["sample.initial.omega"])
-    after = inertia * as_array(found["omega"]) + as_array(found["wheels"])
+    before = inertia * as_array(rows["sample.initial.omega"])
+    after = inertia * as_array(rows["omega"]) + as_array(rows["wheels"])
     start, end = (np.einsum("nij,nj->ni", *pair) for pair in zip(turned, (before, after)))
     # 1 N m s, by Tsit5 with steps of 0.1 s and torques that jump between them: rounding
     np.testing.assert_allclose(end, start, rtol=0, atol=1e-12)
@@ -144,10 +144,10 @@ def test_history_is_at_the_times_asked_for(whole):
 
 def test_events_are_where_they_say(whole):
     """Events have the states of their table: the angle, and the wheels' momentum."""
-    found = table(whole, "events")
-    which = np.array(found["event"].to_pylist())
-    R = as_array(found["rotation"]).reshape(-1, 3, 3)
-    wheels = as_array(found["wheels"])
+    events = table(whole, "events")
+    which = np.array(events["event"].to_pylist())
+    R = as_array(events["rotation"]).reshape(-1, 3, 3)
+    wheels = as_array(events["wheels"])
     turned = np.arccos(R[which == "pointed", 2, 2])
     # times are found to 1e-12 s, at 0.1 rad/s and 0.05 N m
     np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-11)
@@ -569,9 +569,9 @@ def test_three_bodies_may_draw_three_states(tmp_path):
 def test_problem_and_design_run_to_the_bytes_of_the_file(whole, tmp_path):
     """Study from Python, with the names of a file."""
     file = written(tmp_path / "study").with_name("attitude.py")
-    found = importlib.util.spec_from_file_location("attitude", file)
-    made = importlib.util.module_from_spec(found)
-    found.loader.exec_module(made)
+    spec = importlib.util.spec_from_file_location("attitude", file)
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
     given = Study.load(whole / "study.toml")
     problem = lierb.Problem(
         lierb.Body(120.0, (19.0, 17.0, 14.0)), lierb.joints.free(), forces=made.reaction(),
