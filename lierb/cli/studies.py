@@ -45,7 +45,7 @@ FOLDER = click.argument("folder", type=UserPath(exists=True, file_okay=False, pa
 
 
 def _readable(ctx: click.Context, _param: click.Parameter, given: Path) -> Path:
-    """Callback of STUDY: a file that can be read repeatedly until the command ends."""
+    """Return the path STUDY as a file that can be read repeatedly until the command ends."""
     path = ctx.with_resource(as_file(given))
     ctx.meta[COPIED] = path != given
     return path
@@ -58,7 +58,7 @@ STUDY = click.argument(
 
 
 def _changes(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> Changes:
-    """Callback of --set: changes by dotted keys."""
+    """Parse the option --set: changes by dotted keys."""
     try:
         pairs = [parsed(each) for each in given]
     except StudyError as error:

@@ -1,4 +1,4 @@
-"""Output of commands: wide tables, and progress on standard error."""
+"""Print the output of commands: wide tables, and progress on standard error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compilation of functions, once in each process, and the options common to all of them."""
+"""Compile functions, once in each process, with common options."""
 
 from __future__ import annotations
 

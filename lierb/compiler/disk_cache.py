@@ -1,4 +1,4 @@
-"""Disk cache of compiled code: one file for each kernel, named after all that its code depends on.
+"""Cache compiled code on the disk, one file a kernel, named after all that its code depends on.
 
 The cache has no index and no lock. A damaged, foreign or incomplete file counts as absent, and the
 kernel is compiled again. If a file cannot be written, a warning is issued.
@@ -84,7 +84,7 @@ class DiskCache(NullCache):
             yield from folder.glob(f".{self._stem}-*{SUFFIX}{sealed.UNFINISHED}")
 
     def entries(self) -> list[Path]:
-        """Files with code of this version of the sources, in all folders."""
+        """Return the files with code of this version of the sources, in all folders."""
         mine = self._prefix
         return [
             path

@@ -60,7 +60,7 @@ def _enter(key: tuple[Any, ...], operands: tuple[types.Type, ...]) -> None:
 
 
 def kernels_loaded() -> int:
-    """Number of kernels in this process's memory."""
+    """Return the number of kernels in this process's memory."""
     return len(_addresses)
 
 

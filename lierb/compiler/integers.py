@@ -1,4 +1,4 @@
-"""Checked integers in functions that Numba compiles: overflow of 64 bits raises an error.
+"""Check integers in functions that Numba compiles: overflow of 64 bits raises an error.
 
 Python's integers have any number of digits. Numba's wrap at 64 bits, and a conversion of a larger
 float is undefined. `CheckedIntegers` compiles a function with the implementations below in place of
@@ -59,7 +59,7 @@ def _kind(*kinds: types.Type) -> Any:
 
 
 def _with_overflow(operation: str) -> Any:
-    """Intrinsic (a, b) → (a ∘ b modulo 2⁶⁴, overflow flag) on 64-bit integers of one type."""
+    """Return the intrinsic (a, b) → (a ∘ b modulo 2⁶⁴, overflow flag) for a 64-bit integer type."""
 
     @intrinsic
     def computed(context, a, b):
@@ -218,7 +218,7 @@ def total_from(members, start):
 
 
 def _whole_part(kind: types.Integer, whole: Any) -> Any:
-    """Conversion of a float to an integer type, after rounding by `whole`."""
+    """Return the conversion of a float to an integer type, after rounding by `whole`."""
     lowest, beyond, convert = float(kind.minval), float(kind.maxval + 1), getattr(np, kind.name)
 
     def typed(x):
@@ -234,7 +234,7 @@ def _whole_part(kind: types.Integer, whole: Any) -> Any:
 
 
 def _of_kind(kind: types.Integer) -> Any:
-    """Conversion of any number to an integer type."""
+    """Return the conversion of any number to an integer type."""
     of_float, convert = _whole_part(kind, np.trunc), getattr(np, kind.name)
 
     def typed(x):

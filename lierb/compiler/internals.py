@@ -1,4 +1,4 @@
-"""Undocumented parts of Numba on which lierb relies; no other module imports any of them.
+"""Wrap the undocumented parts of Numba on which lierb relies; no other module imports any of them.
 
 tests/compiler/test_internals.py has a test for each imported name and each function: if a release
 of Numba changes one, its test fails. The releases that pass determine the bounds of numba in
@@ -50,7 +50,7 @@ ALLOCATES_NOTHING = {"_nrt": False}
 
 
 def tracing_context() -> Any:
-    """Numba's target context, for the layout of values outside of a compilation."""
+    """Return Numba's target context, for the layout of values outside of a compilation."""
     return cpu_target.target_context
 
 
@@ -112,7 +112,7 @@ def machine_of(codegen: Any) -> tuple[Any, ...]:
 
 
 def as_bytes(result: Any) -> bytes | None:
-    """Serialise a compile result; None if the code is valid in this process only."""
+    """Serialise a compile result; return None if the code is valid in this process only."""
     if any(not lifted.can_cache for lifted in result.lifted) or result.library.has_dynamic_globals:
         return None
     return bytes(dumps(result._reduce()))
@@ -133,7 +133,7 @@ def from_bytes(content: bytes, context: Any) -> Any:
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
-    """Pipeline class for njit that replaces operators and calls with integer results, and ufuncs.
+    """Return a pipeline for njit that replaces ufuncs, and operators and calls on integers.
 
     functions : replacement by (operator, function or type, number of operands). A replacement is
         a function with overloads, used where an overload accepts the operands' types.

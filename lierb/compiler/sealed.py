@@ -1,4 +1,4 @@
-"""Files of the disk cache, verified by a key and a digest.
+"""Read and write files of the disk cache, verified by a key and a digest.
 
 A file holds the digest of the rest, the whole key, and the content. It is written under a temporary
 name and renamed. A file with another key or digest counts as absent.

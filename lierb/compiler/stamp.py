@@ -52,7 +52,7 @@ SOURCES = dict(_read(str(Path(__file__).parents[1]), PACKAGE))
 
 @cache
 def source_stamp(*modules: str) -> str:
-    """Digest of the sources of these modules' code and of the compiler's versions."""
+    """Return a digest of the sources of these modules' code and of the compiler's versions."""
     versions = numba.__version__, llvmlite.__version__, np.__version__  # NumPy computes constants
     described = repr((versions, sorted(parts(*modules).items())))
     return hashlib.sha256(described.encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Arrow columns around NumPy's memory.
+"""Make Arrow columns around NumPy's memory.
 
 `pyarrow.array` is not used: it imports pandas if that is installed, which adds 0.2 s to the first
 result of each process.

@@ -1,4 +1,4 @@
-"""Failed trajectories: their statuses, messages and warnings."""
+"""Report failed trajectories: their statuses, messages and warnings."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Failures:
 
     @property
     def _exception(self) -> str:
-        """Text of the first exception; names its trajectory if it is not the first failed one."""
+        """Describe the first exception; name its trajectory unless it failed first."""
         if self.raised is None:
             return ""
         raised = self.raised
@@ -137,7 +137,7 @@ class Failures:
 
     @property
     def remedies(self) -> list[str]:
-        """Meaning and remedy of each status."""
+        """Return the meaning and remedy of each status."""
         return [REMEDIES[status] for status in self.counts]
 
 

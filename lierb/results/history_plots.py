@@ -1,4 +1,4 @@
-"""Figure of a history: motion, energy, errors and other recorded columns over time.
+"""Draw a history: motion, energy, errors and other recorded columns over time.
 
 Every column of numbers has a panel with its name and unit. Needs Matplotlib: the extra
 `lierb[plot]`.

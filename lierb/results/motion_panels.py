@@ -1,4 +1,4 @@
-"""Panels of motion over time: coordinates, position, direction and angular velocity."""
+"""Draw motion over time: coordinates, position, direction and angular velocity."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class Coordinates:
 
     @cached_property
     def _coordinates(self) -> dict[str, Array]:
-        """Coordinates of each link, (times, trajectories, k); NaN after a failure."""
+        """Return the coordinates of each link, (times, trajectories, k); NaN after a failure."""
         poses: dict[str, Array] = {}
         for name in self.mechanism.names:
             link = self.result[name]

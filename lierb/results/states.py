@@ -90,7 +90,7 @@ class States(Represented):
         return self.history is not None and f"{self._prefix}position" in self.history.column_names
 
     def _state(self, name: str, *item: int, quantity: str = "") -> Array:
-        """quantity : name of the requested quantity, for messages."""
+        """Return a state array.   quantity : name of the requested quantity, for messages."""
         if self.history is not None and self.has_states:
             return self._array(self.history, f"{self._prefix}{name}", *item)
         return np.asarray(self._array(self.summary, f"{self._prefix}{name}", *item)[0])
@@ -189,7 +189,7 @@ class RunStates(States):
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Names of the links of a mechanism; empty for a single body."""
+        """Return the names of the links of a mechanism; empty for a single body."""
         ends = (n.rpartition(".") for n in self.summary.column_names)
         return tuple(link for link, _, what in ends if link and what == "rotation")
 

@@ -45,7 +45,7 @@ _schemas: dict[tuple[str, ...], pa.Schema] = {}  # by column names and units of 
 def _table(
     columns: dict[str, pa.Array], metadata: str, covers: Covers, units: dict[str, str]
 ) -> pa.Table:
-    """units : units of columns that are not in UNITS, by column name."""
+    """Return a table.   units : units of columns that are not in UNITS, by column name."""
     key = (*columns, *covers, *units.values())
     if key not in _schemas:
         _schemas[key] = _schema(columns, covers, units)

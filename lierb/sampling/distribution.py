@@ -74,7 +74,7 @@ class Distribution:
         raise NotImplementedError
 
     def _column(self, parameter: Array) -> Array:
-        """Parameter as a column, one row a component."""
+        """Return a parameter as a column, one row a component."""
         return np.broadcast_to(parameter, self.shape).reshape(-1, 1)
 
     def _set(self, **values: object) -> None:
@@ -117,7 +117,7 @@ def refuse(field: str, array: Array, bad: NDArray[np.bool_], expected: str) -> N
 
 
 def common_shape(**parameters: Array) -> tuple[int, ...]:
-    """Shape () or (d,) of parameters: numbers, and vectors of one length."""
+    """Return the shape () or (d,) of parameters: numbers, and vectors of one length."""
     sizes = {name: array.shape for name, array in parameters.items() if array.ndim}
     if len(set(sizes.values())) > 1:
         listed = ", ".join(f"{name} has {shape[0]}" for name, shape in sizes.items())

@@ -115,7 +115,7 @@ def _covariance(value: ArrayLike) -> Array:
 
 
 def _cholesky(matrix: Array) -> Array:
-    """Cholesky factor, lower triangular, with a column of zeros for each zero pivot."""
+    """Return the Cholesky factor, lower triangular, with a column of zeros for each zero pivot."""
     lower = np.zeros_like(matrix)
     for j in range(len(matrix)):
         rest = matrix[j:, j] - sum(lower[j:, k] * lower[j, k] for k in range(j))

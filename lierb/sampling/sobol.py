@@ -49,7 +49,7 @@ class Sobol:
 
     @cached_property
     def _directions(self) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-        """First point, (d,), and directions, (bits of size − 1, d).
+        """Return the first point, (d,), and the directions, (bits of size − 1, d).
 
         In the Gray code of 2ᵏ bits k and k − 1 are set, so point 2ᵏ is point 0 with directions k
         and k − 1 added. SciPy walks there from point to point, at 2 to 7 ns each: half a minute to
@@ -77,6 +77,6 @@ class Sobol:
 
 
 def _directions_between(points: list[Array]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
-    """Point 0, and the directions that lead to points 1, 2, 4, 8, …"""
+    """Return point 0, and the directions that lead to points 1, 2, 4, 8, …"""
     numbers = (np.concatenate(points) * 2.0**SOBOL_BITS).astype(np.uint64)
     return numbers[0], np.bitwise_xor.accumulate(numbers[1:] ^ numbers[0], axis=0)

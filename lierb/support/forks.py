@@ -1,4 +1,4 @@
-"""Checks in forked processes, which lack the threads of their parents."""
+"""Check for forked processes, which lack the threads of their parents."""
 
 from __future__ import annotations
 

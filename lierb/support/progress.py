@@ -61,7 +61,7 @@ def reporter(
 
 
 def _bar(total: int, of: str, required: bool) -> Bar | None:
-    """Bar for a notebook or a terminal, None elsewhere."""
+    """Return a bar for a notebook or a terminal, None elsewhere."""
     if _in_notebook():
         return NotebookBar(total, of)
     if not (required or _on_terminal()):

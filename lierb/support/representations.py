@@ -1,4 +1,4 @@
-"""Descriptions of objects: text at a prompt, a table in a notebook."""
+"""Describe objects: as text at a prompt, as a table in a notebook."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays of a scene as text: little-endian numbers in base64."""
+"""Encode arrays of a scene as text: little-endian numbers in base64."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gap of a joint: the displacement of its body that the animation magnifies."""
+"""Compute the gap of a joint: the displacement of its body that the animation magnifies."""
 
 from __future__ import annotations
 

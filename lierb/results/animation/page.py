@@ -1,4 +1,4 @@
-"""HTML page of a scene: one file, without network or libraries."""
+"""Make the HTML page of a scene: one file, without network or libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scene of an animation: plain data that becomes JSON.
+"""Make the scene of an animation: plain data that becomes JSON.
 
     scene   title; up (3); centre (3) and radius of the visible region; size of the bodies, m;
             floor: height of the floor along up, m, or null; follow: true if the camera follows the

@@ -1,4 +1,4 @@
-"""Bodies of a study: drawn, made and started, a range of them at a time."""
+"""Draw, make and start the bodies of a study, a range of them at a time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Batch:
 
     @property
     def first(self) -> tuple[Any, Any]:
-        """Problem and pose of the first body alone."""
+        """Return problem and pose of the first body alone."""
         poses = self.pose0
         if isinstance(poses, dict):
             return self.problem.of_body(0), {name: pose[0] for name, pose in poses.items()}

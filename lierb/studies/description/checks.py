@@ -1,4 +1,4 @@
-"""Checks of a study's tables that concern more than one key."""
+"""Check a study's tables where more than one key is concerned."""
 
 from __future__ import annotations
 

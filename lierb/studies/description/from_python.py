@@ -1,4 +1,4 @@
-"""Study of a problem and a design made in Python, converted to the tables of a study's file.
+"""Convert a problem and a design made in Python to the tables of a study's file.
 
 Such a study has all features of a study from a file; its result folder describes it completely.
 """

@@ -1,4 +1,4 @@
-"""Messages about errors in a study, with the line and key of its file."""
+"""Locate errors in a study: line and key of its file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_LISTED = 10  # errors of a file
 
 @contextmanager
 def at(table: str, keys: Collection[str] = ()) -> Iterator[None]:
-    """Context manager: convert a LierbError into a StudyError about a table of the file.
+    """Convert a LierbError, in a context, into a StudyError about a table of the file.
 
     If the message begins with one of `keys`, the key is appended to the table's name.
     """

@@ -215,7 +215,7 @@ class Study(Represented, StudyTables):
 
     @property
     def stabilise(self) -> str | Stabilisation | None:
-        """Argument of `lierb.integrate`."""
+        """Return the argument of `lierb.integrate`."""
         own = self.integrate.stabilise
         return baumgarte(**own.model_dump()) if isinstance(own, Baumgarte) else own
 
@@ -245,7 +245,7 @@ class Study(Represented, StudyTables):
         return rule_of(text, self.batch(0, 1).problem, self.has_lane_clocks)
 
     def fingerprints(self) -> dict[str, str]:
-        """Fingerprints of the functions in the study's files, by list and label in the problem."""
+        """Return fingerprints of the functions in the study's files, by list and label."""
         problem = self.batch(0, 1).problem
         made = {table: getattr(problem, table) for table in ELEMENTS}
         return {

@@ -1,4 +1,4 @@
-"""Execution of a study's parts on a Dask cluster. Needs the extra `lierb[cluster]`."""
+"""Execute a study's parts on a Dask cluster, which needs the extra `lierb[cluster]`."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ class NoAnswer(Exception):
 
 
 def _workers(client: Client) -> dict[str, int]:
-    """Number of threads of each worker, by its address."""
+    """Return the number of threads of each worker, by its address."""
     try:
         threads: dict[str, int] = client.sync(
             client.scheduler.ncores, callback_timeout=CONNECT_SECONDS
@@ -214,7 +214,7 @@ def _run_part(
 
 
 def _own_threads() -> int:
-    """Number of threads of this worker. Its tasks run one at a time, each with all threads."""
+    """Return this worker's number of threads; each of its tasks, one at a time, has all."""
     from distributed import get_worker
 
     return int(min(get_worker().state.nthreads, numba.config.NUMBA_NUM_THREADS))

@@ -120,7 +120,7 @@ def _differences(store: Store, study: Study) -> str:
 
 
 def _leaves(tables: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted key and value of every entry of nested tables."""
+    """Yield dotted key and value of every entry of nested tables."""
     if not isinstance(tables, dict):
         yield path, tables
         return

@@ -1,4 +1,4 @@
-"""Running a study part by part into a folder."""
+"""Run a study part by part into a folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Findings of a study, setting by setting: error quantiles, failures, observed orders."""
+"""Evaluate a study, setting by setting: error quantiles, failures, observed orders."""
 
 from __future__ import annotations
 
@@ -99,19 +99,19 @@ def quantities(dataset: Results) -> list[Spread]:
 
 
 def happened(dataset: Results) -> list[Occurred]:
-    """Number and first times of each event of the problem; [] without events."""
+    """Return number and first times of each event of the problem; [] without events."""
     return list(occurrences(dataset, study_of(dataset)))
 
 
 def indices(dataset: Results) -> list[Sensitivity]:
-    """Sobol's indices of the observables, or else of the errors; [] for other designs."""
+    """Return Sobol's indices of the observables, or else of the errors; [] for other designs."""
     study = study_of(dataset)
     columns = list(observed_columns(dataset, study)) or [*errors_seen(dataset, study).values()]
     return list(sensitivities(dataset, study, columns))
 
 
 def orders(findings: list[SettingErrors], of: SettingErrors) -> dict[str, Order | None]:
-    """Observed orders of the medians over all dt of a c-space and method."""
+    """Return the observed orders of the medians over all dt of a c-space and method."""
     same = [
         f for f in findings
         if (f.setting.cspace, f.setting.method) == (of.setting.cspace, of.setting.method)

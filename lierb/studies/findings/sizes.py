@@ -1,4 +1,4 @@
-"""Characteristic lengths and energies of a study, to tell rounding from error."""
+"""Compute characteristic lengths and energies of a study, to tell rounding from error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATE = {"rotation": 9, "position": 3, "omega": 3, "v": 3}
 
 
 def sizes_of(dataset: Results, study: Study, setting: Setting) -> dict[str, float]:
-    """Scales of a setting's errors: position, m; rotation, 1; energy, J.
+    """Return the scales of a setting's errors: position, m; rotation, 1; energy, J.
 
     Medians over the first bodies, of the larger value of start and end. Position: the problem's
     characteristic length and the distance from the ground's origin. Energy: the kinetic energy, the

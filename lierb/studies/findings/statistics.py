@@ -1,4 +1,4 @@
-"""Statistics of a study's bodies: quantiles with intervals, and sensitivity indices."""
+"""Compute statistics of a study's bodies: quantiles with intervals, and sensitivity indices."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Spread(NamedTuple):
 
 
 def observed_columns(dataset: Results, study: Study) -> dict[str, str]:
-    """Names of the summary's columns of observables, and their units."""
+    """Return the names of the summary's columns of observables, and their units."""
     names = [
         f"{element.name}_{how}"
         for element in study.batch(0, 1).problem.observables
@@ -122,7 +122,7 @@ def percentiles_over_time(
 
 
 def _times(dataset: Results, setting: Setting) -> dict[int, float]:
-    """Times of the saved steps, in order; all bodies of a setting share them."""
+    """Return the times of the saved steps, in order; all bodies of a setting share them."""
     first = dataset.table().head(1, columns=["trajectory"], filter=rows_of(setting))
     if not first.num_rows:
         return {}
@@ -189,7 +189,7 @@ def sensitivities(dataset: Results, study: Study, columns: Sequence[str]) -> Ite
 
 
 def _indices(values: Array) -> tuple[Array, Array]:
-    """First and total indices, each (value, low, high) × quantity.   values : (rows, 2 + q)."""
+    """Return first and total indices, (value, low, high) × quantity.   values : (rows, 2 + q)."""
     rows, width = values.shape
     if rows < LEAST_ROWS or np.ptp(values) == 0.0:
         nothing = np.full((3, width - 2), np.nan)
@@ -202,7 +202,7 @@ def _indices(values: Array) -> tuple[Array, Array]:
 
 
 def _estimated(values: Array) -> Array:
-    """First and total indices, (2, quantities)."""
+    """Return first and total indices, (2, quantities)."""
     require("scipy")
     from scipy.stats import sobol_indices
 

@@ -1,4 +1,4 @@
-"""Labels of sampled numbers on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
+"""Label sampled numbers on an axis: `v₂ [m/s]`, not `initial.twist, 5 [m/s]`."""
 
 from __future__ import annotations
 

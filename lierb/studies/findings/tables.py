@@ -1,4 +1,4 @@
-"""Findings as tables for a terminal."""
+"""Format findings as tables for a terminal."""
 
 from __future__ import annotations
 

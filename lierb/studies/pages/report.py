@@ -104,7 +104,7 @@ def _values_of_run(dataset: Results, study: Study) -> dict[str, Any]:
 
 
 def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
-    """Values of the template about the results."""
+    """Return the values of the template about the results."""
     summaries, seen, end = findings(dataset), errors_seen(dataset, study), study.integrate.t_end
     return {
         "failed": dataset.failures(),
@@ -131,7 +131,7 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
 
 
 def _steps_done(dataset: Results, study: Study) -> int:
-    """Number of steps of all bodies, rejected ones included."""
+    """Return the number of steps of all bodies, rejected ones included."""
     table = dataset.table()
     if not study.has_lane_clocks:
         return Parts(study).work(dataset.parts)
@@ -140,7 +140,7 @@ def _steps_done(dataset: Results, study: Study) -> int:
 
 
 def _predictions(study: Study) -> list[tuple[str, Prediction]]:
-    """Predictions for each joint of the first body; [] if no theorem applies."""
+    """Return predictions for each joint of the first body; [] if no theorem applies."""
     try:
         return list(joint_by_joint(predict(*study.batch(0, 1).first)))
     except LierbError:

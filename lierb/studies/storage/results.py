@@ -1,4 +1,4 @@
-"""Reading a study's folder: its manifest, and the tables of its finished parts."""
+"""Read a study's folder: its manifest, and the tables of its finished parts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ IS_SUCCESS = pc.field("status").isin(SUCCESSES)  # rows of trajectories that end
 
 
 def setting_columns(schema: pa.Schema) -> list[str]:
-    """Names of the columns that identify a row's setting."""
+    """Return the names of the columns that identify a row's setting."""
     return ["cspace", "method", "rtol" if "rtol" in schema.names else "dt"]
 
 
@@ -72,7 +72,7 @@ class Results(Represented):
     # ---- study -----------------------------------------------------------------------------------
 
     def study_text(self, digest: str | None = None) -> str | None:
-        """Text of study.toml; None if there is none.
+        """Return the text of study.toml; None if there is none.
 
         digest : of the study that the file must describe, by default the manifest's.
         Raises StudyError where it describes another one.
@@ -173,7 +173,7 @@ class Results(Represented):
 
     @property
     def trajectories(self) -> int:
-        """Number of rows of the summary, by the manifest."""
+        """Return the number of rows of the summary, by the manifest."""
         return sum(entry["rows"] for _, entry in self._summaries())
 
     def rest(self, remedy: str) -> str:
@@ -206,7 +206,7 @@ class Results(Represented):
         return Failures(self.trajectories, dict(counts), **first, setting=setting.label)
 
     def _summaries(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Files of the summary, setting by setting, and their entries in the manifest."""
+        """Yield the files of the summary, setting by setting, and their entries in the manifest."""
         for part, files in sorted(self.parts.items()):
             yield (name := file_of("summary", part)), files[name]
 

@@ -1,4 +1,4 @@
-"""Writing a study's folder: its lock, files and manifest."""
+"""Write a study's folder: its lock, files and manifest."""
 
 from __future__ import annotations
 
