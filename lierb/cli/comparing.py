@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lierb.analysis.comparison import Comparison
     from lierb.studies.description.study import Study
 
-MOST_BODIES = 64  # unless --n is given
+MOST_BODIES = 64  # most bodies that are compared unless --n is given
 
 
 def _words(_ctx: click.Context, _param: click.Parameter, given: tuple[str, ...]) -> list[str]:

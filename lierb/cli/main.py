@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 NO_CACHE = (
-    "none: the JIT is off, or no folder can be written"  # printed instead of the cache's folder
+    "none: the JIT is off, or no folder can be written"  # text in place of the cache's folder
 )
 
 

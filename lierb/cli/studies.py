@@ -145,7 +145,7 @@ def run(
     _require_one_way(workers, scheduler, gather, report, only)
     own = {"sample.n": n, "sample.seed": seed, "sample.stop_when": stop_when}
     changes = _merged(changes, {key: value for key, value in own.items() if value is not None})
-    loaded = Study.load(study, changes)  # errors come before any worker starts
+    loaded = Study.load(study, changes)  # reports errors before any worker starts
     if only is not None:
         _replay(loaded, folder, only, threads)
         return

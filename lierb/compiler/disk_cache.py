@@ -123,7 +123,7 @@ class DiskCache(NullCache):
                         path.unlink()
                 elif path.name.startswith(mine):
                     kept.append((status.st_mtime, status.st_size, path))
-                else:  # of edited sources or another release of Numba
+                else:  # files of edited sources or of another release of Numba
                     path.unlink()
         excess = sum(size for _, size, _ in kept) - MOST_BYTES
         for _, size, path in sorted(kept):
@@ -134,7 +134,7 @@ class DiskCache(NullCache):
             excess -= size
 
 
-_caches: list[DiskCache] = []  # of this process
+_caches: list[DiskCache] = []  # caches of this process
 
 
 def clear() -> dict[Path, int]:

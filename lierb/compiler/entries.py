@@ -22,10 +22,10 @@ from lierb.compiler.internals import (
 )
 from lierb.compiler.tags import Tag
 
-_plain: list[partial[Any]] = []  # with the JIT off; an entry is an index in it, plus 1
-_entries: dict[tuple[Any, ...], int] = {}  # by the kinds of the arguments
+_plain: list[partial[Any]] = []  # functions with the JIT off; an entry is an index, plus 1
+_entries: dict[tuple[Any, ...], int] = {}  # entries by the kinds of the arguments
 _addresses: dict[tuple[Any, ...], int] = {}  # addresses by the types of the arguments
-_callable: set[tuple[types.Type, ...]] = set()  # argument types of code with an entry, but the tag
+_callable: set[tuple[types.Type, ...]] = set()  # argument types of entries, without the tag
 
 
 def entry_of(dispatcher: Any, tag: Tag, *args: Any) -> Any:

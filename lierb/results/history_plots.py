@@ -36,7 +36,7 @@ from lierb.results.plots import STYLE, ShownFigure  # noqa: E402
 MOST_LINES = 6  # most trajectories drawn one by one; for more, quantiles are drawn
 ACROSS = 3  # panels in a row
 MOST_BESIDE = 24  # most characters of a legend beside a panel's title
-DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of a vector's components
+DASHES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))  # of components
 KEYS = ("trajectory", "step", "t")
 STATE = ("rotation", "position", "omega", "v")
 ON_REQUEST = ("velocity_error", "rotation_rate_error", "work", "v")  # drawn on request
@@ -121,7 +121,7 @@ def _panels(
     if set(STATE) <= {*history.column_names}:
         state = State(result, known)
         for name in MOTION:
-            is_taken = name not in STATE and name in history.column_names  # by an observable
+            is_taken = name not in STATE and name in history.column_names  # named by an observable
             made[f"{name} of the motion" if is_taken else name] = getattr(state, name)
     for column in history.schema:
         if column.name in (*KEYS, *STATE[:-1]) or not _is_number(column.type):

@@ -126,7 +126,7 @@ class State:
             assert self.problem is not None
             names = self.problem.joint.coordinate_names
             if "phi" not in names:
-                return None  # it does not turn
+                return None  # the body does not turn
             turns = self._coordinates()[..., names.index("phi")]
             return Panel("angle of the joint", "rad", (Series("φ", np.unwrap(turns, axis=0)),))
         if np.ptp(np.nan_to_num(self.rotation - self.rotation[:1])) == 0.0:

@@ -25,7 +25,7 @@ from lierb.support.representations import Lines, Represented, counted
 STATE = ("t", "position", "rotation", "quaternion", "omega", "v")
 
 
-NAMED = 3  # links in a message
+NAMED = 3  # most links named in a message
 LARGEST = ("position_error", "rotation_error", "energy_drift")
 
 
@@ -150,7 +150,7 @@ def _kinds_of(metadata: dict[str, Any]) -> list[str]:
     """Return the members of LARGEST with rows; a constraint's row may be of either kind."""
     kinds = {"energy_drift"}
     for name in metadata.get("problem", {}).get("rows", [""]):
-        row = JOINT_ROWS.get(name.rpartition(".")[2])  # of a mechanism, the joint's name before
+        row = JOINT_ROWS.get(name.rpartition(".")[2])  # a mechanism has a prefix
         kinds.update([f"{row.error_kind}_error"] if row else LARGEST)
     return [name for name in LARGEST if name in kinds]
 

@@ -56,7 +56,7 @@ def _table(
 def _schema(columns: dict[str, pa.Array], covers: Covers, units: dict[str, str]) -> pa.Schema:
     fields = []
     for name, array in columns.items():
-        of_all = name.rpartition(".")[2]  # of a mechanism: link or joint, then quantity
+        of_all = name.rpartition(".")[2]  # columns of a mechanism: link or joint, then quantity
         plain = of_all.removesuffix("_max").removesuffix("_final")
         unit = units[name] if name in units else UNITS.get(plain)
         described = {"unit": unit} if unit else {}
@@ -110,14 +110,14 @@ def size_of_tables(plan: AnyPlan, count: int, rows: int, recorded: tuple[str, ..
     with_state, has_lanes = "state" in recorded, plan.has_lane_clocks
     links = system_of(plan).links
     is_copied = with_state and rows + has_lanes > 1
-    copied = POSE_AND_TWIST.count * links if is_copied else 0  # of the end
+    copied = POSE_AND_TWIST.count * links if is_copied else 0  # pose and twist at the end
     turned = sum(prod(shape) for _, shape in (*states_of(plan), *outputs_of(plan)) if shape)
     copied += turned + len(COUNTS) * has_lanes
     own = 3 + ("energy" in recorded and not plan.does_work)  # trajectory, step, t; work
     if plan.multipliers and system_of(plan).joints:
-        own += len(plan.rows)  # cut up joint by joint
+        own += len(plan.rows)  # arrays for each joint
     own += turned
-    ours = count * (1 + copied) + rows * (3 + own * count)  # of a time: temporaries
+    ours = count * (1 + copied) + rows * (3 + own * count)  # temporaries for one time
     return Output.size(plan, count, rows, with_state) + 8 * ours
 
 

@@ -13,7 +13,7 @@ from lierb.errors import ArgumentError
 from lierb.support.arrays import Array, as_floats, as_matrix
 from lierb.support.extras import require
 
-LARGEST = 1e300  # of parameters: sums of a few, and 39 std of a normal variable, are finite
+LARGEST = 1e300  # largest parameter: sums of a few, and 39 std, are finite
 SHAPES = {
     1: "a number or (d,)",
     2: "a number, (d,) or a matrix",

@@ -129,7 +129,7 @@ class Direction(Distribution):
         return 2 + self.length.dimension
 
     def _draw(self, u: Array) -> Array:
-        across = 2.0 * np.sqrt(u[0] * (1.0 - u[0]))  # √(1 − z²)
+        across = 2.0 * np.sqrt(u[0] * (1.0 - u[0]))  # radius √(1 − z²)
         azimuth = 2.0 * np.pi * u[1]
         unit = np.stack((across * np.cos(azimuth), across * np.sin(azimuth), 1.0 - 2.0 * u[0]))
         return unit * self.length._draw(u[2:])

@@ -13,7 +13,7 @@ from lierb.sampling.streams import UNIFORM_BITS, uniforms_of, words
 from lierb.support.arrays import Array
 from lierb.support.extras import require
 
-SOBOL_BITS = 32  # the most that SciPy's Sobol.fast_forward takes; the other digits are random
+SOBOL_BITS = 32  # limit of SciPy's Sobol.fast_forward; the other digits are random
 WALKED_BITS = 12  # bits of a point's number up to which SciPy's points are compared with its table
 
 

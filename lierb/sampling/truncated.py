@@ -19,7 +19,7 @@ def quantiles_of_truncated_normal(
     mean: float, std: float, low: float, high: float, u: Array
 ) -> Array:
     """Return the quantiles of one component at uniforms u."""
-    if mean >= high:  # mirrored: a mean outside of the bounds is then below them
+    if mean >= high:  # mirrored, so that a mean outside of the bounds is below them
         return -_between(-mean, std, -high, -low, 1.0 - u, u)
     return _between(mean, std, low, high, u, 1.0 - u)
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 Pose = tuple[Mat, Vec]
 
 SLICE = 16384  # bodies checked at a time; this bounds the memory of checks
-MOST_AXES = 16  # of an argument; NumPy's limit is 64
+MOST_AXES = 16  # most axes of an argument; NumPy's limit is 64
 PLAIN = {float, int, np.float64, np.float32, np.int64}  # numbers without further checks
 NO_NUMBERS = (bool, str, bytes, bytearray)
 FEWER = "give fewer bodies at a time"
@@ -303,7 +303,7 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
                 "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )
-        matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # about the origin
+        matrices = pose_matrix((components(matrices, 2), (0.0, 0.0, 0.0)))  # without a translation
     poses = as_numbers(argument, matrices, (4, 4), copy=copy)
     check_rotations(argument, poses[..., :3, :3])
     first = 0

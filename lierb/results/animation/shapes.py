@@ -16,7 +16,7 @@ from lierb.support.arrays import Array, as_floats, as_poses
 SIDES = 24  # side faces of the prism that represents a cylinder
 THINNEST = 0.02  # least thickness drawn, relative to the longest edge
 SYMMETRIC = 1e-6  # two principal moments that differ by less, relative to the largest, are equal
-NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # of a box's faces: axis, sign
+NORMALS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))  # (axis, sign) of a box's faces
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from lierb.studies.description.study_file import ELEMENTS
 from lierb.studies.description.study_tables import NOTHING, StudyTables
 from lierb.support.arrays import Array
 
-Draws = dict[str, dict[str, Array]]  # by section and key
-Elements = dict[str, list[Any]]  # by list of the problem
+Draws = dict[str, dict[str, Array]]  # draws by section and key
+Elements = dict[str, list[Any]]  # elements by list of the problem
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lierb.errors import LierbError, StudyError
 from lierb.studies.description.changes import path_of, written
 from lierb.studies.description.study_file import ELEMENTS, line_of, shortened
 
-MOST_LISTED = 10  # errors of a file
+MOST_LISTED = 10  # most errors of a file that are listed
 
 
 @contextmanager

@@ -97,7 +97,7 @@ def started_mechanism(
     close : AUTO closes open loops and projects twists that violate constraints, to the nearest
         poses and twists in the mass metric; NEVER leaves them.
     """
-    with np.errstate(all="ignore"):  # overflow shows in the result
+    with np.errstate(all="ignore"):  # overflow is detected in the result
         placed = _poses(mechanism, initial)
     poses = {
         name: _spread(f"the pose of {name}", pose_matrix(placed[i]), count, 2)

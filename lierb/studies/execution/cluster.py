@@ -34,7 +34,7 @@ CONNECT_SECONDS = 30
 KEPT = "finished parts are kept, --resume (resume=True) does the rest"
 GONE = f"all workers of the cluster are gone; {KEPT}"
 LOST = f"the connection to the cluster was lost ({{}}); {KEPT}"
-LOST_SECONDS = 60  # without any worker, after which none is expected
+LOST_SECONDS = 60  # s without any worker until the run ends
 TALKING = ("client", "core", "comm", "comm.core", "comm.tcp", "batched", "utils", "utils_comm")
 
 

@@ -17,7 +17,7 @@ from lierb.studies.storage.parts import Parts
 from lierb.studies.storage.results import STUDY
 from lierb.studies.storage.store import Store
 
-MOST_DIFFERENCES = 5  # listed where two studies differ
+MOST_DIFFERENCES = 5  # most differences between two studies that are listed
 
 
 def loaded(

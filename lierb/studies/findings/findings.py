@@ -35,7 +35,7 @@ ERRORS = {
 }
 LABELS = {"position": "position, m", "rotation": "rotation", "energy": "energy, J"}
 QUANTILES = (0.5, 0.95, 1.0)
-NEGLIGIBLE = 1e-18  # error that counts as zero, relative to the problem's scale
+NEGLIGIBLE = 1e-18  # largest error that counts as zero, relative to the problem's scale
 
 
 @dataclass(frozen=True)

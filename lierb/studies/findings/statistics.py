@@ -22,7 +22,7 @@ from lierb.support.extras import require
 
 PROBABILITIES = (0.05, 0.5, 0.95)
 NO_RESULTS = ("t", "dt", "rtol")  # columns of a history that are no results
-MOST_NUMBERS = 2**24  # read at once from a history: 128 MB
+MOST_NUMBERS = 2**24  # most numbers read at once from a history: 128 MB
 
 
 class Spread(NamedTuple):

@@ -20,7 +20,7 @@ require("report")
 import plotly.graph_objects as go  # noqa: E402
 
 SYMBOLS = ("circle", "diamond", "square", "x")  # markers, from the largest dt to the smallest
-POINTS = 3000  # most dots of a setting, beside its worst bodies
+POINTS = 3000  # most dots of a setting, in addition to its worst bodies
 WORST = 5  # bodies with the largest errors of each kind, which are always shown
 
 

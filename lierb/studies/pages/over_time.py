@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 HISTORY = {"position": "position_error", "rotation": "rotation_error", "energy": "energy_drift"}
-PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # at each time
+PERCENTILES = (5.0, 50.0, 95.0, 100.0)  # quantiles drawn at each time
 RANKS = 2000  # most points of a distribution function
 IN_HISTORY = KNOWN | {measure.name for measure in MEASURES} - {"energy"}
 

@@ -19,8 +19,8 @@ from lierb.studies.findings.findings import ERRORS, errors_seen
 from lierb.studies.storage.parts import Part
 from lierb.studies.storage.results import IS_SUCCESS, Results
 
-FRAMES = 500  # of each trajectory
-MOST_SPACES = 2  # settings side by side
+FRAMES = 500  # frames of each trajectory
+MOST_SPACES = 2  # most settings side by side
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ from lierb.studies.pages.figures import CAPTIONS, omitted, sheets  # noqa: E402
 
 TEMPLATE = "report.html"
 FAILED = 20  # most failed bodies that are listed
-HEIGHT = {1: 560, 2: 620, 3: 760, 4: 760}  # of the animation by its views, pixels
+HEIGHT = {1: 560, 2: 620, 3: 760, 4: 760}  # height of the animation by its number of views, pixels
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def read_manifest(path: Path) -> Manifest:
         raise
     except OSError as error:
         raise StudyFileError(f"{path} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # no JSON, or no text
+    except (ValueError, RecursionError) as error:  # neither JSON nor text
         raise StudyError(f"{path} is damaged ({error}); {ANEW}") from None
     if not is_whole:
         raise StudyError(f"{path} was edited or damaged: its checksum is wrong; {ANEW}")

@@ -70,7 +70,7 @@ class Store(Results):
             raise StudyError(
                 f"{self.folder} is being written by another run, which holds {path}"
             ) from None
-        except (OSError, NotImplementedError) as error:  # another user's, or no locks there
+        except (OSError, NotImplementedError) as error:  # another user's, or without locks
             raise StudyFileError(f"{path} cannot be locked: {reason(error)}; {LOCKABLE}") from error
         try:
             yield
@@ -105,7 +105,7 @@ class Store(Results):
         }  # fmt: skip
         if study.files:
             self.manifest |= {"code": study.code_digests, "functions": study.fingerprints()}
-        self._write_manifest()  # first: a study.toml without one is the user's
+        self._write_manifest()  # the manifest first: a study.toml without one is the user's
         for file in missing:
             self.write(file, study.code[file].encode())
         if not is_there:
