@@ -113,7 +113,7 @@ SET = click.option(
 @click.option("--report", is_flag=True, help="Write DIR/report.html at the end.")
 @click.option(
     "--only", type=int, metavar="TRAJECTORY",
-    help="Replay the trajectory of this number alone, everything recorded at each step.",
+    help="Replay the trajectory of this number alone, with everything recorded at each step.",
 )  # fmt: skip
 def run(
     study: Path,
@@ -334,7 +334,7 @@ def _end_with_failures(dataset: Dataset) -> None:
     for remedy in failures.remedies:
         click.echo(wrapped(remedy))
     replay = _again(dataset, "--only", str(failures.trajectory))
-    click.echo(f"That one again, everything recorded:\n  {replay}")
+    click.echo(f"Replay trajectory {failures.trajectory}, with everything recorded:\n  {replay}")
 
 
 def _again(dataset: Dataset, *options: str) -> str:

@@ -133,7 +133,7 @@ def from_bytes(content: bytes, context: Any) -> Any:
 
 
 def compiler_that_replaces(functions: Mapping[Any, Any]) -> type[CompilerBase]:
-    """Return a pipeline for njit that replaces ufuncs, and operators and calls on integers.
+    """Return a pipeline for njit that replaces integer-valued operators and calls, and ufuncs.
 
     functions : replacement by (operator, function or type, number of operands). A replacement is
         a function with overloads, used where an overload accepts the operands' types.

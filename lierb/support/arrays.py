@@ -299,7 +299,7 @@ def as_poses(argument: str, value: Any, copy: bool | None = True) -> Array:
     if matrices.shape[-2:] == (3, 3):
         if not hasattr(value, "as_matrix"):
             raise ArgumentError(
-                f"{argument} has shape {matrices.shape}, rotations R without a place r: expected "
+                f"{argument} has shape {matrices.shape}, rotations without a position: expected "
                 "(4, 4) or (n, 4, 4), as C = np.eye(4); C[:3, :3] = R; C[:3, 3] = r; "
                 "joint.pose(rotation=R) is the pose of a body turned about its joint's point"
             )

@@ -184,6 +184,6 @@ def _require_one(label: str, element: Any, drawn: Mapping[str, Array]) -> None:
         if key not in drawn and array.ndim > len(shape):
             what = f"a list of {prod(shape)} numbers" if shape else "one number"
             raise StudyError(
-                f"{label}.{key} has shape {array.shape}; expected {what}, of all bodies; what "
-                "differs from body to body is a distribution in [sample]"
+                f"{label}.{key} has shape {array.shape}; expected {what} for all "
+                "bodies; numbers that differ from body to body need a distribution in [sample]"
             )

@@ -303,7 +303,7 @@ def _require_same(problem: Problem | Mechanism, study: Study) -> None:
     for given, again in zip(problem.elements, made.elements, strict=True):
         if given.kind != again.kind and given.made_by is not None:
             raise StudyError(
-                f"{given.name} is another function in its file than the one that the problem has: "
-                "the file was edited since it was imported, or what the function refers to was set "
-                "elsewhere; import it anew, or make that a parameter"
+                f"{given.name} is another function in its file than in the problem: "
+                "the file was edited since it was imported, or a value that the function uses "
+                "was set elsewhere; import it anew, or make the value a parameter"
             )

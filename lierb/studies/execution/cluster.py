@@ -287,8 +287,8 @@ def _result(client: Client, future: Future, part: Part) -> Any:
         except KilledWorker as error:
             raise StudyError(
                 f"workers died {error.allowed_failures + 1} times in a row that had part "
-                f"{part.name}, perhaps beside others; if it was for memory, fewer bodies in a "
-                "part take less: [output] part"
+                f"{part.name}, perhaps among others; if memory was short, choose fewer bodies in a "
+                "part: [output] part"
             ) from None
 
 

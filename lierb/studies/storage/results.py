@@ -83,8 +83,8 @@ class Results(Represented):
         entered = self.manifest.get("digest") == digest and self.manifest.get("text")
         if sha256_of(path) != entered and not _describes(path, digest):
             raise StudyError(
-                f"{path} says another study than the one that the folder is for, and is not "
-                "written over; move it elsewhere, or choose another folder"
+                f"{path} says another study than that of the folder, and is not "
+                "overwritten; move it elsewhere, or choose another folder"
             )
         return path.read_text(encoding="utf-8")
 
@@ -104,8 +104,8 @@ class Results(Represented):
             path = self.folder / file
             if os.path.lexists(path) and sha256_of(path) != digest:
                 raise StudyError(
-                    f"{path} is not the file that the study is run with: one of the two was edited "
-                    "since; restore it, or choose another folder for the results"
+                    f"{path} is not the file that the study is run with: one of the two was "
+                    "edited; restore it, or choose another folder for the results"
                 )
         return [file for file in digests if not os.path.lexists(self.folder / file)]
 
