@@ -29,7 +29,7 @@ from lierb.studies.description.times import saved_times
 from lierb.studies.description.units import unit_of
 from lierb.studies.execution import cluster
 from lierb.studies.execution.replaying import compile_for, replay
-from lierb.studies.findings.findings import findings, happened
+from lierb.studies.findings.findings import crossings, findings
 from lierb.studies.findings.statistics import percentiles_over_time
 from lierb.studies.storage.parts import LABEL_BYTES, bytes_of_body, part_size, saved_rows
 from lierb.studies.storage.store import Store
@@ -356,14 +356,14 @@ def test_steps_that_run_out_are_failures(tmp_path):
         dataset = lierb.run(given, tmp_path / "out")
     assert dataset.failures().counts == {"max_steps": 3}
     assert "rtol = 1e-06" in str(dataset.failures())
-    assert [each.of for each in happened(dataset)] == [0, 0]
+    assert [each.of for each in crossings(dataset)] == [0, 0]
 
 
 def test_events_are_counted_and_their_first_times_ranked(whole):
     dataset = Dataset(whole)
     dataset.read()
     rows = table(whole, "events").to_pylist()
-    for each in happened(dataset):
+    for each in crossings(dataset):
         own = [row for row in rows if row["event"] == each.name]
         first = {}
         for row in own:
@@ -423,7 +423,7 @@ def test_the_example_is_what_it_names(tmp_path):
     assert "1000 of 1000" in shown.output
     dataset = Dataset(tmp_path / "out")
     dataset.read()
-    pointed, saturated = happened(dataset)
+    pointed, saturated = crossings(dataset)
     assert (pointed.bodies, dataset.failures()) == (1000, None)
     assert 10 < saturated.bodies < 300
 

@@ -303,7 +303,7 @@ def _report(dataset: Dataset, path: Path) -> None:
 
 
 def _show(dataset: Dataset) -> None:
-    from lierb.studies.findings.findings import findings, happened, indices, quantities
+    from lierb.studies.findings.findings import crossings, findings, indices, quantities
     from lierb.studies.findings.tables import (
         table_of,
         table_of_events,
@@ -314,7 +314,7 @@ def _show(dataset: Dataset) -> None:
     print_whole(table_of(findings(dataset)))
     click.echo()
     print_whole(table_of_quantities(quantities(dataset)))
-    if events := happened(dataset):
+    if events := crossings(dataset):
         click.echo()
         print_whole(table_of_events(events, dataset.manifest["study"]["integrate"]["t_end"]))
     if sensitivities := indices(dataset):

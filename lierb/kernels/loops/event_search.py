@@ -39,7 +39,7 @@ def watch(service, inputs, counter, jobs):
     elif kind == BEGIN:
         begin_search(search)
         request[0, ws.TASK], request[0, ws.TURN] = SAMPLE, 0.0
-        request[0, ws.FIRST_EVENT] = search.found[0, 0] + 1.0
+        request[0, ws.FIRST_EVENT] = search.rows[0, 0] + 1.0
     elif kind == NEXT_TASK:
         task = int(request[0, ws.TASK])
         starts = job.begin != RESUMED and task == SAMPLE and any_starts(search, job.start)
@@ -255,7 +255,7 @@ def narrow(search):
 @in_watch
 def note_events(search):
     """Append a row for each crossing, with the state there, which is in the workspace."""
-    rows = search.found
+    rows = search.rows
     for lane in range(search.lanes):
         if search.selected[lane] == 0.0:
             continue
@@ -275,7 +275,7 @@ def drop_later(search, first):
 
     Return whether any trajectory ends.   first : index of the first event recorded in this step.
     """
-    rows, any_ends = search.found, False
+    rows, any_ends = search.rows, False
     for lane in range(search.lanes):
         if search.last[lane] <= 1.0:
             any_ends = True

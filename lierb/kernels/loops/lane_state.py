@@ -68,7 +68,7 @@ def any_of(numbers: Any) -> Any:
     return any_lanes(numbers > 0.0)
 
 
-def taken(mask: Any, new: Any, old: Any) -> Any:
+def select(mask: Any, new: Any, old: Any) -> Any:
     """Return `new` where the mask, 1 or 0, is 1, and `old` elsewhere."""
     return where(mask > 0.5, new, old)
 
@@ -228,7 +228,7 @@ def as_ended(lanes: Lanes, span: Span, termination: Any) -> Record:
 
 
 for _formula in (
-    any_of, taken, row_of, put_row, load_lanes, store_lanes, suppress_exceptions, clear_exceptions,
+    any_of, select, row_of, put_row, load_lanes, store_lanes, suppress_exceptions, clear_exceptions,
     restore_exceptions, own_start, started, resumed, put_shown, store_lane_summary, store_lane_end,
     as_ended, with_signals,
 ):  # fmt: skip

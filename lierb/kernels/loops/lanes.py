@@ -22,7 +22,7 @@ from lierb.kernels.loops import lane_steps as steps
 from lierb.kernels.loops import workspace as ws
 from lierb.kernels.loops.event_state import AT_THETA
 from lierb.kernels.loops.job import BODIES, RESUMED, TWISTS, UNSEEN
-from lierb.kernels.loops.lane_state import any_of, put_row, row_of, taken
+from lierb.kernels.loops.lane_state import any_of, put_row, row_of, select
 from lierb.kernels.loops.record import (
     load_body,
     load_given,
@@ -92,13 +92,13 @@ def _start(plan, body, inputs, counter, jobs, lanes, fresh, span, limits):
     rows, values = numbers_at(own.rows), histories_at(own.values)
     flags = lane_state.clear_exceptions(plan, fresh)
     if job.begin == RESUMED:
-        state = taken(fresh, resumed_state(plan, body, inputs), lanes.state)
+        state = select(fresh, resumed_state(plan, body, inputs), lanes.state)
     else:
-        state = taken(fresh, lane_state.own_start(plan, body, inputs, rows), lanes.state)
+        state = select(fresh, lane_state.own_start(plan, body, inputs, rows), lanes.state)
     begun = lane_state.started(plan, body, state, rows, span, limits)
     if job.begin == RESUMED:
         begun = lane_state.resumed(plan, begun, limits, inputs)
-    lanes = taken(fresh, begun, lanes)
+    lanes = select(fresh, begun, lanes)
     if own.watched > 0:
         inner.put_values(plan, body, lanes.state, lanes.control, lanes.clock.t, values, ws.SAMPLES)
         inner.put_roundings(plan, body, lanes, values, ws.SAMPLES, numbers_at(own.roundings))
@@ -166,8 +166,8 @@ def _look_between(
         else:
             there = inner.state_between(plan, ranked, state, slopes, trial, theta)
             if is_end:
-                there = taken(part.is_last, moved, there)
-                time = taken(part.is_last, trial.end, time)
+                there = select(part.is_last, moved, there)
+                time = select(part.is_last, trial.end, time)
         if task == search.SAMPLE or task == search.DIP or task == search.ROOT:
             sample = turn if task == search.SAMPLE else AT_THETA
             inner.put_values(plan, seen, there, lanes.control, time, values, sample)
@@ -261,7 +261,7 @@ def integrate_lanes(plan, inputs, counter, jobs):
                     termination,
                 )  # fmt: skip
             lanes = steps.moved_to(lanes, moved, accepted)
-            fresh = taken(failed, failed, accepted)
+            fresh = select(failed, failed, accepted)
         ticks = steps.to_tick(plan, body, lanes, fresh, termination)
         if any_of(ticks):
             lanes = steps.ticked(plan, body, lanes, ticks, rows, job.seed)

@@ -44,12 +44,12 @@ class Projection(TreeAccelerations):
         if self.plan.stabilisation.kind != "project":
             return Stabilised(state)
         length = length_of(body)
-        nearer = self._closing(body, state.chart, time)
+        nearer = self._newton_step(body, state.chart, time)
         first = self.moved(state.chart, scale(0.5, nearer))
         off, way = self._violation(body, first, time), size_of(length, nearer)
 
         def again() -> Any:
-            further = self._closing(body, first, time)
+            further = self._newton_step(body, first, time)
             second = self.moved(first, scale(0.5, further)), add(nearer, further)
             is_open = off > CLOSED * CLOSED
             second, x = where(is_open, second, (first, nearer))
@@ -73,7 +73,7 @@ class Projection(TreeAccelerations):
         """Violation of the rows at a pose; see `Relatives.violation`."""
         return self.relatives(body, self.motion_at(body, chart, None, time)).violation()
 
-    def _closing(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
+    def _newton_step(self, body: TreeConstants, chart: Charts, time: Any) -> Vec:
         """Newton step onto all rows, in the algebra."""
         motion = self.motion_at(body, chart, None, time)
         relatives = self.relatives(body, motion)

@@ -48,13 +48,13 @@ def call_compiled(
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         code.call_each(builder, inward, outward, marks)
-        return code.taken(trace, outward)
+        return code.results(trace, outward)
 
     def some_called() -> tuple[Lane, ...]:
         inward, outward = code.memory(builder)
         code.put(builder, packs, inward)
         builder.call(code.apart(builder.module, marks.lanes), [inward, outward, marks.memory])
-        return code.taken(trace, outward)
+        return code.results(trace, outward)
 
     results = branch(marks.are_clear, all_called, some_called)
     fine = marks.pack == float(CLEAR)
@@ -97,7 +97,7 @@ class _Lanes:
         for n, value in enumerate(packs):
             builder.store(value, self._whole(builder, inward, n), align=8)
 
-    def taken(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
+    def results(self, trace: Trace, outward: ir.Value) -> tuple[Lane, ...]:
         places = (self._whole(trace.builder, outward, n) for n in range(self.count))
         return tuple(Lane(trace, trace.builder.load(place, align=8)) for place in places)
 

@@ -111,7 +111,7 @@ def study_of(
     }
     if isinstance(problem, Mechanism):
         of_links, tables["initial"] = _starts(problem, initial or {})
-        tables["problem"] |= _held(problem, design, of_links)
+        tables["problem"] |= _links_and_loops(problem, design, of_links)
     else:
         for key in initial or {}:
             if key not in KEYS["initial"]:
@@ -155,7 +155,7 @@ def _starts(
     return of_links, rest
 
 
-def _held(
+def _links_and_loops(
     mechanism: Mechanism, design: Design, initial: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the tables of the links and the loops."""

@@ -98,7 +98,7 @@ def quantities(dataset: Results) -> list[Spread]:
     return list(spreads(dataset, study, columns | observed_columns(dataset, study)))
 
 
-def happened(dataset: Results) -> list[Occurred]:
+def crossings(dataset: Results) -> list[Occurred]:
     """Return number and first times of each event of the problem; [] without events."""
     return list(occurrences(dataset, study_of(dataset)))
 

@@ -21,9 +21,9 @@ from lierb.studies.findings.findings import (
     LABELS,
     QUANTILES,
     SettingErrors,
+    crossings,
     errors_seen,
     findings,
-    happened,
     indices,
     orders,
     quantities,
@@ -117,7 +117,7 @@ def _values_of_findings(dataset: Results, study: Study) -> dict[str, Any]:
             (each.setting, with_unit(each), [with_interval(q[1:]) for q in each.quantiles])
             for each in quantities(dataset)
         ],
-        "events": [(each, [first_time(q, end) for q in each.first]) for each in happened(dataset)],
+        "events": [(each, [first_time(q, end) for q in each.first]) for each in crossings(dataset)],
         "indices": [
             (*each[:3], with_interval(each.first, ".3f"), with_interval(each.total, ".3f"))
             for each in indices(dataset)
